@@ -10,10 +10,10 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit, limit_at
-from synth.analysis.lower_bound import Witness, prove_lower_bound
+from synth.analysis.lower_bound import DualCertificate, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.rigorous import Nullspace, definiteness, identity, integers, product
-from synth.analysis.synthesis_inequality import Side, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
 from synth.design.static import static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
@@ -230,7 +230,7 @@ def test_a_forged_frequency_proves_nothing_false(designer):
     assert [limit_at(resonant, omega) for omega in (2.0, np.nextafter(2.0, 3), 0.0)] == [0, 0, 0]
 
 
-def hostile(rng: np.random.Generator, good: Witness) -> Witness:
+def hostile(rng: np.random.Generator, good: DualCertificate) -> DualCertificate:
     """A witness that is spoilt: nearly singular, scaled, noisy, or with another eta."""
     n = len(good.X)
     X = good.X * 10.0 ** rng.uniform(-3, 3) if rng.random() < 0.3 else good.X
@@ -242,7 +242,7 @@ def hostile(rng: np.random.Generator, good: Witness) -> Witness:
     if rng.random() < 0.3:
         X = X + 10.0 ** rng.uniform(-3, 16) * np.outer(vector, vector)
     eta = good.eta * 10.0 ** (rng.uniform(-1, 1) if rng.random() < 0.5 else rng.uniform(-300, 300))
-    return Witness((X + X.T) / 2, eta if rng.random() < 0.5 else good.eta * (1 - 10.0 ** -rng.uniform(1, 16)))
+    return DualCertificate((X + X.T) / 2, eta if rng.random() < 0.5 else good.eta * (1 - 10.0 ** -rng.uniform(1, 16)))
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers beyond floats are what is asked for
@@ -256,17 +256,17 @@ def test_no_witness_proves_what_is_not_true(seeds):
         rng = np.random.default_rng(seed)
         try:
             path = state_feedback(plant, 1e-8)
-            _, other = find_lower_bound(plant, Cy), Side.of(transposed(plant, Cy))
+            _, other = find_lower_bound(plant, Cy), SynthesisInequality.of(transposed(plant, Cy))
         except DesignError:
             continue
         best = min(hinf_norm(plant.closed_loop(point.K)).value for point in path)
-        good = Witness(path[-1].X, path[-1].eta)
+        good = DualCertificate(path[-1].X, path[-1].eta)
         proofs = [prove_lower_bound(plant, hostile(rng, good)).gamma for _ in range(20)]
         assert max(proofs) <= best * (1 + ROUTES), seed
         # An observer's witness of noise: the joint bound stays below what output feedback reaches.
         reached = min((hinf_norm(loop).value for knows, loop in loops(plant, Cy) if not knows), default=np.inf)
         for _ in range(10 if len(other.J) else 0):
-            noise = Witness(
+            noise = DualCertificate(
                 np.cov(rng.standard_normal((len(plant.A), 9))) * 10.0 ** rng.uniform(-6, 6), 10.0 ** rng.uniform(-9, 3)
             )
             proved = prove_lower_bound(plant, good, Cy, hostile(rng, noise))

@@ -5,9 +5,9 @@ import pytest
 from scipy import linalg
 
 from synth.analysis.invariant_point import invariant_limit, limit_at
-from synth.analysis.lower_bound import LowerBound, Witness, prove_lower_bound
+from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
-from synth.analysis.synthesis_inequality import Side, shown, steered
+from synth.analysis.synthesis_inequality import SynthesisInequality, shown, steered
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
@@ -15,9 +15,9 @@ from synth.plant.generalized import GeneralizedPlant
 from tests.test_static import random_plant
 
 
-def at_the_end(plant: GeneralizedPlant, mu: float = 1e-5) -> Witness:
+def at_the_end(plant: GeneralizedPlant, mu: float = 1e-5) -> DualCertificate:
     point = state_feedback(plant, mu)[-1]
-    return Witness(point.X, point.eta)
+    return DualCertificate(point.X, point.eta)
 
 
 def full_order_norm(plant: GeneralizedPlant, Cy: np.ndarray, gamma: float, noise: float) -> float:
@@ -113,16 +113,17 @@ def test_what_derivatives_show(designer):
     )
     assert shown(noisy, np.array([[1.0, 0.0]])).shape == (1, 2)  # its derivative holds w
     assert steered(noisy).shape == (2, 1)  # u acts on x2 at no cost, but x2 is weighed
-    assert len(Side.of(noisy).J) == 1
+    assert len(SynthesisInequality.of(noisy).J) == 1
 
 
 def test_a_witness_of_nothing_proves_nothing(designer):
     """A pair that does not satisfy (21), or is far from the path, proves 0, which is always true."""
     good = at_the_end(designer.plant)
-    assert prove_lower_bound(designer.plant, Witness(-good.X, good.eta)).gamma == 0
-    assert prove_lower_bound(designer.plant, Witness(good.X, 4 * good.eta)).gamma <= designer.state_feedback.gamma
+    assert prove_lower_bound(designer.plant, DualCertificate(-good.X, good.eta)).gamma == 0
+    assert prove_lower_bound(designer.plant, DualCertificate(good.X, 4 * good.eta)).gamma <= designer.state_feedback.gamma
     assert (
-        prove_lower_bound(designer.plant, Witness(np.diag(np.diagonal(good.X)), good.eta)).gamma <= designer.state_feedback.gamma
+        prove_lower_bound(designer.plant, DualCertificate(np.diag(np.diagonal(good.X)), good.eta)).gamma
+        <= designer.state_feedback.gamma
     )
 
 

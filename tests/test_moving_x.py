@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.vehicle.vehicle import read_vehicle
-from synth.analysis.uncertainty_box import Box, MovingBand, ScaledGain
+from synth.analysis.uncertainty_box import Box, ParameterDependentKYP, ScaledGain
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
 from synth.design.uncertainty.parameter_dependent_lyapunov import (
     bound_throughout,
@@ -126,7 +126,7 @@ def test_a_norm_in_a_band_with_errors(low, high, loose):
     assert largest <= proof.gamma <= (1 + loose) * largest
 
 
-def _in_band(low: float, high: float) -> tuple[ScaledGain, Box, MovingBand, float]:
+def _in_band(low: float, high: float) -> tuple[ScaledGain, Box, ParameterDependentKYP, float]:
     """Printed controller I, its errors, what is proved of it in a band [Hz], and the largest gain that was found there."""
     gain = scaled_gain(*_car(), PRINTED_I)
     box, (low, high) = box_of(gain, 0.1, 0.05), (2 * np.pi * low, 2 * np.pi * high)

@@ -1,1 +1,1 @@
-"""What is true of a loop, in numpy and integers, without a solver: stability, norms, proofs, lower bounds, sampled data."""
+"""Analysis of a closed loop with numpy and integers, without a solver: stability, norms, proofs, lower bounds, sampled data."""

@@ -1,12 +1,12 @@
 """The norm of a loop within a band of frequencies: computed, and proved by the generalized KYP lemma (Iwasaki, Hara 2005).
 
-It is found as the norm on the whole axis is (`synth/analysis/norm.py`), by the same two routes. What it is stands between
-two levels: one that the gain reaches at a frequency of the band, and one slightly above that no frequency of the band exceeds.
-For the second every eigenvalue of the Hamiltonian is asked, whatever its real part: between two frequencies that they propose,
-and between one and an edge, the gain lies above the level everywhere or nowhere.
+The norm is computed like the one on the whole axis (`synth/analysis/norm.py`), by the same two routes. It lies between two
+levels: one that the gain reaches at a frequency of the band, and one slightly above, which no frequency of the band exceeds.
+For the second, all eigenvalues of the Hamiltonian propose frequencies, whatever their real parts. Between two proposed
+frequencies, and between one and an edge, the gain lies above the level everywhere or nowhere.
 
-**A band says nothing of stability**, nor of what lies beside it. Of a stable loop it is the most that a sinusoid of such a
-frequency is amplified by. An unstable loop has a largest singular value too, but no sinusoid ever settles in it: there the number
+**A norm in a band says nothing of stability**, nor of other frequencies. For a stable loop, the norm is the largest amplification
+of a sinusoid in the band. An unstable loop has a largest singular value too, but no sinusoid ever settles in it: there the number
 is that of a formula, and nothing else.
 
 No gain from w to z at a frequency from w1 to w2 reaches gamma if there are a Hermitian P and a Hermitian Q > 0 with
@@ -14,11 +14,11 @@ No gain from w to z at a frequency from w1 to w2 reaches gamma if there are a He
     [ A  Bw ]* [ -Q                P + j (w1 + w2)/2 Q ] [ A  Bw ]     [ C  Dw ]' [ C  Dw ]
     [ I  0  ]  [ *                 -w1 w2 Q            ] [ I  0  ]  +  [       ]  [       ]  -  gamma^2 [ 0 0; 0 I ]  <  0.
 
-Where x = (j w - A)^-1 Bw v the first term is (w - w1)(w2 - w) x* Q x >= 0 for w in the band, and what is left is
-|z|^2 - gamma^2 |v|^2. The converse is true too, so that of a gain that is known nothing is lost. Of an open band, w2 infinite, Q
-stands in the place of -Q, 0 in that of the mean, and -w1^2 Q in the last: (w^2 - w1^2) x* Q x >= 0.
+If x = (j w - A)^-1 Bw v, the first term is (w - w1)(w2 - w) x* Q x >= 0 for w in the band, and the second is
+|z|^2 - gamma^2 |v|^2. The converse is true too, so the lemma is not conservative. For an open band, w2 infinite, Q
+replaces -Q, 0 the mean, and -w1^2 Q the last entry: (w^2 - w1^2) x* Q x >= 0.
 
-**It does not imply stability**: P need not be positive. That a loop is stable is another LMI's, (20), to say.
+**The lemma does not imply stability**: P need not be positive. Stability follows from another LMI, (20).
 
 P and Q are taken as they are, and the matrix is computed without rounding (`analysis/rigorous.py`), from the plant's own numbers
 and the gain's. A Hermitian matrix S + j K is positive definite if and only if the real one [S -K; K S] is.
@@ -41,17 +41,17 @@ from synth.plant.numerics import DesignError, numerics
 
 @dataclass(frozen=True, eq=False)
 class BandNorm:
-    """The largest gain within a band.
+    """The largest gain within a band, its frequency and a level that bounds it.
 
     Attributes:
-        value: reached at `peak_frequency`; infinite where a pole lies on the band's stretch of the axis.
+        value: reached at `peak_frequency`; infinite if a pole lies on the axis within the band.
         peak_frequency: in the band [rad/s]; an edge counts.
         level: slightly above the value; no gain within the band exceeds it.
         low: where the band begins [rad/s].
         high: where it ends [rad/s]; may be infinite.
         gap: relative distance of the two routes to the value.
-        rounding: relative; how far from the true one the value may be, to first order.
-        stability: of the loop. Where it is not stable, nothing is amplified by the value: no sinusoid settles.
+        rounding: relative error of the value by rounding, to first order.
+        stability: of the loop. If it is not stable, no sinusoid settles and the value is no amplification.
     """
 
     value: float
@@ -65,7 +65,7 @@ class BandNorm:
 
     @property
     def words(self) -> str:
-        """What it is, on one line."""
+        """The norm in the band on one line."""
         band = f"{self.low / (2 * np.pi):.4g} to {self.high / (2 * np.pi):.4g} Hz"
         if not np.isfinite(self.value):
             return f"infinite from {band}: a pole at {self.peak_frequency:.4g} rad/s, to rounding, does not decay"
@@ -75,15 +75,15 @@ class BandNorm:
 
 @numerics()
 def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
-    """The largest gain from w to z with u = 0 at any frequency from low to high.
+    """Returns the largest gain from w to z with u = 0 at any frequency from low to high.
 
     Args:
         loop: continuous or discrete; a controlled one is `plant.closed_loop(...)`.
         low: from 0 [rad/s].
-        high: above low [rad/s]; may be infinite. Of a discrete loop what lies beyond pi / dt is the same again.
+        high: above low [rad/s]; may be infinite. The gain of a discrete loop repeats beyond pi / dt.
 
     Raises:
-        InputError: the band is none.
+        InputError: the band is empty or out of range.
         DesignError: a discrete loop has a pole at z = -1.
 
     Example:
@@ -111,7 +111,7 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
 
 @numerics()
 def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -> bool:
-    """Whether no gain at a frequency from low to high exceeds a level, up to the rounding of eigenvalues.
+    """Returns True if no gain at a frequency from low to high exceeds a level, up to the rounding of eigenvalues.
 
     Args:
         loop: continuous or discrete.
@@ -120,7 +120,7 @@ def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -
         level: above 0.
 
     Raises:
-        InputError: the band is none, or the level.
+        InputError: the band is empty, or the level is not positive and finite.
         DesignError: a discrete loop has a pole at z = -1.
     """
     if not (_is_number(level) and 0 < level < np.inf):
@@ -130,7 +130,7 @@ def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -
 
 
 def check_band(low: float, high: float) -> None:
-    """Raises an InputError where from low to high [rad/s] is no band."""
+    """Raises an InputError if 0 <= low < high [rad/s] is violated."""
     if not (_is_number(low) and _is_number(high) and 0 <= low < high):
         raise InputError(
             f"from {quoted(low)} to {quoted(high)} rad/s is no band; give where it begins, from 0, and where it ends, above that"
@@ -161,7 +161,7 @@ def _is_number(value: object) -> bool:
 
 
 def _exceeded(gain: Gain, level: float) -> bool:
-    """Whether some frequency of its stretch has a higher gain."""
+    """Returns True if the gain exceeds the level at some frequency of its interval."""
     if gain.high == np.inf and gain.at_infinity > level:
         return True
     return bool(np.any(gain.at(proposals(gain, level)[0]) > level))
@@ -169,7 +169,7 @@ def _exceeded(gain: Gain, level: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class BandProof:
-    """The proof of a bound within a band.
+    """The proof of a bound on the gain within a band.
 
     Attributes:
         P: Hermitian, shape (n, n).
@@ -191,14 +191,14 @@ class BandProof:
 
     @property
     def holds(self) -> bool:
-        """Whether both are proved."""
+        """True if both inequalities are proved."""
         return self.positive.proved and self.negative.proved
 
 
 def prove_in_band(
     plant: GeneralizedPlant, G: Array | Feedback, P: Array, Q: Array, bound: float, low: float, high: float
 ) -> BandProof:
-    """Whether P and Q prove a bound within a band for the loop A + B G, C + D G.
+    """Checks if P and Q prove a bound within a band for the loop A + B G, C + D G.
 
     Args:
         plant: continuous, n states, m inputs.
@@ -210,7 +210,7 @@ def prove_in_band(
         high: w2, above low [rad/s]; may be infinite.
 
     Raises:
-        InputError: the plant is discrete, the band is none, or a number is out of range.
+        InputError: the plant is discrete, the band is empty, or a number is out of range.
     """
     check_continuous(plant)
     check_band(low, high)
@@ -229,7 +229,7 @@ def prove_in_band(
 
 
 def _lemma(plant: GeneralizedPlant, G: Array | Feedback, P: Array, Q: Array, bound: float, low: float, high: float) -> Array:
-    """The lemma's matrix as a real one of twice its size; by integers, every entry rounded once."""
+    """Returns the lemma's matrix as a real one of twice the size; computed in integers, every entry rounded once."""
     n, m = plant.B.shape
     r = plant.Bw.shape[1]
     K, Cy = (G.K, G.Cy) if isinstance(G, Feedback) else (G, np.eye(n))
@@ -259,11 +259,11 @@ def _lemma(plant: GeneralizedPlant, G: Array | Feedback, P: Array, Q: Array, bou
 
 
 def _alike(P: Array, Q: Array) -> tuple[list[tuple[Array, Array]], int]:
-    """Real and imaginary parts of two matrices as integers over one power of two."""
+    """Returns the real and imaginary parts of two matrices as integers over one power of two."""
     whole, scale = integers(np.stack([np.real(P), np.imag(P), np.real(Q), np.imag(Q)]))
     return [(whole[0], whole[1]), (whole[2], whole[3])], scale
 
 
 def _real(S: Array, K: Array) -> Array:
-    """The real symmetric matrix that is definite where S + j K is."""
+    """Returns the real symmetric matrix that is positive definite if and only if S + j K is."""
     return np.block([[S, -K], [K, S]])

@@ -15,18 +15,18 @@ from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import numerics
 from synth.plant.units import size
 
-MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # how far above the norm the bound lies, the first that can be proved in floating point
-SMALL = (1e-9, 1e-6, 1e-3)  # of the size of the plant's matrices: bounds for norms that are zero, or nearly
-TO_SPARE = (1e-1, 1e-3, 1e-6)  # of the margin: how much more disturbance the proof allows for, which rounding must not use up
-EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # what is taken to disturb states that w does not reach; rounding decides
-LOOSE = (1.0, 10.0, 100.0)  # margins where rounding leaves no closer proof: of a z in which states many times as large cancel
+MARGINS = (1e-6, 1e-4, 1e-2, 0.1)  # relative distance of the bound from the norm; the first that is proved counts
+SMALL = (1e-9, 1e-6, 1e-3)  # relative to the size of the plant's matrices: bounds for norms that are nearly zero
+TO_SPARE = (1e-1, 1e-3, 1e-6)  # share of the margin: added disturbance, which must exceed the rounding
+EVERYWHERE = (1e-9, 1e-12, 1e-6, 1e-4, 1e-3)  # share of the disturbance added at all states, so that X > 0; rounding decides
+LOOSE = (1.0, 10.0, 100.0)  # margins if rounding leaves no closer proof, as for a z in which large states cancel
 LEAST_SEEN = (
     1e-2,
     1e-3,
     1e-4,
     1e-5,
-)  # what then disturbs all states, the less z sees of them the more, of all that z is disturbed by
-BLIND = 1e-14  # of the most that z sees of a state; what it sees less of counts as seen as much
+)  # with LOOSE margins: share of z's power added at all states, more at those that are less observable in z
+BLIND = 1e-14  # smallest observability that is told apart, relative to the largest: below lies rounding
 
 
 @numerics()
@@ -36,26 +36,26 @@ def certify_tightly(
     lower_bound: LowerBound | None = None,
     by_itself: GeneralizedPlant | None = None,
 ) -> Certificate:
-    """The certificate of a stabilising gain, with a bound just above its norm if one can be proved, else without.
+    """Returns the certificate of a stabilising gain, with a bound just above its norm if one can be proved.
 
-    For gains that come without an X, as from a descent. `certify` judges one that is there, or leaves it at no bound.
+    For gains without an X, as from a descent. `certify` checks a given X, or leaves the gain without a bound.
 
     Args:
         plant: n states, m inputs.
         G: the gain from measurements (6), or a state gain, shape (m, n).
-        lower_bound: what no controller of the gain's kind can beat.
+        lower_bound: on the norm of any controller of the gain's kind.
         by_itself: as for `certify`.
     """
     plain = certify(plant, G, lower_bound=lower_bound, by_itself=by_itself)
     if not plain.stable or not np.isfinite(plain.norm.value):
         return plain
-    # Of a discrete loop the peak is mapped near 0, for next to infinity no weight is left that is regular.
+    # The peak of a discrete loop is mapped near 0: near infinity the Riccati equation's weight would be singular.
     late, over = plain.norm.peak_frequency * (plant.dt or 0.0) > np.pi / 2, plant.dt or 1.0
     loop = continuous_loop(plant.closed_loop(G), turned=late)
     above = [(plain.norm.value * (1 + margin), margin) for margin in (*MARGINS, *LOOSE) if plain.norm.value > 0]
     own = plant.differences
     unit = float(np.linalg.norm(own.Dw, 2)) + size(own.C) * size(own.Bw) / size(own.A)
-    # Of a norm that is zero to rounding an absolute bound can be proved.
+    # If the norm is zero to rounding, an absolute bound can be proved.
     small = [(least * unit, 1.0) for least in SMALL if least * unit > 2 * plain.norm.value]
     close = above[: len(MARGINS)]
     for levels, everywhere, least_seen in ((close, EVERYWHERE, False), (above, LEAST_SEEN, True), (small, EVERYWHERE, False)):
@@ -71,18 +71,18 @@ def certify_tightly(
 
 
 def bounding_x(loop: GeneralizedPlant, gamma: float, more: float, everywhere: float, least_seen: bool = False) -> Array:
-    """X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
+    """Returns X > 0 that satisfies (20) for a stable loop whose norm is below gamma, shape (n, n).
 
-    It solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a
-    little to spare (Zhou, Doyle, Glover 1996, section 13.5): Bw~ is what disturbs the states, and `more` of it. In coordinates
-    where the states under white noise are uncorrelated and of one size, so that no unit and no cancellation costs digits.
+    X solves A X + X A' + eta Bw~ Bw~' + (X C' + eta Bw Dw') (I - eta Dw Dw')^-1 (..)' = 0, the Schur complement of (20) with a
+    margin (Zhou, Doyle, Glover 1996, section 13.5): Bw~ Bw~' is Bw Bw' and `more` times the noise. The equation is solved in
+    coordinates in which the states under that noise are uncorrelated and of size one, so that no unit costs digits.
 
     Args:
         loop: continuous and stable.
         gamma: above its norm.
-        more: relative; small against how far gamma lies above the norm.
-        everywhere: of the disturbance's power, what disturbs states that w does not reach.
-        least_seen: whether that, of the power that z has of w, comes in at every state as z sees less of it, and not alike.
+        more: relative; small against the relative distance of gamma from the norm.
+        everywhere: share of the disturbance's power that is added at all states, also those that w does not reach.
+        least_seen: scale the added power by each direction's observability in z: the less observable, the more.
 
     Raises:
         LinAlgError: rounding leaves no solution.

@@ -1,4 +1,4 @@
-"""What is true of a gain, checked with numpy alone and without the solver that found it: its norm, by the Bounded Real Lemma.
+"""Certificates of gains, computed with numpy alone and without the solver that found them: norms, by the Bounded Real Lemma.
 
 The lemma stands here in the paper's variables, (20) for a closed loop and (21) for a design. With a feed-through Dw from w to z
 (zero in the paper) the same Schur complement gives
@@ -8,22 +8,22 @@ The lemma stands here in the paper's variables, (20) for a closed loop and (21) 
 
 which is still affine in X, Y and eta = gamma^-2.
 
-Of a discrete plant it is, for a closed loop,
+For a discrete closed loop it is
 
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. For a design stands, with the plant in differences over a step T (`GeneralizedPlant.differences`)
-and X T in the place of X, what it is the Schur complement of: the continuous matrix, bordered,
+which is not affine in a gain. A design uses the matrix of which it is the Schur complement: the continuous one, bordered, with
+the plant in differences over a step T (`GeneralizedPlant.differences`) and X T in place of X,
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-It tends to the continuous one as T falls, and so do the numbers in it: at 1 kHz nothing cancels.
+This matrix tends to the continuous one as T falls, and so do its entries: at 1 kHz nothing cancels.
 
-That the LMI holds is *proved*, in exact arithmetic on the numbers given (`analysis/rigorous.py`), and with it that the loop A
-+ B G is stable and that its norm lies below the bound. The norm itself is computed, by two routes.
+The LMI is *proved*, in exact arithmetic on the numbers given (`analysis/rigorous.py`). So the loop A + B G is stable, and its
+norm lies below the bound. The norm itself is computed, by two routes.
 """
 
 from dataclasses import dataclass
@@ -44,14 +44,14 @@ from synth.plant.units import speed
 
 
 def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
-    """The left side of (21), shape (n + d, n + d); bordered by n with a step. With Y = 0 it is (20) for the plant as it is.
+    """Returns the left side of (21), shape (n + d, n + d); bordered by n with a step. With Y = 0 it is (20) for the plant.
 
     Args:
         plant: n states, m inputs, d controlled outputs.
         X: shape (n, n), symmetric.
         Y: shape (m, n).
         eta: gamma^-2.
-        step: of differences; 0 of a continuous plant.
+        step: of differences [s]; 0 for a continuous plant.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -65,7 +65,7 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float,
 
 
 def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> Array:
-    """The left side of (20) for the loop A + B G, C + D G, or of the discrete one; by integers, every entry rounded once.
+    """Returns the left side of (20) for the loop A + B G, C + D G, or its discrete form; by integers, every entry rounded once.
 
     Args:
         plant: n states, m inputs, d controlled outputs.
@@ -91,33 +91,33 @@ def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array,
         F[:n, :n] -= unknown * (unit * per) ** 2
     F[np.arange(n, len(F)), np.arange(n, len(F))] -= one
     other, from_w = eta_bottom * unit**2, system[:, n + m :]
-    # What the terms with X, and those with eta, are integers over.
+    # Common denominators: `one` of the terms with X, `other` of those with eta.
     return floats(F * other + eta_top * one * product(from_w, from_w.T), Fraction(1, one * other))
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
-    """Integers and what they are over, as `integers`."""
+    """Returns the state gain as integers and their denominator, like `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
     (gain, per), (rows, over) = integers(G.K), integers(G.Cy)
     return product(gain, rows), per * over
 
 
-FASTEST = 100.0  # times the plant: an actuator of such a speed hardly exists
-BELOW = 1e-9  # relative; how far rounding may put a norm below what no controller can beat
+FASTEST = 100.0  # times the plant's speed: an actuator that fast hardly exists
+BELOW = 1e-9  # relative; how far rounding may put a norm below the lower bound
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
-PEAKS_AGREE = 1e-9  # relative; how far from the norm the gain at its peak may lie: the peak itself is flat
+PEAKS_AGREE = 1e-9  # relative; allowed difference of the norm and the gain at the claimed peak: a peak is flat
 
 
 @dataclass(frozen=True, eq=False)
 class LmiProof:
-    """The proof of a bound: X > 0 and LMI (20) < 0, or that of a discrete loop (`certificate.py`).
+    """The proof of a bound: X > 0 and LMI (20) < 0, or its discrete form (`certificate.py`).
 
     Attributes:
         X: shape (n, n), symmetric.
         eta: gamma^-2.
         positive: of X.
-        negative: of (20), with its sign turned.
+        negative: of minus the left side of (20).
     """
 
     X: Array
@@ -127,7 +127,7 @@ class LmiProof:
 
     @property
     def holds(self) -> bool:
-        """Whether both are proved."""
+        """True if both inequalities are proved."""
         return self.positive.proved and self.negative.proved
 
     @property
@@ -137,7 +137,7 @@ class LmiProof:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What is not proved, in words."""
+        """The inequalities that are not proved, in words."""
         failures = []
         if not self.positive.proved:
             failures.append(_not_proved("X is not positive definite", "X > 0 is not proved", "smallest", 1, self.positive))
@@ -149,7 +149,7 @@ class LmiProof:
 
 
 def _not_proved(false: str, open_: str, which: str, sign: int, found: Definiteness) -> str:
-    """Why an inequality does not count as proved."""
+    """Returns why an inequality does not count as proved."""
     if np.isnan(found.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
     if found.smallest <= 0:
@@ -160,19 +160,19 @@ def _not_proved(false: str, open_: str, which: str, sign: int, found: Definitene
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Shown):
-    """Everything claimed of a closed loop.
+    """The claims about a closed loop, with their proofs.
 
     Attributes:
         loop: the closed loop itself.
         stability: its poles, and where they lie.
-        own: the same of those that are not of filters in z and w, which no control moves.
-        norm: the H-infinity norm by two routes, and where it peaks.
-        proof: of the bound; None for a gain that came without one.
-        speed_up: magnitude of the fastest of its own poles, over the plant's speed without control.
-        moves: whether the plant moves by itself: that speed is its fastest pole's. Where all its poles lie at 0 it is the rate at
-            which its motion and the force that drives it weigh alike in z (`units.own_units`).
+        own: the stability without the poles of filters in z and w, which no control moves.
+        norm: the H-infinity norm by two routes, and its peak frequency.
+        proof: of the bound; None for a gain without one.
+        speed_up: magnitude of the fastest pole of `own`, over the plant's speed without control.
+        moves: True if that speed is the plant's fastest pole's. If all its poles lie at 0, it is the rate at which motion and
+            driving force have equal weight in z (`units.own_units`).
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
-        below: the proof of the lower bound, what no controller of its kind can beat; None where nobody asked.
+        below: proof of the lower bound for controllers of this kind; None if it was not requested.
     """
 
     loop: GeneralizedPlant
@@ -187,7 +187,7 @@ class Certificate(Shown):
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """Norm, bound and lower bound, and what does not hold."""
+        """Norm, bound and lower bound, and the claims that fail."""
         known = {"norm": self.norm.value, "bound": self.bound, "lower bound": self.lower_bound}
         rows = {name: f"{value:.7g}" for name, value in known.items() if value is not None}
         return f"certificate: {'FAILS' if self.failures else 'holds'}", rows | (
@@ -196,39 +196,39 @@ class Certificate(Shown):
 
     @property
     def bound(self) -> float | None:
-        """The gamma that the LMI proves; None for a gain that came without a proof."""
+        """The gamma that the LMI proves; None for a gain without a proof."""
         return self.proof.bound if self.proof is not None else None
 
     @property
     def lower_bound(self) -> float | None:
-        """What no controller of its kind can beat; None where nobody asked, or only zero is proved."""
+        """Lower bound on the norm for controllers of this kind; None if it was not requested, or only zero is proved."""
         return (self.below.gamma or None) if self.below is not None else None
 
     @property
     def poles(self) -> Array:
-        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); of a discrete loop z."""
+        """Eigenvalues of A + B K C_y [rad/s], complex, shape (n,); z of a discrete loop."""
         return self.stability.poles
 
     @property
     def stable(self) -> bool:
-        """Whether all poles lie left of the imaginary axis, or within the unit circle, by more than rounding."""
+        """True if all poles lie left of the imaginary axis, or within the unit circle, by more than rounding."""
         return self.stability.stable
 
     @property
     def gap(self) -> float | None:
-        """How far the norm lies above the lower bound, relative; None without a bound, or without a finite norm."""
+        """Relative distance of the norm from the lower bound; None without such a bound, or without a finite norm."""
         if self.lower_bound is None or not np.isfinite(self.norm.value):
             return None
         return self.norm.value / self.lower_bound - 1
 
     @property
     def beyond_actuators(self) -> bool:
-        """Whether the gain asks for more speed than actuators have. That makes no proof wrong, and many a gain useless."""
+        """True if the loop needs faster actuators than exist. Then the proofs hold, but the gain may be useless."""
         return self.speed_up > FASTEST
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What else there is to know, in words: no claim fails by it."""
+        """Notes that make no claim fail, in words."""
         if not self.beyond_actuators:
             return ()
         than = (
@@ -240,7 +240,7 @@ class Certificate(Shown):
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """The claims that do not hold, in words; empty where all do."""
+        """The claims that do not hold, in words; empty if all do."""
         failures = []
         if not self.stable:
             failures.append(self.stability.words)
@@ -259,7 +259,7 @@ class Certificate(Shown):
         return tuple(failures)
 
     def peaks_at(self, omega: float) -> bool:
-        """Whether the gain at a frequency [rad/s] is the norm. A peak is flat: its frequency itself is good to 1e-5 only."""
+        """Returns True if the gain at omega [rad/s] is the norm. A peak is flat: its frequency is accurate to 1e-5 only."""
         if not np.isfinite(self.norm.value):
             return False
         there = gain_at(self.loop, omega)
@@ -276,18 +276,18 @@ def certify(
     lower_bound: LowerBound | None = None,
     by_itself: GeneralizedPlant | None = None,
 ) -> Certificate:
-    """Checks a gain, and its proof if it comes with one: an X of an LMI, or of a record.
+    """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
 
-    Without an X there is no bound. `certify_tightly` finds one for a gain that has none, in some times the time.
+    Without an X there is no bound. `certify_tightly` computes an X for such a gain, in several times the time.
 
     Args:
         plant: n states, m inputs.
-        G: the gain from measurements (6), of which nothing is rounded; or a state gain, shape (m, n).
+        G: the gain from measurements (6), taken without rounding; or a state gain, shape (m, n).
         X: the matrix of (20), shape (n, n).
         eta: gamma^-2 of (20); given with X.
-        lower_bound: what no controller of the gain's kind can beat.
-        by_itself: the plant without the states of a controller, whose speed an actuator's is compared to, and which says which
-            states are those of filters; None: the plant.
+        lower_bound: on the norm of any controller of the gain's kind.
+        by_itself: the plant without controller states: its speed is the reference of `speed_up`, and its `weights` the filter
+            states. Default: the plant.
 
     Raises:
         InputError: eta or X is out of range.
@@ -319,9 +319,9 @@ def certify(
 
 
 def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> LmiProof:
-    """Whether X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
+    """Checks if X and eta satisfy X > 0 and (20) for the loop A + B G, C + D G.
 
-    All numbers are taken as they are, and the matrix of (20), see `certificate.py`, is computed without rounding.
+    The matrix of (20), see `certificate.py`, is computed from the given numbers without rounding.
 
     Args:
         plant: n states, m inputs.
@@ -346,7 +346,7 @@ def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: flo
 
 
 def eta_of(bound: float) -> float:
-    """gamma^-2, rounded upwards: what it proves lies at or below the bound."""
+    """Returns gamma^-2, rounded upwards: the norm that it proves lies at or below the bound."""
     eta = bound**-2
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         eta = float(np.nextafter(eta, np.inf))
@@ -354,7 +354,7 @@ def eta_of(bound: float) -> float:
 
 
 def bound_of(eta: float) -> float:
-    """gamma = eta^-1/2, rounded upwards."""
+    """Returns gamma = eta^-1/2, rounded upwards."""
     bound = float(eta**-0.5)
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         bound = float(np.nextafter(bound, np.inf))
@@ -362,7 +362,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
-    """What rounding makes of a transfer function that is zero, near a frequency [rad/s]: the parts that are 0 are not quite."""
+    """Returns the size that rounding gives a transfer function that is zero, at 0 and at a frequency [rad/s]."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)

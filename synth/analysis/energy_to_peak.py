@@ -1,13 +1,13 @@
-"""How far a signal of a loop goes for a disturbance of given energy: its energy-to-peak, or generalized H2, norm.
+"""The peak of a signal of a loop for a disturbance of given energy: the energy-to-peak, or generalized H2, norm.
 
 For s = c x of a stable loop x' = A x + Bw w, x(0) = 0, no w with an integral of |w|^2 of 1 takes |s| beyond (c P c')^1/2, where
-A P + P A' + Bw Bw' = 0; the w that runs backwards along the impulse response of s comes as close to it as one likes (Wilson 1989;
-Rotea 1993). Of a w with the energy E it is E^1/2 times as much. Of several signals together the length of their vector stays
-within the root of the largest eigenvalue of C P C'. A disturbance must not reach a signal at once, or no bound there is: s has no
-D of w. A control force may count in it, and may be such a signal itself: it is K C_y x.
+A P + P A' + Bw Bw' = 0; the time-reversed impulse response of s comes arbitrarily close to it (Wilson 1989; Rotea 1993). For a w
+with the energy E the bound is E^1/2 times as large. The length of a vector of several signals stays within the root of the
+largest eigenvalue of C P C'. The disturbance must not feed through to a signal, or no bound exists. A control force may be part
+of a signal, or the signal itself: it is K C_y x.
 
-**Proved** is what an X > 0 with A X + X A' + Bw Bw' < 0, just above P, says: no peak exceeds (c X c')^1/2. That is LMI (20)
-without z, proved as that is (`certificate.prove_bound`); c X c' is computed in integers.
+**The proof** is an X > 0 with A X + X A' + Bw Bw' < 0, just above P: no peak exceeds (c X c')^1/2. The inequality is LMI (20)
+without z, proved in the same way (`certificate.prove_bound`); c X c' is computed in integers.
 """
 
 from dataclasses import dataclass, replace
@@ -29,24 +29,24 @@ ABOVE = (
     1e-9,
     1e-6,
     1e-3,
-)  # of the disturbance's power: by how much more X is taken to be driven, so that it can be proved
+)  # relative to the disturbance's power: added for X, so that the strict inequality can be proved
 HIGHER = (
     1e-12,
     1e-9,
     1e-6,
     1e-3,
-)  # relative; how far above the root of the largest eigenvalue a bound on all signals together lies
+)  # relative distance of the bound on all signals together from the root of the largest eigenvalue
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyPeaks:
-    """How far signals go for a disturbance whose square has the integral 1.
+    """Peaks of signals for a disturbance whose square has the integral 1.
 
     Attributes:
         peaks: of each signal, in its unit over the disturbance's times the root of a second, shape (p,).
-        together: of the length of their vector.
-        bounds: on each, proved, shape (p,).
-        bound_together: likewise.
+        together: peak of the length of their vector.
+        bounds: proved, on each peak, shape (p,).
+        bound_together: proved, on `together`.
         proof: of the Lyapunov inequality.
     """
 
@@ -59,13 +59,13 @@ class EnergyPeaks:
 
 @numerics()
 def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Array) -> EnergyPeaks:
-    """The energy-to-peak norms of s = (C_s + D_s G) x in the loop A + B G, with a proof.
+    """Returns the energy-to-peak norms of s = (C_s + D_s G) x in the loop A + B G, with a proof.
 
     Args:
         plant: continuous, n states, m inputs.
         G: the gain, shape (m, n), or one from measurements.
         Cs: shape (p, n).
-        Ds: what the inputs do at once to the signals, shape (p, m).
+        Ds: feedthrough from the inputs to the signals, shape (p, m).
 
     Raises:
         InputError: the plant is discrete, or C_s or D_s does not fit it.
@@ -94,7 +94,7 @@ def energy_peaks(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Ar
 
 
 def signals(plant: GeneralizedPlant, Cs: Array, Ds: Array) -> tuple[Array, Array]:
-    """C_s and D_s, checked, shapes (p, n) and (p, m).
+    """Returns C_s and D_s after checking their shapes (p, n) and (p, m).
 
     Raises:
         InputError: they do not fit the plant.
@@ -114,7 +114,7 @@ def _gramian(A: Array, noise: Array) -> Array:
 
 
 def _bounds(plant: GeneralizedPlant, G: Array | Feedback, Cs: Array, Ds: Array, X: Array) -> tuple[Array, float]:
-    """The roots of c X c' of each signal, rounded upwards, and a proved bound on the root of the largest eigenvalue of all."""
+    """Returns the roots of c X c' of all signals, rounded upwards, and a proved bound on the root of the largest eigenvalue."""
     K, Cy = (G.K, G.Cy) if isinstance(G, Feedback) else (G, np.eye(len(plant.A)))
     (states, unit), (through, over), (gain, per), (rows, under), (unknown, one) = (integers(each) for each in (Cs, Ds, K, Cy, X))
     c = states * (over * per * under) + product(through, product(gain, rows)) * unit

@@ -1,4 +1,4 @@
-"""What zeros in the right half plane allow no controller: at such a zero some of z answers to w alone, and to some of w z alone.
+"""Lower bounds from zeros in the right half plane: there no controller changes some directions of the response from w to z.
 
 Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. Whatever controller makes the loop stable, x
 and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant says for the zeros from w to y = C_y x + Dyw w that
@@ -13,14 +13,13 @@ Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983):
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
 
-Where forces are steered at no cost M - s E is singular everywhere. So the pairs are taken as [q; p] = N k, k' (Q - s U) = 0, of a
-`Side`: it has them all, and its pencil is not singular.
+If inputs steer some states at no cost, M - s E is singular everywhere. So the pairs are taken as [q; p] = N k, k' (Q - s U) = 0,
+of a `SynthesisInequality`: it has them all, and its pencil is not singular.
 
 No zero is a float. So each is enclosed: with (k, s) near a solution, R near the inverse of the derivative there, and the residual
 bounded with its rounding, a solution lies within the radius r for which |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 is
-at most r (Krawczyk; the equation is quadratic, and Brouwer's theorem does the rest). Where there are several k at a zero, the one
-that proves most by itself is told from the others by as many rows of its own. That a vector has a negative form under Pick's
-matrix is asked of all that is enclosed.
+at most r (Krawczyk; the equation is quadratic, and Brouwer's theorem does the rest). If there are several k at a zero, additional
+rows select the one that proves most by itself. A vector must have a negative form under Pick's matrix for all that is enclosed.
 """
 
 from collections.abc import Sequence
@@ -30,29 +29,29 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.synthesis_inequality import Side, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
-STEPS = 3  # of Newton's method from where a zero is said to be
+STEPS = 3  # of Newton's method from the given approximation of a zero
 SAFE = 4.0  # times what a sum of products may lose to rounding: they are complex, and norms of matrices are computed, too
-SHORT = (1e-9, 1e-6, 1e-3)  # how far below the best bound one is tried: what is enclosed must fit in between
+SHORT = (1e-9, 1e-6, 1e-3)  # relative distance below the best bound in floats, to leave room for the enclosure
 TINY = 1e-60  # gamma; the largest is 1 / TINY
 SEED = 20261122
 NEARLY = 1e-6  # relative; a singular value this small may be zero at a zero that is not a float
-APART = 1e-6  # relative; of zeros that are closer only the first is looked at
+APART = 1e-6  # relative; of zeros that are closer only the first counts
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # [rad/s], from u to z and from w to y
 
 
 class Node(NamedTuple):
-    """p' T(s) = y' of a zero, or of the transposed plant, and what is enclosed: each within `off` of what is said.
+    """The enclosed interpolation condition p' T(s) = y' at a zero of the plant or the transposed one.
 
     Attributes:
         zero: s [rad/s].
         p: of length one, shape (d,).
         y: shape (r,).
-        off: of s, of p and of y, each of its own.
+        off: radii of the enclosures of s, p and y.
     """
 
     zero: complex
@@ -65,37 +64,37 @@ class Node(NamedTuple):
 def zero_limit(
     plant: GeneralizedPlant,
     Cy: Array | None = None,
-    sides: tuple[Side, Side | None] | None = None,
+    inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
     Dyw: Array | None = None,
 ) -> tuple[float, Zeros]:
-    """The largest norm that zeros in the right half plane prove, and these, nearly; 0 and none where none do.
+    """Returns the largest norm that zeros in the right half plane prove, and approximations of these; 0 and none if none do.
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n); None for state feedback and more, of which only the zeros from u to z count.
-        sides: of the plant, and of the transposed one, if they are there already.
-        Dyw: shape (q, r); zero where it is not given.
+        Cy: shape (q, n); None for state feedback and more, for which only the zeros from u to z count.
+        inequalities: of the plant, and of the transposed one, if they are known already.
+        Dyw: shape (q, r); zero if it is not given.
     """
-    one, other = _sides(plant, Cy, Dyw, sides)
+    one, other = _sides(plant, Cy, Dyw, inequalities)
     left, right = (_enclosed(side, side.zeros()) for side in (one, other))
     best: tuple[float, Zeros] = (0.0, ((), ()))
     for some in [(left, right), (left, []), ([], right), *(([one], []) for one in left), *(([], [one]) for one in right)]:
         gamma = _limit(*some)
         if gamma > best[0]:
             best = gamma, (tuple(node.zero for node in some[0]), tuple(node.zero for node in some[1]))
-    near = best[1]  # what is proved is what anybody proves who is told of these
+    near = best[1]  # the proof must be reproducible from these approximations alone
     return _limit(_enclosed(one, near[0]), _enclosed(other, near[1])), near
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros, Dyw: Array | None = None) -> float:
-    """A norm that no controller reaches, for zeros near some points; proved, and 0 where none is enclosed."""
+    """Returns a proved lower bound on the norm from the zeros near some points; 0 if none is enclosed."""
     left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy, Dyw), near, strict=True))
     return _limit(left, right)
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
-    """What nodes prove, without those that are too close to one before them."""
+    """Returns the bound that nodes prove, without nodes that are too close to an earlier one."""
     nodes: list[list[Node]] = [[], []]
     for kind, given in zip(nodes, (left, right), strict=True):
         for one in given:
@@ -109,23 +108,26 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
 
 
 def _sides(
-    plant: GeneralizedPlant, Cy: Array | None, Dyw: Array | None, sides: tuple[Side, Side | None] | None = None
+    plant: GeneralizedPlant,
+    Cy: Array | None,
+    Dyw: Array | None,
+    inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
 ) -> "tuple[_Own, _Own]":
-    """The plant's, and that of the transposed one; of no equations where nothing is measured."""
-    one, other = sides or (Side.of(plant), None)
+    """Returns the equations of the plant and of the transposed one; the latter are empty if nothing is measured."""
+    one, other = inequalities or (SynthesisInequality.of(plant), None)
     if Cy is None:
         return _Own.of(plant, one), _NOTHING
     turned = transposed(plant, Cy, Dyw)
-    return _Own.of(plant, one), _Own.of(turned, other or Side.of(turned))
+    return _Own.of(plant, one), _Own.of(turned, other or SynthesisInequality.of(turned))
 
 
 class _Own(NamedTuple):
-    """The equations k' (Q - s U) = 0, p = c' k, y = b' k of a `Side` in units in which its numbers have size one.
+    """The equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled to entries of size one.
 
     Attributes:
-        U, Q, b, c: each entry is within a rounding of what it is.
-        time: what one of s counts here [rad/s].
-        answer: what one of y counts here.
+        U, Q, b, c: every entry rounded once.
+        time: unit of s [rad/s].
+        answer: unit of y.
     """
 
     U: Array
@@ -136,8 +138,8 @@ class _Own(NamedTuple):
     answer: float = 1.0
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, side: Side) -> "_Own":
-        """Every unit is a power of two: nothing is rounded on the way there and back."""
+    def of(cls, plant: GeneralizedPlant, side: SynthesisInequality) -> "_Own":
+        """Returns the equations in units that are powers of two: scaling rounds nothing."""
         units = own_units(plant)
         time, states = _power(units.rate), units.states[side.coordinates]
         try:
@@ -151,7 +153,7 @@ class _Own(NamedTuple):
         return cls(U, Q, b / y, c / p, time, y / p)
 
     def zeros(self) -> list[complex]:
-        """Where Q - s U loses rank in the right half plane, nearly, and other points, if it has more rows than columns."""
+        """Returns approximate points of the right half plane where Q - s U loses rank; other points too if it is not square."""
         k, a = self.U.shape
         if not 0 < a <= k:
             return []
@@ -160,12 +162,12 @@ class _Own(NamedTuple):
         return [zero * self.time for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
 
     def loses_rank(self, s: complex) -> bool:
-        """Whether that may be so at a point."""
+        """Returns True if Q - s U may be rank deficient at s."""
         sizes = np.linalg.svd(self.Q - s * self.U, compute_uv=False)
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """The k near k' (Q - s U) = 0 with the largest |y| for its |p|, of length one; and rows that tell it from all others."""
+        """Returns the unit vector k near k' (Q - s U) = 0 with the largest |y| / |p|, and rows that single it out."""
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         own, answer = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
@@ -180,12 +182,12 @@ _NOTHING = _Own(*[np.zeros((0, 0))] * 4, time=1.0, answer=1.0)
 
 
 def _power(size: float) -> float:
-    """The power of two next to a size; 1 where there is none."""
+    """Returns the power of two next to a size; 1 if the size is 0."""
     return float(np.exp2(np.round(np.log2(size)))) if size > 0 else 1.0
 
 
 def _enclosed(side: _Own, points: Sequence[complex]) -> list[Node]:
-    """What the zeros next to some points say; of those that are enclosed in the right half plane."""
+    """Returns the nodes of the zeros near some points that can be enclosed in the right half plane."""
     return [found for point in points if (found := _enclosed_near(side, complex(point) / side.time)) is not None]
 
 
@@ -208,7 +210,7 @@ def _enclosed_near(side: _Own, near: complex) -> Node | None:
     rounding = unit * np.concatenate(below)
     size, bend = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative, too, is known to rounding only: of its own entries, and of those in Q - s U and U' v that cancel.
+    # The derivative, too, is rounded: in its own entries, and by cancellation in Q - s U and U' v.
     shaken = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * bend
     contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * shaken
     radius = 2 * first / (1 - contraction)
@@ -223,14 +225,14 @@ def _enclosed_near(side: _Own, near: complex) -> Node | None:
 
 
 def _newton(side: _Own, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
-    """The inverse of the derivative of (Q - s U)' v = 0, rows v = target, the residual, and the derivative."""
+    """Returns the inverse of the derivative of (Q - s U)' v = 0, rows v = target, the residual, and the derivative."""
     shifted = (side.Q - s * side.U).T
     derivative = np.block([[shifted, -(side.U.T @ v)[:, None]], [rows, np.zeros((len(rows), 1))]])
     return np.linalg.inv(derivative), np.concatenate([shifted @ v, rows @ v - target]), derivative
 
 
 class _Pick:
-    """Pick's matrix gamma G + O - K / gamma, and by how much the entries of each may differ from those of what is enclosed."""
+    """Pick's matrix gamma G + O - K / gamma, with error bounds on the entries of each part."""
 
     def __init__(self, left: Sequence[Node], right: Sequence[Node]) -> None:
         k, nodes = len(left), [*left, *right]
@@ -259,11 +261,11 @@ class _Pick:
                     self.off[1, i, j] = self.off[1, j, i] = off
 
     def at(self, gamma: float) -> Array:
-        """The matrix, in floats."""
+        """Returns the matrix in floats."""
         return gamma * self.parts[0] + self.parts[1] - self.parts[2] / gamma
 
     def least(self) -> float:
-        """The gamma from which it is positive semidefinite, in floats."""
+        """Returns the smallest gamma for which the matrix is positive semidefinite, in floats."""
         low, high = TINY, 1 / TINY
         while high > low * (1 + SHORT[0] / 10):
             middle = (low * high) ** 0.5
@@ -271,7 +273,7 @@ class _Pick:
         return low
 
     def refuses(self, gamma: float) -> bool:
-        """Whether it is not positive semidefinite, whatever it is of what is enclosed."""
+        """Returns True if no matrix within the error bounds is positive semidefinite."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)
@@ -281,13 +283,13 @@ class _Pick:
 
 
 def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
-    """A product of two vectors, each within some distance of what is meant, and how far it may be off, with rounding."""
+    """Returns the product of two vectors with errors da and db, and a bound on its error with rounding."""
     size_a, size_b = float(np.linalg.norm(a)), float(np.linalg.norm(b))
     return complex(a @ b), da * size_b + db * size_a + da * db + SAFE * (len(a) + 4) * np.finfo(float).eps * size_a * size_b
 
 
 def _quotient(above: tuple[complex, float], below: complex, one: Node, other: Node) -> tuple[complex, float]:
-    """What is above over a sum or difference of two zeros, and how far it may be off; infinitely where that may be zero."""
+    """Returns a quotient by a sum or difference of two zeros, and a bound on its error; infinite if the divisor may be zero."""
     moved = one.off[0] + other.off[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
     entry = above[0] / below
     return entry, (above[1] + abs(entry) * moved) / (abs(below) - moved) if abs(below) > moved else np.inf

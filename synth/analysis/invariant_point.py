@@ -1,17 +1,17 @@
-"""What no control force can change: at every frequency some of z answers to w alone.
+"""Lower bounds from invariant points: at every frequency some direction of z depends on w alone, whatever the control.
 
-With z = Gw w + Gu u at a frequency, what is orthogonal to Gu is left of Gw w, whatever the controller knows, causal or not. Where
-that is large lies a limit on every norm. For a suspension it is the invariant point of the wheel (Hedrick, Butsuen 1990).
+With z = Gw w + Gu u at a frequency, no controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm of
+that part is a lower bound. For a suspension it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
 
 Floats only propose the frequency and the direction. The proof is a pair (q, p) with
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x,
 
-and it is exact: as many entries of q and p as there are independent equations follow from the others by integers. At a resonance,
-near a zero of Gu, or where u can do all there is no such pair but a true one, and no tolerance decides which.
+and it is exact: as many entries of q and p as there are independent equations follow from the others by integers. So no tolerance
+decides if a pair exists at a resonance, near a zero of Gu, or if u can do all.
 
-Where z does not see a pole on the axis there are more such pairs than beside it: whatever makes the loop stable holds that mode,
-too, and what w would move it by must come to nothing. An integrator that z does not see is one.
+If a pole on the axis is unobservable in z, there are more such pairs at that pole than beside it: a stabilising controller holds
+that mode, too, so the effect of w on it must vanish. An unobservable integrator is an example.
 """
 
 import contextlib
@@ -26,15 +26,15 @@ from synth.analysis.stability import balance, stability
 from synth.plant.generalized import GeneralizedPlant, check_continuous
 from synth.plant.units import own_units
 
-PEAKS = 6  # local maxima that are looked at closely
-NONE = 1e-10  # relative; what u does less of, for a proposal, counts as nothing
-AWAY = 1e-9  # relative; where a proposal is taken beside a pole on the axis
-FURTHER = 10.0  # times as far where that is the pole, too, to the last digit: a k-fold one reaches to the k-th root of rounding
-ENOUGH = 1e-9  # relative; a proposal that promises no more than this beyond a proof is not looked at
+PEAKS = 6  # local maxima that are refined
+NONE = 1e-10  # relative; smaller singular values of Gu count as zero in a proposal
+AWAY = 1e-9  # relative distance of a proposal from a pole on the axis
+FURTHER = 10.0  # times AWAY if that is still a pole to rounding: a k-fold one reaches to the k-th root of rounding
+ENOUGH = 1e-9  # relative; smallest expected gain over the best proof for which a proposal is tried
 
 
 def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
-    """The largest norm over frequencies that no control changes, and its frequency [rad/s]; None where control can change all."""
+    """Returns the largest norm that no control changes, and its frequency [rad/s]; None if control can change all."""
     rates = _rates(plant)
     largest = float(rates.max())
     smallest = float(rates[rates > 1e-6 * largest].min())
@@ -59,7 +59,7 @@ def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def limit_at(plant: GeneralizedPlant, omega: float) -> float:
-    """A norm of a continuous plant at a frequency [rad/s] that no control changes, proved; 0 where none is."""
+    """Returns a proved norm of a continuous plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
     check_continuous(plant)
     n, d, m = len(plant.A), len(plant.C), plant.B.shape[1]
     still = plant.system_matrix[:, : n + m]
@@ -93,19 +93,19 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
 
 
 def is_pole(plant: GeneralizedPlant, omega: float) -> bool:
-    """Whether j omega is a pole to the last digit, as 0 is that of an integrator."""
+    """Returns True if j omega is a pole to the last digit, as 0 is for an integrator."""
     return bool(np.linalg.matrix_rank(balance(plant.A)[0] - 1j * omega * np.eye(len(plant.A))) < len(plant.A))
 
 
 def _standing(plant: GeneralizedPlant) -> list[float]:
-    """Frequencies [rad/s] of the poles that lie on the axis to the last digit."""
+    """Returns the frequencies [rad/s] of the poles that lie on the axis to the last digit."""
     found = stability(plant.A)
     there = np.unique(np.append(np.abs(np.imag(found.poles[found.on_axis])), 0.0))
     return [omega for omega in there.tolist() if is_pole(plant, omega)]
 
 
 def _strongest(own: Array, answer: Array) -> Array:
-    """The combination x with the largest |x' answer| / |x' own|; of those with none of their own, nothing.
+    """Returns the combination x with the largest |x' answer| / |x' own|, without directions in which x' own vanishes.
 
     Args:
         own: shape (k, d).
@@ -118,9 +118,9 @@ def _strongest(own: Array, answer: Array) -> Array:
 
 
 def _rates(plant: GeneralizedPlant) -> Array:
-    """How fast a plant is [rad/s], positive: how far its poles lie from 0, or one rate of its own where all lie there.
+    """Returns the positive magnitudes of the plant's poles [rad/s], or its own rate if all poles lie at 0.
 
-    An n-fold pole at 0 is found as far off as the n-th root of rounding.
+    Rounding moves an n-fold pole at 0 by as much as its n-th root.
     """
     A, _ = balance(plant.A)
     poles = np.abs(np.linalg.eigvals(A))
@@ -131,7 +131,7 @@ def _rates(plant: GeneralizedPlant) -> Array:
 
 
 def _left(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
-    """What is orthogonal to Gu of Gw, to rounding, at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
+    """Returns the part of Gw that is orthogonal to Gu at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
     try:
         both = np.hstack([plant.Bw, plant.B]), np.hstack([plant.Dw, plant.D])
         from_w, from_u = np.split(transfer_matrix(plant.A, both[0], plant.C, both[1], omega), [plant.Bw.shape[1]], axis=2)
@@ -144,7 +144,7 @@ def _left(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
 
 
 def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
-    """Floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
+    """Returns floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
     p = np.linalg.svd(_left(plant, np.array([omega]))[0])[0][:, 0]
     try:
         return p, np.linalg.solve((1j * omega * np.eye(len(plant.A)) - plant.A).conj().T, plant.C.T @ p)
@@ -153,5 +153,5 @@ def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[A
 
 
 def _beside(plant: GeneralizedPlant, omega: Array, away: float) -> Array:
-    """Frequencies next to these: the pole that was met lies there to the last digit."""
+    """Returns frequencies next to `omega`, of which some are poles to the last digit."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

@@ -1,8 +1,8 @@
-"""What no controller can beat: lower bounds on the norm, proved by dual solutions in exact arithmetic.
+"""Lower bounds on the norm for any controller, proved by dual solutions in exact arithmetic.
 
 A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only if there are X > 0 and S > 0 with
-[X I; I S] >= 0, of which X solves the `Side` of the plant with eta = gamma^-2, and S that of the transposed plant (Gahinet,
-Apkarian 1994) with a disturbance of weight one and gamma^2 in the place of I:
+[X I; I S] >= 0: X solves the `SynthesisInequality` of the plant, eta = gamma^-2, and S that of the transposed plant (Gahinet,
+Apkarian 1994) with a disturbance of weight one and gamma^2 in place of I:
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
@@ -16,12 +16,12 @@ and as W1 and W2 may be scaled each by itself gamma^2 is at least the largest ei
 
 Its first entry is the bound for state feedback, which no controller that knows x and w and more, dynamic or nonlinear, beats
 (Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is such a solution, so a point
-(X, eta) says it all.
+(X, eta) suffices.
 
-**What is proved, and what rounding may do.** W = L L' and V12 = Y2 K Y1' are *defined* by factors that floats proposed; any
-factors will do. From them on all is exact: e, t, f and the entries of V are computed in integers, from the numbers of the plant
-as they stand, without a tolerance. Only whether V is positive definite is asked in floats, of entries that were rounded once,
-with an allowance that is proved (`analysis/rigorous.py`); what fails it proves nothing. The last eigenvalue is rounded down.
+**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by factors proposed in floats; any factors will do. From
+them on all is exact: e, t, f and the entries of V are computed in integers, from the numbers of the plant, without a tolerance.
+Only the definiteness of V is decided in floats, from entries that were rounded once, with a proved allowance
+(`analysis/rigorous.py`); otherwise nothing is proved. The last eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -32,20 +32,20 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.rigorous import definiteness, floats, integers, product, root_below
-from synth.analysis.synthesis_inequality import Side, meeting, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality, meeting, transposed
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
 
 
-SHRINK = (1e-9, 1e-6, 1e-3)  # how much shorter than the best V12 is taken, so that V can be proved positive
+SHRINK = (1e-9, 1e-6, 1e-3)  # relative shortening of the best V12, so that V can be proved positive
 DOWN = 1 - 2.0**-45  # more than the dozen operations of the last eigenvalue can round up
 
 
 @dataclass(frozen=True, eq=False)
-class Witness:
-    """A strictly feasible point of the inequality of a `Side`; its inverse matrix is the dual solution.
+class DualCertificate:
+    """A strictly feasible point of a `SynthesisInequality`; its inverse matrix is the dual solution.
 
     Attributes:
         X: shape (n, n); only J X J' matters.
@@ -58,50 +58,52 @@ class Witness:
 
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """No controller of a kind reaches a smaller norm.
+    """A lower bound on the norm for controllers of one kind, with its proof.
 
     Attributes:
-        gamma: the bound; 0, which is always true, where nothing is proved.
-        state: witness of state feedback; None where the limit alone proves the bound.
-        observer: witness of the transposed plant; None where the bound is that of state feedback.
-        limit_at: frequency [rad/s] where `invariant_point.limit_at` proves the bound; None where the witnesses do.
-        zeros: those by which `interpolation.limit_at_zeros` proves it, from u to z and from w to y [rad/s]; None where others do.
+        gamma: the bound; 0, which is always true, if nothing is proved.
+        state: dual certificate of state feedback; None if an invariant point or zeros prove the bound.
+        observer: dual certificate of the transposed plant; None if the bound is that of state feedback.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if others do.
+        zeros: from u to z and from w to y [rad/s], by which `interpolation.limit_at_zeros` proves it; None if others do.
     """
 
     gamma: float
-    state: Witness | None = None
-    observer: Witness | None = None
+    state: DualCertificate | None = None
+    observer: DualCertificate | None = None
     limit_at: float | None = None
     zeros: "Zeros | None" = None
 
 
 def prove_lower_bound(
     plant: GeneralizedPlant,
-    state: Witness,
+    state: DualCertificate,
     Cy: Array | None = None,
-    observer: Witness | None = None,
+    observer: DualCertificate | None = None,
     Dyw: Array | None = None,
 ) -> LowerBound:
-    """The bound that witnesses prove. Short of the limit of the path it is weaker, by (2 n + d) mu, and easier to prove.
+    """Returns the bound that dual certificates prove. Before the end of the path it is weaker by (2 n + d) mu, but easier.
 
     Args:
         plant: n states, m inputs.
         state: of the plant.
         Cy: shape (q, n); given with an observer.
         observer: of the transposed plant.
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
 
     Raises:
-        ValueError: a witness is not of the plant's shape.
+        ValueError: a dual certificate is not of the plant's shape.
     """
-    one = Side.of(plant)
+    one = SynthesisInequality.of(plant)
     if observer is None or Cy is None:
-        return prove_from_sides(one, None, state, None)
-    return prove_from_sides(one, Side.of(transposed(plant, Cy, Dyw)), state, observer)
+        return prove_from_inequalities(one, None, state, None)
+    return prove_from_inequalities(one, SynthesisInequality.of(transposed(plant, Cy, Dyw)), state, observer)
 
 
-def prove_from_sides(one: Side, other: Side | None, state: Witness, observer: Witness | None) -> LowerBound:
-    """The same for sides that are there already."""
+def prove_from_inequalities(
+    one: SynthesisInequality, other: SynthesisInequality | None, state: DualCertificate, observer: DualCertificate | None
+) -> LowerBound:
+    """Returns the bound of `prove_lower_bound` from inequalities that are known already."""
     first = _dual(one, state)
     if first is None:
         return LowerBound(0.0, state, observer)
@@ -121,12 +123,12 @@ def prove_from_sides(one: Side, other: Side | None, state: Witness, observer: Wi
 
 @dataclass(frozen=True, eq=False)
 class _Dual:
-    """e, t and V = T^-T V_T T^-1 of a dual solution.
+    """The numbers e, t and V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
         e, t: exact.
         V: V_T in floats, every entry rounded once; near I on the path.
-        T: floats that are taken as they are, shape (a, a).
+        T: floats, taken without rounding, shape (a, a).
         Y: floats near T^-T, likewise.
     """
 
@@ -138,8 +140,8 @@ class _Dual:
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def _dual(side: Side, witness: Witness) -> _Dual | None:
-    """What a witness proves; None where it proves nothing."""
+def _dual(side: SynthesisInequality, witness: DualCertificate) -> _Dual | None:
+    """Returns the dual solution of a certificate, or None if it proves nothing."""
     a, n = side.J.shape
     if witness.X.shape != (n, n):
         raise ValueError(f"a witness has X of shape {witness.X.shape}; expected {(n, n)}")
@@ -156,7 +158,7 @@ def _dual(side: Side, witness: Witness) -> _Dual | None:
 
 
 def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> Array:
-    """L with L L' = (c c' - He(Q X U') - eta b b')^-1, X = T T'."""
+    """Returns L with L L' = (c c' - He(Q X U') - eta b b')^-1, X = T T'."""
     U, Q, b, c = parts
     moved = (Q @ T) @ (U @ T).T
     inside = c @ c.T - moved - moved.T - eta * b @ b.T
@@ -167,8 +169,8 @@ def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> A
     return size[:, None] * np.linalg.inv(np.linalg.cholesky(size[:, None] * inside * size)).T
 
 
-def _evaluated(side: Side, L: Array, T: Array, Y: Array) -> _Dual | None:
-    """e, t and V_T of W = L L', exactly; None if V is not proved positive definite, or t is zero."""
+def _evaluated(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual | None:
+    """Returns e, t and V_T of W = L L', exactly; None if V is not proved positive definite, or t is zero."""
     (factor, over), (coordinates, under) = integers(L), integers(T)
     low, steep = product(factor.T, product(side.U, coordinates)), product(factor.T, product(side.Q, coordinates))
     half = product(low.T, steep)
@@ -180,7 +182,7 @@ def _evaluated(side: Side, L: Array, T: Array, Y: Array) -> _Dual | None:
 
 
 def _joined(first: _Dual, second: _Dual, between: Array, over: int) -> Fraction:
-    """f of the best V12 that is proved to leave V positive definite; 0 where there is none."""
+    """Returns f of the best V12 that is proved to leave V positive definite; 0 if no V12 is."""
     if not between.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))

@@ -1,19 +1,19 @@
-"""The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency that it is the peak of.
+"""The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency.
 
 - `level_set_norm`: imaginary eigenvalues of a Hamiltonian tell where the largest singular value crosses a level (Boyd,
-  Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). It cannot overlook a peak, up to the rounding of eigenvalues.
-- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. It believes only values that
+  Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The route misses no peak, up to the rounding of eigenvalues.
+- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. Its values are all ones that
   the transfer function really takes.
 
-`hinf_norm` runs both and says how far they are apart. The routes themselves find the peak on the imaginary axis (the L-infinity
-norm), or on a stretch of it, which exists for unstable systems too and is infinite where a pole lies on the axis.
+`hinf_norm` runs both and returns their distance. The routes themselves find the peak on the imaginary axis (the L-infinity
+norm), or on an interval of it. It exists for unstable systems too and is infinite if a pole lies on the axis.
 
-What both share is the transfer function. Where to look is decided with the modes of the system, a frequency of which costs next
-to nothing; every value that is returned was computed without them, from a linear system of equations.
+Both share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies; every value that
+is returned was computed without them, from a linear system of equations.
 
-What rounding may have done to the values is bounded, to first order. Where that could be seen, as with a huge gain, whose loop
-A + B G holds fast poles beside slow ones, both routes go on from where they ended with twice the digits, on the loop as it was
-before it was rounded. So two routes that agree are not two that err alike.
+The rounding of the values is bounded, to first order. If the bound is large, as with a huge gain, whose loop A + B G has fast and
+slow poles, both routes continue from their results with twice the digits, on the loop before it was rounded. So the two routes
+cannot agree by a common error.
 """
 
 from collections.abc import Callable
@@ -33,11 +33,11 @@ ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
 CLOSE_ZOOMS = 8  # where the gain has twice the digits: 10^-16 of it
 WITHIN = 1e-4  # of the damping of the nearest pole; so close to its top it is a parabola
 ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
-ALIKE = 1e-9  # relative to the largest gain; where the modes are as close to the transfer function they may say where to look
+ALIKE = 1e-9  # relative to the largest gain; modes this close to the transfer function may propose frequencies
 
 
 def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> Array:
-    """Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite angular frequencies [rad/s] of shape (F,)."""
+    """Returns Dw + C (j omega - A)^-1 Bw (19), complex, shape (F, d, r), for finite frequencies [rad/s] of shape (F,)."""
     n = len(A)
     shifted = np.broadcast_to(-A, (len(omega), n, n)).astype(complex)
     shifted[:, np.arange(n), np.arange(n)] += 1j * omega[:, None]
@@ -45,7 +45,7 @@ def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> A
 
 
 def largest_singular_values(T: Array) -> Array:
-    """Of each of a stack of matrices, shape (F,) for (F, d, r)."""
+    """Returns the largest singular value of each matrix of a stack, shape (F,) for (F, d, r)."""
     if 1 in T.shape[1:]:
         return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
     square = _smaller_square(T)
@@ -56,10 +56,9 @@ def largest_singular_values(T: Array) -> Array:
 
 
 def highest(T: Array, above: float) -> tuple[float, int]:
-    """The largest singular value of a whole stack of matrices, shape (F, d, r), and the index of the one that has it.
+    """Returns the largest singular value of a whole stack of matrices, shape (F, d, r), and the index of its matrix.
 
-    Only what exceeds `above` is looked at: 0 at no index where nothing does. No singular value exceeds the root of the sum of the
-    squares of all entries, which costs little.
+    Only values above `above` count: 0 and the index -1 if no value is. The cheap Frobenius norm excludes most matrices.
     """
     squares = (np.real(T) ** 2 + np.imag(T) ** 2).reshape(len(T), -1).sum(axis=1)
     among = np.flatnonzero(~(squares <= above * above))
@@ -71,18 +70,18 @@ def highest(T: Array, above: float) -> tuple[float, int]:
 
 
 def _smaller_square(T: Array) -> Array:
-    """T T' or T' T, the smaller one."""
+    """Returns T T' or T' T, the smaller one."""
     adjoint = T.conj().transpose(0, 2, 1)
     return T @ adjoint if T.shape[1] < T.shape[2] else adjoint @ T
 
 
 class Gain:
-    """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on a stretch of the axis.
+    """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on an interval of the axis.
 
     Args:
-        system: its w and z; u = 0.
-        low: where the stretch begins [rad/s], from 0.
-        high: where it ends [rad/s], above low; may be infinite.
+        system: from w to z, with u = 0.
+        low: start of the interval [rad/s], from 0.
+        high: end of the interval [rad/s], above low; may be infinite.
     """
 
     def __init__(self, system: GeneralizedPlant, low: float = 0.0, high: float = np.inf) -> None:
@@ -102,24 +101,24 @@ class Gain:
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
 
     def within(self, omega: Array) -> Array:
-        """Frequencies [rad/s], those that lie beside the stretch at its nearer edge."""
+        """Returns frequencies [rad/s] clipped to the interval."""
         return np.minimum(np.maximum(omega, self.low), self.high)
 
     def at(self, omega: Array) -> Array:
-        """At angular frequencies [rad/s] of shape (F,), shape (F,)."""
+        """Returns the largest singular value at angular frequencies [rad/s] of shape (F,), shape (F,)."""
         return np.linalg.norm(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega), 2, axis=(1, 2))
 
     def about(self, omega: Array) -> Array:
-        """The same by the modes, to ALIKE; where they give fewer digits it is `at`."""
+        """Returns `at` computed by the modes, to ALIKE; `at` itself if they give fewer digits."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
-        """The highest gain within some widths of some frequencies, and where it is [rad/s]: all of them at once."""
+        """Returns the highest gain within some widths of some frequencies, and its frequency [rad/s]."""
         at = self._climbed(self.about, omega, width)
         return float(self.at(at)[0]), float(at[0])
 
     def rounding(self, omega: Array) -> float:
-        """What rounding did to `at` at frequencies [rad/s] at most, to first order.
+        """Returns a bound on the rounding of `at` at frequencies [rad/s], to first order.
 
         (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 7.2.)
         """
@@ -130,30 +129,30 @@ class Gain:
         return float((n + 2) * np.finfo(float).eps * np.linalg.norm(lost, axis=(1, 2)).max(initial=0.0))
 
     def rounded(self, omega: Array) -> float:
-        """What rounding did to `at` at frequencies [rad/s] at most, measured with twice the digits."""
+        """Returns the largest rounding of `at` at frequencies [rad/s], measured with twice the digits."""
         gains, missing = self.closely(omega)
         return float((np.abs(self.at(omega) - gains) + missing).max())
 
     def closely(self, omega: Array) -> tuple[Array, Array]:
-        """`at` with twice the digits, shape (F,), and what may be missing in it."""
+        """Returns `at` with twice the digits, shape (F,), and bounds on its error."""
         T, missing = transfer_matrix_closely((self.A, self.A_beyond), self.Bw, (self.C, self.C_beyond), self.Dw, omega)
         return largest_singular_values(T), missing
 
     def missing(self, at: float) -> float:
-        """What is missing in the gain at a frequency, be it infinite, when it is computed with twice the digits."""
+        """Returns the error bound of `closely` at a frequency; 0 at infinity."""
         return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
     def beside(self, at: float) -> float:
-        """How much higher the gain may be between the best frequency that was tried and the next, relative, to second order."""
+        """Returns how much higher the gain may be between the best tried frequency and the next, relative, to second order."""
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
         apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
     def between(self, at: float) -> float:
-        """The same, measured with twice the digits: where rounding may have moved poles and led the search.
+        """Returns `beside` measured with twice the digits, if rounding may have moved poles and misled the search.
 
-        About a resonance the gain to the power of -2 is a parabola: that through three frequencies says how high it rises.
+        Near a resonance the gain to the power of -2 is a parabola, fitted here through three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
@@ -167,7 +166,7 @@ class Gain:
         return float(lowest**-0.5 - 1)
 
     def polished(self, at: float) -> tuple[float, float]:
-        """The highest gain with twice the digits near a frequency or near any pole, and where it is [rad/s]."""
+        """Returns the highest gain with twice the digits near a frequency or near any pole, and its frequency [rad/s]."""
         omega = np.concatenate([[self.low], np.abs(self.poles), np.abs(np.imag(self.poles)), [at] if np.isfinite(at) else []])
         omega = self.within(omega)
         gains, _ = self.closely(omega)
@@ -177,11 +176,11 @@ class Gain:
         return self.or_at_infinity(best, there)
 
     def or_at_infinity(self, best: float, at: float) -> tuple[float, float]:
-        """The higher of a gain at a frequency and that at infinity, where the stretch has it."""
+        """Returns the higher of a gain at a frequency and the gain at infinity, if the interval contains infinity."""
         return (self.at_infinity, np.inf) if self.high == np.inf and self.at_infinity > best else (best, at)
 
     def _climbed(self, gain: Callable[[Array], Array], omega: Array, width: Array, zooms: int = ZOOMS) -> Array:
-        """Where a gain is highest within some widths of some frequencies [rad/s], shape (1,)."""
+        """Returns the frequency of the highest gain within some widths of some frequencies [rad/s], shape (1,)."""
         steps = np.linspace(-1, 1, 21)[:, None]
         for _ in range(zooms):
             near = self.within(omega + width * steps)
@@ -190,7 +189,7 @@ class Gain:
         return omega[[gain(omega).argmax()]]
 
     def _width(self, omega: Array) -> Array:
-        """How far the damping of the nearest pole is from frequencies: no peak is thinner."""
+        """Returns the damping of the pole nearest to each frequency [rad/s]: no peak is thinner."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
 
@@ -200,7 +199,7 @@ class Gain:
 
     @cached_property
     def _residues(self) -> Array | None:
-        """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None where digits are lost."""
+        """C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r); None if digits are lost."""
         if not len(self.A) or not np.linalg.cond(self.vectors) < ILL_CONDITIONED:
             return None
         seen, driven = (self.C @ self.vectors).T, np.linalg.solve(self.vectors, self.Bw.astype(complex))
@@ -210,10 +209,10 @@ class Gain:
         return residues if np.all(np.abs(self._by_modes(residues, probes) - true) <= ALIKE * true.max()) else None
 
 
-EXACT = 1e-10  # relative; a level set this much higher that is empty ends the search
-CLIMBED = 2  # of the poles' peaks, the highest: as many are climbed before the first level set
-SEEN = 1e-9  # relative; more than this rounding may not do to a norm, or it is computed with twice the digits
-CLEAR = 1.1  # times the gain at infinity: a level above it is far enough for the Hamiltonian to be formed
+EXACT = 1e-10  # relative; the search ends if the level set this far above the best gain is empty
+CLIMBED = 2  # number of the highest peaks near poles that are refined before the first level set
+SEEN = 1e-9  # relative; beyond this rounding a norm is computed with twice the digits
+CLEAR = 1.1  # times the gain at infinity: smallest level for which the Hamiltonian is well conditioned
 
 
 @dataclass(frozen=True)
@@ -221,12 +220,12 @@ class Norm:
     """An H-infinity norm.
 
     Attributes:
-        value: the larger of the two routes; infinite where the system is not stable.
-        peak_frequency: where it is reached [rad/s]; NaN where the system is not stable.
+        value: the larger of the two routes; infinite if the system is not stable.
+        peak_frequency: where it is reached [rad/s]; NaN if the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
-        rounding: relative; how far from the true norm the value may be, to first order: by rounding, and where the peak lies
-            between the frequencies that were tried, as floats are too far apart to hold that of a damping of 1e-12.
+        rounding: relative error of the value, to first order: by rounding, and by a peak between neighbouring frequencies, as
+            floats are too coarse for a damping of 1e-12.
     """
 
     value: float
@@ -243,7 +242,7 @@ class Norm:
 
 @one_thread()
 def hinf_norm(system: GeneralizedPlant) -> Norm:
-    """The H-infinity norm from w to z with u = 0, by both routes.
+    """Returns the H-infinity norm from w to z with u = 0, by both routes.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, hinf_norm
@@ -265,7 +264,7 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """The largest gain on a stretch of the axis by both routes, whether the system is stable or not; no pole lies on it."""
+    """Returns the largest gain on an interval of the axis by both routes; the system may be unstable, without poles on it."""
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
@@ -281,9 +280,9 @@ def by_both_routes(gain: Gain) -> Norm:
 
 
 def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> Norm:
-    """The same of a discrete system: both routes on the continuous one for it, and what they find measured on the system itself.
+    """Returns the largest gain of a discrete system: both routes run on its continuous image, and the results are checked.
 
-    So the map only says where to look, and what it and rounding did to the values is seen.
+    So the map only proposes frequencies, and its rounding is measured.
     """
     from synth.plant.discrete import response_closely, true_frequency
 
@@ -299,7 +298,7 @@ def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> 
 
 
 def gain_at(system: GeneralizedPlant, omega: float) -> float:
-    """The largest singular value at a frequency [rad/s], with twice the digits."""
+    """Returns the largest singular value at a frequency [rad/s], with twice the digits."""
     if system.dt is not None:
         from synth.plant.discrete import mapped_frequency, response_closely
 
@@ -308,16 +307,16 @@ def gain_at(system: GeneralizedPlant, omega: float) -> float:
 
 
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
-    """The largest gain of a continuous system on the imaginary axis by level sets, and the frequency [rad/s] where it is reached.
+    """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
-    The eigenvalues only propose frequencies, whatever their real parts; the transfer function decides. So no tolerance has to
+    The eigenvalues only propose frequencies; the transfer function decides. So no tolerance has to
     tell an imaginary eigenvalue from one that rounding moved off the axis.
     """
     return by_level_sets(Gain(system))
 
 
 def by_level_sets(gain: Gain) -> tuple[float, float]:
-    """The largest gain on a stretch of the axis as `level_set_norm` finds it, and where [rad/s]; infinite at a pole on it."""
+    """Returns the largest gain on an interval by level sets, and its frequency [rad/s]; infinite if a pole lies on it."""
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
     omega = gain.within(np.concatenate([gain.edges, np.abs(gain.poles), np.abs(np.imag(gain.poles))]))
@@ -337,7 +336,7 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Frequencies of a stretch of which one has a gain above a level, if any has, and how far each is from the next [rad/s].
+    """Returns frequencies of which one has a gain above a level, if any has, and their distances to the next [rad/s].
 
     Between two crossings of the level, or a crossing and an edge, the gain lies above it everywhere, or nowhere; a single
     (touching) crossing is tried as it is. Both of shape (k,).
@@ -349,9 +348,9 @@ def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
 
 
 def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> Array:
-    """Imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
+    """Returns the imaginary parts >= 0 of all eigenvalues of the Hamiltonian, ascending from 0 [rad/s], shape (k,), 1 <= k.
 
-    Every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level is among them.
+    They contain every frequency at which a singular value of Dw + C (s - A)^-1 Bw equals the level.
     """
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
@@ -389,17 +388,17 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
 
 
 def _power_of_two(size: float) -> float:
-    """The power of two next to a size; 1 where it is 0 or not finite."""
+    """Returns the power of two next to a size; 1 if the size is 0 or not finite."""
     return 2.0 ** round(np.log2(size)) if 0 < size < np.inf else 1.0
 
 
 def sweep_norm(system: GeneralizedPlant) -> tuple[float, float]:
-    """The largest gain on the imaginary axis by a refined frequency sweep, and where it is reached [rad/s]."""
+    """Returns the largest gain on the imaginary axis by a refined frequency sweep, and its frequency [rad/s]."""
     return by_sweep(Gain(system))
 
 
 def by_sweep(gain: Gain) -> tuple[float, float]:
-    """The largest gain on a stretch of the axis as `sweep_norm` finds it, and where [rad/s]; infinite at a pole on it."""
+    """Returns the largest gain on an interval by a sweep, and its frequency [rad/s]; infinite if a pole lies on it."""
     if gain.on_axis is not None:
         return np.inf, gain.on_axis
     size = np.abs(gain.poles)

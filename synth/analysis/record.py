@@ -1,7 +1,7 @@
-"""A certificate in plain data: what goes into logs and, beside its gain, into a vehicle file, and what is read from there.
+"""Certificates as plain data, written to logs and, with their gains, to vehicle files, and read from there.
 
-Only what cannot be recomputed is needed to check it: the X of (20) and the witnesses of the lower bound. The numbers that are
-claimed stand beside them, so that a check can compare.
+A check needs only the numbers that cannot be recomputed: the X of (20) and the dual certificates of the lower bound. The claimed
+numbers stand beside them for comparison.
 """
 
 from collections.abc import Mapping
@@ -13,24 +13,24 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
-from synth.analysis.lower_bound import LowerBound, Witness, prove_lower_bound
+from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
 
 
-SAMPLED_NORM = "sampled_norm"  # of the loop as its computer closes it, which is checked where that is known
+SAMPLED_NORM = "sampled_norm"  # of the sampled loop; checked if the implementation is known
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
-SMALLEST, LARGEST = 1e-60, 1e60  # of the numbers in a certificate, in SI units: no vehicle has others
-MOST_ZEROS = 200  # in a certificate; there are as many as states at most, and Pick's matrix has a row for each
+SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them
+MOST_ZEROS = 200  # in a certificate; at most one per state, and each is a row of Pick's matrix
 SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
-    """Claims and proofs, as JSON and TOML can hold them; what does not exist or is not finite is left out."""
+    """Returns claims and proofs for JSON and TOML, without those that do not exist or are not finite."""
     below = certificate.below
     record: dict[str, Any] = {
         "norm": certificate.norm.value,
@@ -55,14 +55,14 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 def read_proof(
     record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0, Dyw: Array | None = None
 ) -> tuple[Array | None, float | None, LowerBound]:
-    """X and eta for (20), either None, and the lower bound that the record's witnesses prove, recomputed with numpy alone.
+    """Returns X and eta for (20), each None if absent, and the lower bound that the record proves, recomputed with numpy alone.
 
     Args:
         record: see `to_record`.
         plant: n states.
-        Cy: what is measured, shape (q, n); any number of rows.
-        kept: states of the controller, which are in X too.
-        Dyw: what of w is measured with it, shape (q, r); zero where it is not given.
+        Cy: of the measurements, shape (q, n); any number of rows.
+        kept: number of controller states, which are in X too.
+        Dyw: from w to the measurements, shape (q, r); zero if it is not given.
 
     Raises:
         InputError: a key is unknown or null, or not of the form that it must have.
@@ -108,7 +108,7 @@ def read_proof(
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
-    """The claims of a record that the recomputed certificate does not confirm, in words."""
+    """Returns the claims of a record that the recomputed certificate does not confirm, in words."""
     found = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:
@@ -176,7 +176,7 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
     return of_z, of_y
 
 
-def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
+def _witness(record: Mapping[str, Any], key: str) -> DualCertificate | None:
     value = record.get(key)
     if value is None:
         return None
@@ -185,4 +185,4 @@ def _witness(record: Mapping[str, Any], key: str) -> Witness | None:
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
         raise InputError(f"{key} = {quoted(value)} in a certificate is no witness with X and eta")
-    return Witness(X, eta)
+    return DualCertificate(X, eta)

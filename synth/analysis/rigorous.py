@@ -1,12 +1,12 @@
 """Linear algebra for proofs: over the integers, where nothing is rounded, and definiteness in floats, with rounding bounded.
 
-Matrices of integers are numpy arrays of Python's own. Elimination is fraction-free (Bareiss 1968): every entry it meets is a
+Matrices of integers are numpy arrays of Python's own. Elimination is fraction-free (Bareiss 1968): every intermediate entry is a
 minor of the matrix, so the integers grow with the number of rows only.
 
 If the Cholesky decomposition of M - c I runs to its end in floating point, M is positive definite in exact arithmetic, provided
-that c is at least what rounding can have done (Rump 2006, Verification of positive definiteness, BIT 46, 433-452): the computed
+that c exceeds the rounding errors (Rump 2006, Verification of positive definiteness, BIT 46, 433-452): the computed
 factor R satisfies R'R = M - c I + D with |D| <= d d', d_j^2 = gamma_j / (1 - gamma_j) M_jj, gamma_j about j unit roundoffs. The
-answer errs on one side only: what is singular to rounding is not proved.
+answer errs on one side only: a matrix that is singular to rounding is not proved.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from models.common.arrays import Array
 
 
 def integers(matrix: Array) -> tuple[Array, int]:
-    """Integers N and a power of two s with matrix = N / s exactly."""
+    """Returns integers N and a power of two s with matrix = N / s exactly."""
     ratios = [float(x).as_integer_ratio() for x in np.ravel(matrix)]
     scale = max((bottom for _, bottom in ratios), default=1)
     whole = np.empty(len(ratios), dtype=object)
@@ -27,7 +27,7 @@ def integers(matrix: Array) -> tuple[Array, int]:
 
 
 def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
-    """unit times a matrix of integers, every entry rounded once.
+    """Returns `unit` times a matrix of integers, every entry rounded once.
 
     Raises:
         OverflowError: an entry is too large for a float.
@@ -37,26 +37,26 @@ def floats(matrix: Array, unit: Fraction = Fraction(1)) -> Array:
 
 
 def product(left: Array, right: Array) -> Array:
-    """left @ right for integers; zero, not nothing, where the inner dimension is zero."""
+    """Returns left @ right for integers, with zeros if the inner dimension is zero."""
     return left @ right if left.shape[1] else zeros(len(left), right.shape[1])
 
 
 def zeros(*shape: int) -> Array:
-    """Integers, all zero."""
+    """Returns an array of integers that are all zero."""
     empty = np.empty(shape, dtype=object)
     empty[...] = 0
     return empty
 
 
 def identity(n: int) -> Array:
-    """The identity in integers, shape (n, n)."""
+    """Returns the identity in integers, shape (n, n)."""
     eye = zeros(n, n)
     eye[np.arange(n), np.arange(n)] = 1
     return eye
 
 
 class Nullspace:
-    """All Phi with K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
+    """The solutions Phi of K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
 
     Attributes:
         pivots: rows that follow, as many as the rank of K.
@@ -88,7 +88,7 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Phi whose free rows are these, up to one common factor: integers, shape (N, k).
+        """Returns the Phi with these free rows, up to one common factor: integers, shape (N, k).
 
         Args:
             values: integers, shape (len(free), k).
@@ -101,7 +101,7 @@ class Nullspace:
 
 
 def _alike(rows: Array) -> tuple[Array, Array]:
-    """Rows without common factors, columns times powers of two that make their largest entries alike, and those powers."""
+    """Returns rows without common factors, their columns scaled by powers of two to similar size, and those powers."""
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
     if not rows.size:
@@ -113,7 +113,7 @@ def _alike(rows: Array) -> tuple[Array, Array]:
 
 
 def without_factors(columns: Array) -> tuple[Array, int]:
-    """Columns scaled each by a positive factor, and a power of two over which all their largest entries are about one."""
+    """Returns columns, each scaled by a positive factor, and a power of two near the largest entry of every column."""
     columns = columns.copy()
     for j in range(columns.shape[1]):
         columns[:, j] //= np.gcd.reduce(columns[:, j]) or 1
@@ -125,28 +125,28 @@ def without_factors(columns: Array) -> tuple[Array, int]:
 
 
 def root_below(square: Fraction) -> float:
-    """A float that is not above the square root of a number."""
+    """Returns a float that is not above the square root of a number."""
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, 0.0), 0.0)) if square > 0 else 0.0
 
 
 def root_above(square: Fraction) -> float:
-    """A float that is not below the square root of a number."""
+    """Returns a float that is not below the square root of a number."""
     return float(np.nextafter(np.nextafter(float(square) ** 0.5, np.inf), np.inf)) if square > 0 else 0.0
 
 
 UNIT = np.finfo(float).eps / 2  # unit roundoff
-SMALLEST = 1e-200  # of a diagonal entry; the largest entry is 1 / SMALLEST. Beyond, numbers may under- or overflow
-TINY = 1e-100  # more than all underflows of one proof together, where the diagonal has size one
+SMALLEST = 1e-200  # limit of a diagonal entry; that of all entries is 1 / SMALLEST. Beyond, numbers may under- or overflow
+TINY = 1e-100  # more than all underflows of one proof together, with a diagonal of size one
 
 
 @dataclass(frozen=True)
 class Definiteness:
-    """What is known of a symmetric matrix, scaled to a diagonal between 1/2 and 2.
+    """The definiteness of a symmetric matrix, scaled to a diagonal between 1/2 and 2.
 
     Attributes:
-        smallest: its smallest eigenvalue, as computed; NaN where a diagonal entry is not positive, or an entry is out of range.
-        rounding: by how much that must exceed 0 at least, for a proof.
-        proved: whether the matrix is positive definite beyond any rounding.
+        smallest: computed smallest eigenvalue; NaN if a diagonal entry is not positive, or an entry is out of range.
+        rounding: the smallest eigenvalue that counts as proof.
+        proved: True if the matrix is positive definite beyond any rounding.
     """
 
     smallest: float
@@ -155,7 +155,7 @@ class Definiteness:
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Whether every symmetric matrix is positive definite whose entries are those of M to the nearest float.
+    """Checks if all symmetric matrices are positive definite that round to M, entry by entry.
 
     Args:
         M: shape (k, k), symmetric to the last bit.
@@ -166,8 +166,8 @@ def definiteness(M: Array) -> Definiteness:
         return Definiteness(np.nan, np.nan, False)
     scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded, and no sign changes
     M = M * scale * scale[:, None]
-    # What rounding did to the entries, and what it does in the decomposition; doubled, as libraries multiply by reciprocals where
-    # they divide, and these sums are rounded themselves.
+    # Rounding of the entries and in the decomposition; doubled, as libraries multiply by reciprocals instead of dividing, and
+    # these sums are rounded themselves.
     entries = UNIT * float(np.abs(M).sum(axis=1).max(initial=0.0))
     decomposition = (k + 5) * UNIT * float(np.trace(M))
     shift = 2 * (entries + decomposition) + TINY
@@ -180,10 +180,10 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Whether all matrices of a stack are positive definite whose entries are within a distance of those of M.
+    """Returns True if all matrices within given distances of those of a stack are positive definite, entry by entry.
 
     Args:
-        M: shape (V, k, k); their symmetric parts are meant.
+        M: shape (V, k, k); the symmetric parts count.
         lost: the distance of each entry, shape (V, k, k).
     """
     M = (M + M.swapaxes(-1, -2)) / 2

@@ -1,27 +1,25 @@
-"""A loop that a computer closes: a plant that it reads every period, whose inputs it holds, lifted to a discrete plant.
+"""Sampled loops: a plant that is measured every period and whose inputs are held, lifted to a discrete plant.
 
 Over a period of T seconds z is a function, and so is w. For a level gamma there is a discrete plant with as many states,
 
     x[k+1] = Ad x[k] + Bd w_d[k],    z_d[k] = Cd x[k],
 
-such that whatever loop is closed around either at the samples, the L2 gain from w to z is below gamma exactly where the l2 gain
-from w_d to z_d is below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs v as states that stand still, and w in
-units of gamma,
+such that for any controller at the samples, the L2 gain from w to z is below gamma if and only if the l2 gain from w_d to z_d is
+below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs v as constant states, and w in units of gamma,
 
     H = [A + Bw R Dw' C, Bw R Bw'; -C' (I + Dw R Dw') C, -A' - C' Dw R Bw'],    R = (I - Dw' Dw)^-1,    S = exp(T H),
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-where S22 is regular for all times in (0, T]. Where it is not, w gains gamma or more within one period, between two samples, where
-no force answers it.
+if S22 is regular for all times in (0, T]. Otherwise the gain is gamma or more within one period, between two samples, where no
+force can react.
 
-S itself grows with the period without end. So the three are computed of a short time, and doubled: of two stretches of time,
+S itself grows with the period without bound. So the three are computed for a short time and doubled: for two intervals of time,
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
-with M = (I - Bd1 Bd1' Cd2' Cd2)^-1, and the whole is regular exactly where both parts are and Bd1 Bd1' Cd2' Cd2 has no eigenvalue
-of 1 or more: what the first part can bring about is worth less than it costs. Nothing cancels, and Ad - I is computed by itself,
-as it is small at a fast sample.
+with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The whole is regular if and only if both parts are and Bd1 Bd1' Cd2' Cd2 has no eigenvalue
+of 1 or more. Nothing cancels, and Ad - I is computed by itself, as it is small for a fast sample rate.
 """
 
 import math
@@ -37,13 +35,13 @@ from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant
 
-SHORT = 0.5  # of H times the short time: S22 is then within 0.65 of I, and regular
+SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
 TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
 
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """The discrete plant of a level; its states are the plant's and the inputs that are held over the period.
+    """The discrete plant of a level; its states are the plant's and the held inputs.
 
     Attributes:
         moved: Ad - I, shape (n + k, n + k).
@@ -57,7 +55,7 @@ class Lifted:
 
     @property
     def Ad(self) -> Array:
-        """Shape (n + k, n + k)."""
+        """State matrix, shape (n + k, n + k)."""
         return np.eye(len(self.moved)) + self.moved
 
     @property
@@ -71,7 +69,7 @@ class Lifted:
         return _root(self.cost).T
 
     def then(self, later: "Lifted") -> "Lifted | None":
-        """This stretch of time and a later one as one; None where w gains the level or more within it."""
+        """Returns the two consecutive intervals as one, or None if the gain within it is the level or more."""
         product = self.reached @ later.cost
         # No eigenvalue is larger than the norm, which costs little.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
@@ -89,11 +87,11 @@ class Lifted:
 
 
 def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma: float) -> Lifted | None:
-    """The discrete plant of a level over one period; None where w gains gamma or more within it.
+    """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
 
     Args:
         plant: n states, m inputs.
-        pieces: of the period: how long [s], and which of the k held inputs act meanwhile, shape (m, k).
+        pieces: of the period: duration [s], and the selection of the k held inputs that act, shape (m, k).
         gamma: the level.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
@@ -111,7 +109,7 @@ def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma
 
 
 def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, Array]:
-    """A, Bw and C of a plant whose states are its own and k held inputs, of which those act that a matrix (m, k) says."""
+    """Returns A, Bw and C of the plant with k held inputs as further states, of which `acting`, shape (m, k), selects m."""
     n, k = len(plant.A), acting.shape[1]
     A, Bw = np.zeros((n + k, n + k)), np.zeros((n + k, plant.Bw.shape[1]))
     A[:n, :n], A[:n, n:], Bw[:n] = plant.A, plant.B @ acting, plant.Bw
@@ -119,7 +117,7 @@ def with_inputs(plant: GeneralizedPlant, acting: Array) -> tuple[Array, Array, A
 
 
 def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float) -> Lifted | None:
-    """The same of one piece, by doubling a short time."""
+    """Returns the discrete plant over one piece of the period, by doubling a short time."""
     A, Bw, C = with_inputs(plant, acting)
     A, Bw, C, scale = in_own_units(A, Bw / gamma, C, len(plant.A))
     n = len(A)
@@ -151,7 +149,7 @@ def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """The same with states, of which the first n move, in units in which H is small; and those units."""
+    """Returns A, Bw and C in units of the states in which H is small, and these units; only the first n states move."""
     scale = np.ones(len(A))
     _, scale[:n] = balance(A[:n, :n])
     driven, seen = np.linalg.norm(Bw[:n] / scale[:n, None]), np.linalg.norm(C[:, :n] * scale[:n])
@@ -169,7 +167,7 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _root(matrix: Array) -> Array:
-    """L with L L' a matrix that is symmetric and positive semidefinite, but for rounding; each row has its own unit."""
+    """Returns L with L L' = matrix, which is positive semidefinite up to rounding; each row has its own unit."""
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
@@ -178,11 +176,11 @@ def _root(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of the period, over which one force is held.
+    """A part of the period in which one force is held.
 
     Attributes:
         duration: [s].
-        late: how many samples before this one the force that acts was computed.
+        late: number of samples by which the acting force is delayed.
     """
 
     duration: float
@@ -191,20 +189,20 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop:
-    """A plant and what a computer keeps and asks for at its samples.
+    """A plant with a discrete controller.
 
-    With x the plant's states at a sample, s what is kept, and p = [x; s],
+    With the plant's states x at a sample, the controller's states s, and p = [x; s],
 
         u = asked p,    s+ = memory p + of_force u_a,
 
-    where u_a is the force that acts at the period's end.
+    where u_a is the acting force at the period's end.
 
     Attributes:
         plant: n states, m inputs.
-        pieces: of the period, in their order, one after the other.
-        asked: the forces that are computed, shape (m, n + k).
-        memory: what is kept for the next sample, shape (k, n + k).
-        of_force: what of it is the force that acts, shape (k, m).
+        pieces: of the period, in their order.
+        asked: gain to the computed forces, shape (m, n + k).
+        memory: from p to the next controller states, shape (k, n + k).
+        of_force: from the acting force to the next controller states, shape (k, m).
     """
 
     plant: GeneralizedPlant
@@ -215,28 +213,28 @@ class SampledLoop:
 
     @property
     def period(self) -> float:
-        """[s]."""
+        """Sample period [s]."""
         return sum(piece.duration for piece in self.pieces)
 
     @property
     def late(self) -> int:
-        """How many samples late the last force of all acts."""
+        """The largest delay of a force in samples."""
         return max(piece.late for piece in self.pieces)
 
     @property
     def states(self) -> int:
-        """N, of [x; s; forces on their way]."""
+        """Number N of the states [x; s; delayed forces]."""
         return self.asked.shape[1] + self.late * len(self.asked)
 
     @cached_property
     def acting(self) -> list[tuple[float, Array]]:
-        """Of every piece its duration, and which of the held inputs act, shape (m, m pieces): it has its own."""
+        """Duration [s] and input selection of every piece, shape (m, m pieces): each piece has its own held inputs."""
         m, count = len(self.asked), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
 
     @cached_property
     def moved(self) -> Array:
-        """What a period makes of [x; held inputs] where nothing disturbs, less what they were, shape (n + k, n + k)."""
+        """Undisturbed transition of [x; held inputs] over a period, less the identity, shape (n + k, n + k)."""
         total = np.zeros((0, 0))
         for duration, acting in self.acting:
             A, _, _ = with_inputs(self.plant, acting)
@@ -248,7 +246,7 @@ class SampledLoop:
         return total
 
     def register(self) -> tuple[Array, Array]:
-        """The loop with the forces on their way as states of their own, the next to act first.
+        """Returns the loop with the delayed forces as states, the next to act first.
 
         Returns:
             From all N states to [x; held inputs] at the sample, shape (n + i, N), and to the next states but x, shape (N - n, N).
@@ -263,24 +261,24 @@ class SampledLoop:
         return np.vstack([np.eye(n, N), *forces]), np.vstack([kept, shifted, asked] if late else [kept])
 
     def closed(self, moved: Array) -> tuple[Array, Array]:
-        """The loop from sample to sample less the identity, shape (N, N), and from its N states to [x; held inputs].
+        """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].
 
         Args:
-            moved: what a period makes of [x; held inputs], less what they were, shape (n + i, n + i).
+            moved: transition of [x; held inputs] over a period less the identity, shape (n + i, n + i).
         """
         start, rest = self.register()
         n, N = len(self.plant.A), start.shape[1]
         return np.vstack([moved[:n] @ start, rest - np.eye(N - n, N, n)]), start
 
     def turning(self, moved: Array, angles: Array) -> tuple[Array, Array]:
-        """The loop at zeta = exp(j angle), where a delay is a power of zeta and the forces on their way need no states.
+        """Returns the loop at zeta = exp(j angle), at which a delay is a power of zeta and delayed forces need no states.
 
         Args:
             moved: as above.
             angles: [rad], shape (F,).
 
         Returns:
-            zeta less what the loop makes of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
+            zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
         """
         n, known, turned = len(self.plant.A), self.asked.shape[1], np.exp(1j * angles)
         forces = [self.asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]

@@ -1,15 +1,15 @@
-"""The L2 gain of a loop that a computer closes, from the continuous disturbance to the continuous z: exact, and from below.
+"""The L2 gain of a sampled loop, from the continuous disturbance to the continuous z: exact, and from below.
 
-A level is above the gain where the discrete plant of that level (`sampled_loop.py`) closes to a stable loop of l2 norm below 1.
-By the bilinear image of that loop, whose gains are the same, the eigenvalues of a Hamiltonian say where on the unit circle a gain
-is 1, as they do for a continuous loop; there and between it is asked. At the angle where a level's gain is largest the level is
+A level is above the gain if the discrete plant of that level (`sampled_loop.py`) closes to a stable loop of l2 norm below 1. The
+bilinear image of that loop has the same gains. The eigenvalues of its Hamiltonian propose the angles on the unit circle at which
+a gain is 1, as for a continuous loop; the gain is evaluated there and in between. At the angle of the largest gain the level is
 moved until that gain is 1: then it is the gain of the loop for a disturbance that turns by this angle from sample to sample.
 
-The second route, from below, knows nothing of levels. Of all disturbances that turn by an angle from sample to sample, those are
-tried that are a polynomial of low degree over each of a few parts of the period. For such a one x is exact by matrix
-exponentials, and so is the energy of z: the largest gain among them is the largest singular value of one matrix. It is a true
-gain, of that very disturbance (fast lifting, Keller, Anderson 1992, but of z itself, not of its samples). As a worst disturbance
-is smooth, and the gain stationary there, it falls short by the power 2 (degree + 1) of the parts' length.
+The second route, from below, uses no levels. It considers disturbances that turn by an angle from sample to sample and are
+polynomials of low degree over each part of the period. For these x is exact by matrix exponentials, and so is the energy of z:
+the largest gain among them is the largest singular value of one matrix. It is the gain of an actual disturbance (fast lifting,
+Keller, Anderson 1992, but of z itself, not of its samples). As a worst disturbance is smooth, and the gain stationary there,
+the error is of order 2 (degree + 1) in the parts' length.
 """
 
 import math
@@ -27,14 +27,14 @@ from synth.analysis.stability import balance, sampled_growth
 
 DEGREE = 3
 FEWEST, MOST = 4, 64  # parts of a piece of the period to begin with
-LONGEST = 1.0  # times the fastest rate of the plant, a part
-NODES = 12  # of a quadrature: of exp(2 t), the most that is asked of it, it leaves 1e-30
+LONGEST = 1.0  # length of a part times the fastest rate of the plant
+NODES = 12  # of a quadrature: its error for exp(2 t), the worst integrand, is 1e-30
 MOST_COLUMNS = 1200  # of the matrix: more take seconds
-SHORT = 1e-7  # relative: what falls short by more may be said more closely
+SHORT = 1e-7  # relative: a lower bound this close to the norm is not refined
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
-    """What is reached at an angle by as many parts of the period as it takes to come near a norm, or as there can be."""
+    """Returns `reached_gain` at an angle, with parts doubled until it comes near a norm or the matrix becomes too large."""
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
     each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
     most = max(FEWEST, MOST_COLUMNS // each)
@@ -48,12 +48,11 @@ def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
 
 
 def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGREE) -> float:
-    """The largest gain of a disturbance that is smooth in parts, a true lower bound of the loop's gain.
+    """Returns the largest gain of a piecewise polynomial disturbance, a true lower bound of the loop's gain.
 
     Args:
         loop: stable.
-        angle: by which the disturbance turns from sample to sample [rad]; NaN for one that lasts one period alone, and counts
-            within it.
+        angle: of the disturbance from sample to sample [rad]; NaN for a disturbance and a z within one period alone.
         parts: of every piece of the period.
         degree: of the polynomials.
     """
@@ -61,7 +60,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     n = len(plant.A)
     width = n + len(loop.acting) * len(loop.asked)
 
-    # Of [x; held inputs] now: what those at the sample make of it, and what every polynomial so far does.
+    # [x; held inputs] now: `free` from those at the sample, `forced` from every polynomial so far.
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.acting:
@@ -82,13 +81,12 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
 
 def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: int) -> tuple[Array, Array, Array]:
-    """A part of h seconds: what it makes of the state, and of a polynomial; and a root of the energy of z, of both.
+    """Returns the transition of the state over h seconds, the effect of polynomials on it, and a root of the energy of z.
 
-    The energy is never formed: where states have units far apart, its small parts drown in the rounding of its large ones. Its
-    root is z at the nodes of a quadrature, which an orthogonal transformation makes small again: that keeps
-    the digits of each column.
+    The energy itself is never formed: with states in very different units, its small parts are lost in rounding. Its root is z at
+    the nodes of a quadrature, compressed by an orthogonal transformation, which keeps the digits of each column.
 
-    A polynomial counts by its coefficients on Legendre's, of energy one each. Of the states the first n move.
+    A polynomial is given by its Legendre coefficients, of energy one each. Only the first n states move.
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
@@ -101,7 +99,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     larger[:size, :size], larger[:size, size : size + r] = A, Bw
     larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    # Of a time that is short to A z is nearly a polynomial, whose energy the quadrature has exactly; then that time is doubled.
+    # Over a time that is short for A, z is nearly a polynomial, whose energy the quadrature gives exactly; then time is doubled.
     doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
     short = h / 2**doublings
     nodes, weights = legendre.leggauss(NODES)
@@ -116,28 +114,28 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
 
 
 def _small(root: Array) -> Array:
-    """One with R' R as before and no more rows than columns."""
+    """Returns R with the same R' R and no more rows than columns."""
     return np.asarray(np.linalg.qr(root, mode="r"))
 
 
-CLOSE = 1e-11  # relative: so near to 1 a gain is it
-ROUNDS = 100  # of a search; a handful is what it takes
-ZOOMS = 4  # of a bracket about a peak, sevenfold, where level sets say more than a grid does; a maximum is flat
-FAR_ZOOMS = 9  # where they do not
-MOST_STATES = 400  # of a loop with its forces on their way, whose eigenvalues are asked for; beyond, frequencies alone
+CLOSE = 1e-11  # relative: a gain this near to 1 counts as 1
+ROUNDS = 100  # limit of a search, which needs a handful
+ZOOMS = 4  # of a bracket about a peak, sevenfold, if level sets follow; a maximum is flat
+FAR_ZOOMS = 9  # without level sets
+MOST_STATES = 400  # of a loop with its delayed forces, for eigenvalues; larger ones use frequencies alone
 SLOWEST = 1e-9  # rad per sample, where a grid of frequencies begins
 PER_TURN = 40  # of its points, per turn that a delay makes
-NOTHING = 1e-15  # of the first level: a gain below is none
+NOTHING = 1e-15  # relative to the first level: a smaller gain is zero
 AT_ONCE = 4096  # frequencies; more take memory by the hundred megabytes
-TURN = 0.5  # rad between two points at most, where a phase is followed
+TURN = 0.5  # [rad]; largest step of a phase between two points
 
 
 @one_thread()
 def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
-    """The L2 gain of a sampled loop, to 1e-8.
+    """Returns the L2 gain of a sampled loop, to 1e-8.
 
     Args:
-        loop: whatever it is.
+        loop: stable or not.
         near: a guess of the norm, above 0.
 
     Example:
@@ -156,12 +154,12 @@ def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
 
 
 def stable(loop: SampledLoop) -> bool:
-    """Whether all that moves in a sampled loop decays."""
+    """Returns True if a sampled loop is stable."""
     return _poles(loop) is not None
 
 
 def _poles(loop: SampledLoop) -> Array | None:
-    """Those of a loop from sample to sample; none of a large one, and None of one that is not stable."""
+    """Returns the poles of a loop from sample to sample; empty for a large loop, None for an unstable one."""
     if loop.states > MOST_STATES:
         return np.zeros(0) if _decays(loop) else None
     change, _ = loop.closed(loop.moved)
@@ -170,10 +168,10 @@ def _poles(loop: SampledLoop) -> Array | None:
 
 
 def _decays(loop: SampledLoop) -> bool:
-    """Whether a loop is stable, by how often the phase of its characteristic polynomial turns around the unit circle.
+    """Returns True if a loop is stable, by the winding number of its characteristic polynomial around the unit circle.
 
-    With the forces on their way taken out it has as many zeros less poles as there are other states, and all within the circle
-    where it turns as often.
+    With the delayed forces eliminated, zeros less poles are the number of other states; all zeros lie within the circle if the
+    winding number equals that.
     """
     angles, change = _grid(loop), loop.moved
 
@@ -196,7 +194,7 @@ def _decays(loop: SampledLoop) -> bool:
 
 
 def _grid(loop: SampledLoop) -> Array:
-    """Angles from 0 to pi that follow every turn of a delay, and what is slow."""
+    """Returns angles from 0 to pi that resolve every turn of a delay, and slow modes."""
     slow = np.geomspace(SLOWEST, np.pi, 400)
     return np.unique(np.concatenate([[0.0], slow, np.linspace(0, np.pi, 100 + PER_TURN * loop.late)]))
 
@@ -209,7 +207,7 @@ class _Level:
         self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
 
     def gains(self, angles: Array) -> Array:
-        """The largest singular value from w_d to z_d where they turn by some angles [rad], shape (F,) like these."""
+        """Returns the largest singular value from w_d to z_d at angles [rad] of shape (F,), shape (F,)."""
         if len(angles) > AT_ONCE:
             return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
         matrix, start = self.loop.turning(self.plant.moved, angles)
@@ -218,7 +216,7 @@ class _Level:
         return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
 
     def crossings(self) -> Array:
-        """Angles [rad] among which are all at which a singular value is 1, ascending from 0."""
+        """Returns angles [rad], ascending from 0, that contain all at which a singular value is 1."""
         change, start = self.loop.closed(self.plant.moved)
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
@@ -228,7 +226,7 @@ class _Level:
         return 2 * np.arctan(T / 2 * level_crossings(A, into, out, -C @ B, 1.0))
 
     def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
-        """The highest gain within some widths of some angles, and where it is: all of them at once."""
+        """Returns the highest gain within some widths of some angles, and its angle."""
         steps = np.linspace(-1, 1, 15)[:, None]
         for _ in range(FAR_ZOOMS if self.loop.states > MOST_STATES else ZOOMS):
             near = np.clip(angles + widths * steps, 0.0, np.pi)
@@ -239,15 +237,15 @@ class _Level:
 
 
 class _Search:
-    """For the level at which the largest gain is 1."""
+    """The search for the level at which the largest gain is 1."""
 
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
-        """Of a stable loop with these poles."""
+        """Prepares the search for a stable loop with these poles."""
         self.loop, self.large = loop, loop.states > MOST_STATES
         self.poles = np.log(poles[poles != 0].astype(complex))  # as of a continuous loop, per sample
 
     def run(self, near: float) -> SampledNorm:
-        """See `sampled_norm`."""
+        """Runs the search of `sampled_norm`."""
         level, below, there = self._first(near)
         _, angle = self._highest(there)
         for _ in range(ROUNDS):
@@ -272,7 +270,7 @@ class _Search:
         return None if found is None else _Level(self.loop, found)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """A level that can be, one that cannot, or 0, and what it is."""
+        """Returns a level with a discrete plant, a lower one without it, or 0, and the loop of the first."""
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
@@ -282,7 +280,7 @@ class _Search:
         raise ArithmeticError("no level is above what happens within a period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
-        """The largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
+        """Returns the largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
         turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
         about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
         everywhere = _grid(self.loop) if self.large else np.array([0.0, np.pi])
@@ -294,7 +292,7 @@ class _Search:
         return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
 
     def _above(self, there: _Level) -> tuple[float, float]:
-        """Where the gain of a level is above 1, if it is anywhere: between two crossings of 1, or at one that touches."""
+        """Returns the largest gain of a level and its angle if it exceeds 1: between crossings of 1, or at a touching one."""
         crossings = there.crossings()
         proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
         apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2, [0.0]])
@@ -303,9 +301,9 @@ class _Search:
         return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
 
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
-        """The gain of the loop at an angle: the level whose gain there is 1; one below it; and whether that one cannot be.
+        """Returns the level whose gain at an angle is 1, a lower one, and True if the latter has no discrete plant.
 
-        By secants in logarithms, held within a level that is too low and one that is high enough.
+        The iteration uses secants in logarithms, within a level that is too low and one that is high enough.
 
         Args:
             angle: [rad].

@@ -1,4 +1,4 @@
-"""One thing that is promised of a controller beside its certificate, and the norm of a loop that a computer closes, enclosed."""
+"""Specifications of a controller beside its certificate, and the enclosed norm of a sampled loop."""
 
 import math
 from dataclasses import dataclass
@@ -8,20 +8,20 @@ import numpy as np
 
 from models.common.printed import finite
 
-SAME = 1e-9  # relative: what rounding leaves of a bound that is met
+SAME = 1e-9  # relative: rounding of a bound that is just satisfied
 
 
 @dataclass(frozen=True)
 class Promise:
-    """A number that a controller was designed for, or is judged by.
+    """A specification that a controller was designed for, or is judged by.
 
     Attributes:
-        what: it is of, in words.
-        value: the largest that is known to occur, or the least that is left of what has to be large.
-        proved: what it proves to stay below; None where the value is exact to rounding.
-        at_most: what is allowed; None where it is minimised, and nothing is.
+        what: name of the quantity, in words.
+        value: the largest known value of the quantity.
+        proved: proved upper bound; None if the value is exact to rounding.
+        at_most: allowed value; None if the quantity is minimised.
         unit: of all three.
-        where: it occurs, in words; empty where nothing is to say.
+        where: place of the value, in words, or empty.
     """
 
     what: str
@@ -33,13 +33,13 @@ class Promise:
 
     @property
     def holds(self) -> bool:
-        """Whether what is proved, or the value itself where that is exact, keeps what is allowed."""
+        """True if the proved bound, or the value if it is exact, keeps the allowed value."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
     def text(self) -> str:
-        """On one line."""
+        """The specification on one line."""
         unit = f" {self.unit}" if self.unit else ""
         proved = "" if self.proved is None else f", proved to be at most {digits(self.proved)}{unit}"
         if self.proved is not None and digits(self.proved) == digits(self.value):
@@ -50,7 +50,7 @@ class Promise:
 
     @property
     def record(self) -> dict[str, Any]:
-        """As JSON has it; None for what is infinite or does not exist."""
+        """The specification as JSON, None for absent or infinite numbers."""
         return {
             "promise": self.what,
             "value": finite(self.value),
@@ -63,11 +63,11 @@ class Promise:
 
 
 def digits(value: float) -> str:
-    """Seven digits, as norms have in the table."""
+    """Returns a number with seven digits, like norms in the table."""
     return f"{value:.7g}"
 
 
-ABOVE, BELOW = 1e-8, 1e-9  # relative: how far from the norm the levels are that are shown to lie on either side
+ABOVE, BELOW = 1e-8, 1e-9  # relative distances of the enclosing levels from the norm
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ class SampledNorm:
     """The L2 gain of a sampled loop.
 
     Attributes:
-        value: of it; infinite where the loop is not stable.
-        lower: a level that it is above.
-        upper: a level that it is below.
-        angle: by which the worst disturbance turns from sample to sample [rad], 0 to pi; NaN where there is none such.
-        reached: the gain of an actual disturbance, computed by another route (`sampled_norm.py`): it is no more than the norm.
-        inside: whether what happens within one period, which no force answers, decides: no controller at this rate does better.
-        by_sweep: whether `upper` was seen at frequencies alone, as there are too many states for eigenvalues.
+        value: the gain; infinite if the loop is not stable.
+        lower: a level below the gain.
+        upper: a level above the gain.
+        angle: of the worst disturbance from sample to sample [rad], 0 to pi; NaN if no angle is the worst.
+        reached: gain of an actual disturbance, computed by another route (`sampled_norm.py`): at most the norm.
+        inside: True if the gain within one period decides, where no force can react: no controller at this rate does better.
+        by_sweep: True if `upper` was checked at frequencies alone, as there are too many states for eigenvalues.
     """
 
     value: float
@@ -94,10 +94,10 @@ class SampledNorm:
 
     @property
     def stable(self) -> bool:
-        """Whether there is one."""
+        """True if the loop is stable."""
         return math.isfinite(self.value)
 
     @property
     def gap(self) -> float:
-        """By how much what was reached falls short of the norm, relative: the distance of two routes."""
+        """Relative distance of the reached gain from the norm: that of the two routes."""
         return abs(self.value - self.reached) / self.value if 0 < self.value < np.inf else 0.0

@@ -1,12 +1,12 @@
-"""Whether a loop is stable, marginal or unstable: the one place that decides it, and which mode stands in the way.
+"""Stability of a loop: stable, marginal or unstable, decided here alone, and the modes that prevent stabilisation.
 
-Rounding turns A into A + E with |E| about eps |A|, so what is computed of A is true of some A + E. A pole lies on the imaginary
+Rounding turns A into A + E with |E| about eps |A|, so computed eigenvalues are those of some A + E. A pole lies on the imaginary
 axis *to rounding* if such an E puts one exactly there, above or below the pole: if the smallest singular value of A - j omega at
 its omega is no larger than |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole that is the
-eigenvalue's condition number times the backward error. It is right for multiple poles as well, whose condition number is
+eigenvalue's condition number times the backward error. The criterion also holds for multiple poles, whose condition number is
 infinite: a double pole at the origin moves by sqrt(eps) and is still marginal, one at -1 moves as far and is stable.
 
-A mode that does not decay by itself must be reached by an input and be seen in a measurement, or no controller stabilises it.
+A mode that does not decay by itself must be controllable and observable, or no controller stabilises it.
 """
 
 from collections.abc import Sequence
@@ -20,19 +20,19 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
-FAR = 1e3  # times what the first order says of rounding: a pole further from the axis than that is not on it
+FAR = 1e3  # times the first-order rounding: a pole further from the axis than that is not on it
 
 
 @dataclass(frozen=True, eq=False)
 class Stability:
-    """The poles of a loop, and where they lie.
+    """The poles of a loop and the resulting verdict.
 
     Attributes:
         poles: eigenvalues of A [rad/s], complex, shape (n,), sorted; of a discrete loop, z without a unit.
         on_axis: which of them lie on the imaginary axis to rounding, or on the unit circle, shape (n,).
         rounding: size of E [rad/s], or without a unit.
         vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
-        dt: seconds between samples of a discrete loop; None of a continuous one.
+        dt: seconds between samples of a discrete loop; None for a continuous one.
     """
 
     poles: Array
@@ -43,12 +43,12 @@ class Stability:
 
     @property
     def growth(self) -> Array:
-        """What is below zero of poles that decay, shape (n,): the real part, or by how much z exceeds one in size."""
+        """Real parts of the poles, or |z| - 1, shape (n,): negative for poles that decay."""
         return np.real(self.poles) if self.dt is None else np.abs(self.poles) - 1
 
     @property
     def rates(self) -> Array:
-        """How fast each pole moves its mode [rad/s], shape (n,): its size, or that of the change in a sample over dt."""
+        """Magnitudes of the poles [rad/s], or |z - 1| / dt, shape (n,)."""
         return np.abs(self.poles) if self.dt is None else np.abs(self.poles - 1) / self.dt
 
     @property
@@ -60,12 +60,12 @@ class Stability:
 
     @property
     def stable(self) -> bool:
-        """Whether every pole lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+        """True if every pole lies left of the imaginary axis, or within the unit circle, by more than rounding."""
         return self.verdict == STABLE
 
     @property
     def worst(self) -> complex:
-        """The pole that decides: which grows most, of those on the axis where none grows. -inf, or 0, where there is none."""
+        """The deciding pole: the fastest growing, or one on the axis if none grows; -inf, or z = 0, without poles."""
         deciding, growth = self.poles, self.growth
         if self.verdict == MARGINAL:
             deciding, growth = deciding[self.on_axis], growth[self.on_axis]
@@ -93,11 +93,11 @@ class Stability:
 
 
 def stability(A: Array, dt: float | None = None) -> Stability:
-    """Where the poles of x' = A x lie, or of x[k+1] = A x[k].
+    """Returns the poles of x' = A x, or of x[k+1] = A x[k], and their stability.
 
     Args:
         A: shape (n, n), finite.
-        dt: seconds between samples; None of a continuous loop.
+        dt: seconds between samples; None for a continuous loop.
     """
     balanced = balance(A)[0]
     if dt is None:
@@ -107,14 +107,14 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 
 
 def stability_of_balanced(A: Array) -> Stability:
-    """The same for a matrix that is balanced."""
+    """Returns the `stability` of a continuous loop whose matrix is balanced."""
     poles, conditions, vectors = _eigen(A)
     on_axis = _reached(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
 
 
 def sampled_growth(Phi: Array) -> float:
-    """By how much x[k+1] = Phi x[k] grows every step at most: its spectral radius, and exactly 1 where that is 1 to rounding.
+    """Returns the spectral radius of Phi in x[k+1] = Phi x[k], exactly 1 if that is 1 to rounding.
 
     Args:
         Phi: shape (n, n), finite.
@@ -128,12 +128,12 @@ def sampled_growth(Phi: Array) -> float:
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
-    """Whether every eigenvalue lies left of the imaginary axis, or within the unit circle, by more than rounding."""
+    """Returns True if every eigenvalue lies left of the imaginary axis, or within the unit circle, by more than rounding."""
     return stability(A, dt).stable
 
 
 def balance(A: Array) -> tuple[Array, Array]:
-    """A in the diagonal coordinates that make its rows and columns alike, and that diagonal S: S^-1 A S, S of shape (n,)."""
+    """Returns the balanced S^-1 A S, with rows and columns of similar size, and the diagonal S, shape (n,)."""
     if not len(A):
         return A, np.ones(0)
     balanced, (scale, _) = linalg.matrix_balance(A, permute=False, separate=True)
@@ -141,14 +141,14 @@ def balance(A: Array) -> tuple[Array, Array]:
 
 
 def rounding(A: Array) -> float:
-    """The size of E: what rounding may have added to a balanced matrix, shape (n, n), by the time its eigenvalues are known."""
+    """Returns the size of E, the backward error of the eigenvalues of a balanced matrix of shape (n, n)."""
     return 10 * np.finfo(float).eps * float(np.linalg.norm(A)) if len(A) else 0.0
 
 
 def pole_text(pole: complex, dt: float | None = None) -> str:
-    """A pole, or a pair, with four digits and its unit: a real one is a rate of growth or decay, and turns nothing.
+    """Returns a pole, or a pair, with four digits and its unit: a real pole is a rate of growth or decay.
 
-    Of a discrete loop z, with as many digits as tell it from the unit circle.
+    For a discrete loop z has enough digits to differ from the unit circle.
     """
     if dt is not None:
         size = abs(pole)
@@ -161,7 +161,7 @@ def pole_text(pole: complex, dt: float | None = None) -> str:
 
 
 def _eigen(A: Array) -> tuple[Array, Array, Array]:
-    """Eigenvalues, complex and sorted, their condition numbers, infinite for a defective one, and right eigenvectors."""
+    """Returns sorted complex eigenvalues, their condition numbers, infinite if defective, and right eigenvectors."""
     if not len(A):
         return np.zeros(0, dtype=complex), np.zeros(0), np.zeros((0, 0), dtype=complex)
     poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
@@ -172,15 +172,15 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array) -> Array:
-    """Which eigenvalues of a balanced matrix lie on the unit circle to rounding, shape (n,)."""
+    """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,)."""
     return _reached(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
 
 
 def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Which eigenvalues of a balanced matrix rounding may move as far as to points at some distances, shape (n,)."""
+    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
     allowed, found = rounding(A), dict[tuple[float, float], bool]()
     reached = np.zeros(len(A), dtype=bool)
-    # The condition number is the first order of how far a pole moves: well beyond that nothing is to be looked at.
+    # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
     for i in np.flatnonzero(distances <= FAR * allowed * conditions):
         pair = (points[i].real, abs(points[i].imag))  # conjugates are as near to singular
         if pair not in found:
@@ -190,9 +190,9 @@ def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Ar
 
 
 def _nearly_singular(matrix: Array, distance: float) -> bool:
-    """Whether a singular matrix lies within a distance: its smallest singular value."""
+    """Returns True if a singular matrix lies within a distance, by the smallest singular value."""
     try:
-        # It is at least this, at a tenth of the price.
+        # A lower bound on the smallest singular value, at a tenth of the time.
         if 1 / np.linalg.norm(np.linalg.inv(matrix)) > 2 * distance:
             return False
     except np.linalg.LinAlgError:
@@ -201,7 +201,7 @@ def _nearly_singular(matrix: Array, distance: float) -> bool:
 
 
 def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
-    """What of a closed loop's A is not the weights': no control moves the poles of those, and nothing feeds back from z.
+    """Returns a closed loop's A without the states of weights, whose poles no control moves.
 
     Args:
         plant: without control, n states.
@@ -212,17 +212,17 @@ def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
     return A[np.ix_(own, own)] if plant.weights else A
 
 
-ZERO = 1e-12  # of what the parts of a sum come to; more than rounding leaves of zero
-UNREACHED = 1e-8  # relative size of what an input does to a mode that it does not reach, up to rounding
+ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero to rounding
+UNREACHED = 1e-8  # relative; an input whose effect on a mode is smaller does not reach it
 
 
 def unreached(A: Array, B: Array, dt: float | None = None) -> list[tuple[complex, Array]]:
-    """Modes that do not decay and that no input reaches: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
+    """Returns the uncontrollable modes that do not decay: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
 
     Args:
         A: shape (n, n).
         B: shape (n, m).
-        dt: seconds between samples of a discrete plant, whose A and B are those of its differences, and whose eigenvalues z.
+        dt: seconds between samples of a discrete plant; then A and B are those of its differences, and the eigenvalues z.
     """
     balanced, scale = balance(A)
     inputs = B / scale[:, None]
@@ -243,12 +243,12 @@ def unreached(A: Array, B: Array, dt: float | None = None) -> list[tuple[complex
 
 
 def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence[str] = ()) -> list[str]:
-    """Why no controller stabilises the plant, in words; empty where no single mode forbids it.
+    """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n); without it every state counts as measured.
-        states: names of the states; x1, x2, ... without them.
+        Cy: shape (q, n). Default: every state is measured.
+        states: names of the states. Default: x1, x2, ...
     """
     names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt
     plant = own.into(plant.differences)
@@ -267,10 +267,10 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
 
 
 def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
-    """Why no static gain from what is measured stabilises the plant, though its modes are reached and seen; empty where unknown.
+    """Returns reasons why no static output feedback stabilises a controllable and observable plant; empty if none is known.
 
-    A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). Of a discrete plant the same
-    is true of its differences, in which z = 1 is 0.
+    A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). For a discrete plant the same
+    holds for its differences, in which z = 1 is 0.
 
     Args:
         plant: n states, m inputs.
@@ -301,5 +301,5 @@ def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
 
 
 def largest(vector: Array, names: Sequence[str]) -> str:
-    """The state with the largest part of an eigenvector."""
+    """Returns the name of the state with the largest part of an eigenvector."""
     return names[int(np.argmax(np.abs(vector)))]

@@ -3,15 +3,15 @@
 For state feedback (21) has a Y exactly if N' (21) N < 0 at Y = 0, N a basis of all q with [B; D]' q = 0 (the elimination lemma;
 Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w there is a second one, the same of the transposed plant, in S.
 
-**Directions that cost nothing.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as far as C does
-not see it. Let F hold these directions (`steered`). No dual solution can weigh them, so N is also orthogonal to [F; 0] and
-[A F; C F], and of X only J X J' remains, J a basis of all rows with J F = 0. Of the transposed plant, whose B is C_y' and D is
-Dyw', F is what y and those of its derivatives show that are free of w (`shown`).
+**Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
+not observable in z. Let F hold these directions (`steered`). No dual solution can weight them, so N is also orthogonal to [F; 0]
+and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant, whose B is C_y' and D
+is Dyw', F' are the rows that y and those of its derivatives show that are free of w (`shown`).
 
-The same goes for states that z does not see and that decay by themselves: in them, too, X grows at no price.
+The same holds for stable states that are unobservable in z: X grows without cost there, too.
 
-All of this is decided on the numbers of the plant as they stand, by integers: no tolerance tells a rank, so a direction that is
-small counts, and units of states, inputs, time, w and z as a whole mean nothing.
+All ranks are decided in integers on the given numbers, without tolerances. So a small direction counts, and units of states,
+inputs, time, w and z do not matter.
 """
 
 import math
@@ -24,15 +24,15 @@ from models.common.arrays import Array
 from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, without_factors
 from synth.plant.generalized import GeneralizedPlant, check_continuous
 
-GROWTH = 1e-9  # of |A|; less is rounding
+GROWTH = 1e-9  # relative to |A|; a smaller real part is rounding
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
-    """N' (21) N < 0 as He(Q X U') + eta b b' - c c' < 0 for X of the a coordinates that are not steered.
+class SynthesisInequality:
+    """N' (21) N < 0 as He(Q X U') + eta b b' - c c' < 0, for X in the a coordinates that are not steered without cost.
 
     Attributes:
-        J: rows that the steered directions do not touch, shape (a, n); integers.
+        J: rows orthogonal to the steered directions, shape (a, n); integers.
         coordinates: of the states, a of them; J is diagonal there.
         U, Q, b, c: shapes (k, a), (k, a), (k, r), (k, d); integers over `scale`, Q and b also over `unit`.
         unit, scale: powers of two.
@@ -48,11 +48,11 @@ class Side:
     scale: int
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant) -> "Side":
-        """The side of state feedback; of the transposed plant that of the observer.
+    def of(cls, plant: GeneralizedPlant) -> "SynthesisInequality":
+        """Returns the inequality of state feedback, or of the observer if the plant is the transposed one.
 
         Raises:
-            InputError: the plant is discrete; then it is the one that it is mapped to that has a side.
+            InputError: the plant is discrete; map it to a continuous one first.
         """
         check_continuous(plant)
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
@@ -78,38 +78,38 @@ class Side:
         )
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
-        """U, Q, b, c in floats, every entry rounded once."""
+        """Returns U, Q, b, c in floats, every entry rounded once."""
         one, two = Fraction(1, self.scale), Fraction(1, self.scale * self.unit)
         return floats(self.U, one), floats(self.Q, two), floats(self.b, two), floats(self.c, one)
 
 
 def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> GeneralizedPlant:
-    """The plant whose state feedback is the injection of y = C_y x + Dyw w, and whose w and z have changed places.
+    """Returns the transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged.
 
     Args:
         plant: n states, r disturbances.
         Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
     """
     D = np.zeros((plant.Bw.shape[1], len(Cy))) if Dyw is None else np.asarray(Dyw).T
     return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T)
 
 
-def meeting(one: Side, other: Side) -> tuple[Array, int]:
-    """J_other J_one', each J the identity in its coordinates: integers of shape (a_other, a_one), and what they are over."""
+def meeting(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
+    """Returns J_other J_one', each J the identity in its coordinates: integers, shape (a_other, a_one), and their denominator."""
     across, down = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     over = math.lcm(*across) * math.lcm(*down)
     return product(other.J, one.J.T) * over // np.multiply.outer(down, across), over
 
 
 def steered(plant: GeneralizedPlant) -> Array:
-    """F: what inputs steer at no cost, and what they steer through it, likewise: independent columns of integers, (n, f)."""
+    """Returns F, the states that inputs control without cost in z: independent columns of integers, shape (n, f)."""
     n, (system, _) = len(plant.A), integers(plant.system_matrix)
     return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
 
 
 def shown(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array:
-    """What y and those of its derivatives show that are free of w: independent rows of integers, shape (q', n).
+    """Returns the rows observable from y and those of its derivatives that are free of w: independent integers, shape (q', n).
 
     G Dyw = 0 and G C_y Bw = 0 make G y' = G C_y A x + (known) another measurement, and so on.
     """
@@ -117,7 +117,7 @@ def shown(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array
 
 
 def _closure(states: Array, inputs: Array) -> Array:
-    """The smallest space that holds B v where D v = 0 and, with f, also A f + B v where C f + D v = 0: columns, shape (n, f)."""
+    """Returns the smallest space with B v if D v = 0 and, with f, A f + B v if C f + D v = 0: columns, shape (n, f)."""
     n = states.shape[1]
     F = inputs[:n, :0]
     while True:
@@ -132,9 +132,9 @@ def _closure(states: Array, inputs: Array) -> Array:
 
 
 def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
-    """The states that z does not see without control, columns of shape (n, h); none where some of them grow by themselves.
+    """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
 
-    Were that misjudged, the bound would be weaker, and no less true: fewer dual solutions remain.
+    A misjudgement here would weaken the bound, not falsify it: fewer dual solutions remain.
     """
     n = len(plant.A)
     silent = Nullspace(states[n:].T)

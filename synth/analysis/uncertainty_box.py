@@ -1,23 +1,21 @@
-"""A whole box of errors, every reading and every force of a gain off by a factor of its own: its norm, and that it is stable.
+"""Proofs of stability and of norms for a box of errors, in which every reading and force of a gain has its own factor.
 
-The gain that acts is S_u K S_y with diagonal S_y, S_u. Every factor enters the loop through one column and one row: along each of
-them, with the others held, A, C, Bw and Dw are straight lines in t / (1 - c t), which is t itself where nothing measured has a
-force in it. That is monotone as long as the loop through the measurements has an answer, which it has everywhere in the box if
-its determinant, of first degree in every factor, has one sign at all corners. And for a fixed X the largest eigenvalue of LMI
-(20), in which the disturbance may stand as a square, is convex in these lines. So it is largest at a corner: one X that
-satisfies (20) at all corners of a box proves stability and the bound everywhere in it (quadratic stability, Boyd, El Ghaoui,
-Feron, Balakrishnan 1994, section 5.1).
+The acting gain is S_u K S_y with diagonal S_y, S_u. Every factor enters the loop through one column and one row: along each of
+them, with the others fixed, A, C, Bw and Dw are straight lines in t / (1 - c t), or in t if no measurement contains a force. That
+is monotone as long as the loop through the measurements is well-posed. It is everywhere in the box if its determinant, of first
+degree in every factor, has one sign at all corners. For a fixed X the largest eigenvalue of LMI (20), in which the disturbance
+may appear squared, is convex in these lines. So it is largest at a corner: one X that satisfies (20) at all corners of a box
+proves stability and the bound everywhere in it (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 
-One X for all errors proves what also errors that change quickly cannot destroy, which is more than is
-asked of errors that are what they are. Let A be one of the loops of a box, in the convex hull of those A_i at its corners, and
-let
+One X for all errors also allows for rapidly changing errors, which is conservative for constant ones. Let A be one of the loops
+of a box, in the convex hull of the A_i at its corners, and let
 
     [ F A_i + A_i' F'     X_i - F + A_i' G' ]
     [ X_i - F' + G A_i      -(G + G')       ]  <  0,     X_i > 0,
 
 with F and G the same for all. With the same weights as A = sum l_i A_i, X = sum l_i X_i satisfies the same inequality, and
 between [I, A'] and its transpose that is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear
-systems, in Perspectives in Robust Control). What is computed in floating point is bounded entry by entry, and counted
+systems, in Perspectives in Robust Control). Rounding is bounded entry by entry, and included
 (`analysis/rigorous.py`).
 """
 
@@ -34,13 +32,13 @@ from synth.analysis.certificate import bound_of
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
 from synth.plant.generalized import GeneralizedPlant
 
-MOST = 12  # factors that are free in a box whose corners are looked at, all 4096 of them
-REGULAR = 1e-6  # of its largest, the smallest determinant of the loop through what is measured
+MOST = 12  # uncertain factors in a box whose corners are all checked: 4096
+REGULAR = 1e-6  # relative to the largest: smallest determinant of the loop through the measurements
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Factors of q readings, and after them of m forces.
+    """Intervals of the factors of q readings, followed by those of m forces.
 
     Attributes:
         low, high: the ends of each, shapes (q + m,).
@@ -51,17 +49,17 @@ class Box:
 
     @cached_property
     def free(self) -> Array:
-        """Which factors have two ends, shape (k,)."""
+        """Indices of the uncertain factors, shape (k,)."""
         return np.flatnonzero(self.high > self.low)
 
     @property
     def middle(self) -> Array:
-        """Shape (q + m,)."""
+        """Centre of the box, shape (q + m,)."""
         return (self.low + self.high) / 2
 
     @property
     def corners(self) -> Array:
-        """Shape (2^k, q + m)."""
+        """Vertices of the box, shape (2^k, q + m)."""
         k = len(self.free)
         ends = np.array(list(itertools.product((False, True), repeat=k)), dtype=bool).reshape(2**k, k)
         corners = np.tile(self.low, (len(ends), 1))
@@ -69,7 +67,7 @@ class Box:
         return corners
 
     def halves(self, axis: int) -> "tuple[Box, Box]":
-        """The two boxes on either side of the middle of one factor."""
+        """Returns the two boxes on either side of the middle of one factor."""
         high, low = self.high.copy(), self.low.copy()
         high[axis] = low[axis] = self.middle[axis]
         return Box(self.low, high), Box(low, self.high)
@@ -92,9 +90,8 @@ class ScaledGain:
         plant: continuous, n states, m inputs, d controlled outputs, r disturbances.
         K: shape (m, q).
         Cy, Dyw, Dyu: y = C_y x + Dyw w + Dyu u, shapes (q, n), (q, r) and (q, m).
-        before: what is taken from every gain, shape (m, q): see `discrete.bilinear.Mapped`.
-        readings, forces: how many of the columns and rows of K, the first, are readings and forces that may be off; what follows
-            is a law's own states.
+        before: K0, subtracted from every gain, shape (m, q): see `plant.discrete.Mapped`.
+        readings, forces: number of leading columns and rows of K that are readings and forces; a law's own states follow.
     """
 
     plant: GeneralizedPlant
@@ -107,35 +104,35 @@ class ScaledGain:
     forces: int
 
     def scaled(self, factors: Array) -> Array:
-        """S_u K S_y - K0, shape (..., m, q), for factors of shape (..., q + m)."""
+        """Returns S_u K S_y - K0, shape (..., m, q), for factors of shape (..., q + m)."""
         q = self.K.shape[1]
         return factors[..., q:, None] * self.K * factors[..., None, :q] - self.before
 
     def back(self, K: Array) -> Array:
-        """I - K Dyu, shape (..., m, m)."""
+        """Returns I - K Dyu, shape (..., m, m)."""
         return np.eye(len(self.K)) - K @ self.Dyu
 
     def acting(self, factors: Array) -> Array:
-        """The gains as they act on C_y x + Dyw w, shape (..., m, q).
+        """Returns the gains that act on C_y x + Dyw w, shape (..., m, q).
 
         Raises:
-            LinAlgError: a loop through what is measured has no answer.
+            LinAlgError: a loop through the measurements is not well-posed.
         """
         K = self.scaled(factors)
         return np.linalg.solve(self.back(K), K) if np.any(self.Dyu) else K
 
     def posed(self, box: Box) -> bool:
-        """Whether every loop through what is measured has an answer."""
+        """Returns True if every loop through the measurements is well-posed."""
         if not np.any(self.Dyu):
             return True
         determinants = np.linalg.det(self.back(self.scaled(box.corners)))
         return bool(np.all(np.abs(determinants) > REGULAR * np.abs(determinants).max()) and np.ptp(np.sign(determinants)) == 0)
 
     def loops(self, factors: Array) -> Loops:
-        """The loops under factors of shape (..., q + m).
+        """Returns the loops under factors of shape (..., q + m).
 
         Raises:
-            LinAlgError: a loop through what is measured has no answer.
+            LinAlgError: a loop through the measurements is not well-posed.
         """
         K, plant = self.acting(factors), self.plant
         G, through = K @ self.Cy, K @ self.Dyw
@@ -143,7 +140,7 @@ class ScaledGain:
         return Loops(A, plant.Bw + plant.B @ through, C, plant.Dw + plant.D @ through)
 
     def sizes(self, factors: Array) -> Loops:
-        """The sums of the sizes of all terms in `loops`: what rounding did to them is this times some eps."""
+        """Returns the sums of the sizes of all terms in `loops`, to which their rounding is proportional."""
         scaled, plant = np.abs(self.scaled(factors)) + 2 * np.abs(self.before), self.plant
         if np.any(self.Dyu):
             size = np.abs(np.linalg.inv(self.back(self.scaled(factors))))
@@ -155,7 +152,7 @@ class ScaledGain:
 
 
 def lmi(loops: Loops, X: Array, eta: float, identity: float = -1.0) -> Array:
-    """The left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` in the place of its -1."""
+    """Returns the left side of (20) of a stack of loops, shape (..., n + d, n + d), with `identity` in place of its -1."""
     A, Bw, C, Dw = loops
     left = np.concatenate([A @ X, C @ X], axis=-2)
     n, d = A.shape[-1], C.shape[-2]
@@ -185,16 +182,16 @@ class BoxProof:
         return bound_of(self.eta)
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Whether it proves its bound for all gains of a box."""
+        """Returns True if the parts prove the bound for all gains of a box."""
         return _fill([part for part, _ in self.parts], box) and all(proves(gain, part, X, self.eta) for part, X in self.parts)
 
 
 def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
-    """Whether X satisfies (20) at every corner of a box, beyond rounding.
+    """Returns True if X satisfies (20) at every corner of a box, beyond rounding.
 
     Args:
         gain: its loops.
-        box: of no more than `MOST` free factors.
+        box: with at most `MOST` uncertain factors.
         X: shape (n, n), symmetric to the last bit.
         eta: gamma^-2.
     """
@@ -208,7 +205,7 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
 
 
 def _fill(parts: Sequence[Box], box: Box) -> bool:
-    """Whether boxes that halving made of one fill it: each is it, or they fall on either side of a middle, and fill both."""
+    """Returns True if boxes from repeated bisection fill the box: one contains it, or they fill both halves of a factor."""
     if any(np.all(part.low <= box.low) and np.all(part.high >= box.high) for part in parts):
         return True
     for axis in box.free:
@@ -221,8 +218,8 @@ def _fill(parts: Sequence[Box], box: Box) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class MovingX:
-    """What proves the stability of a box, and a bound on its norms if it has one.
+class ParameterDependentLyapunov:
+    """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
 
     Attributes:
         X: at every corner, in the order of `Box.corners`, shape (2^k, n, n).
@@ -236,7 +233,7 @@ class MovingX:
     gamma: float = np.inf
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Whether it proves that all loops of a box are stable, and their norms below the bound, beyond rounding."""
+        """Returns True if all loops of a box are proved stable, and their norms below the bound, beyond rounding."""
         corners = box.corners
         if not gain.posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
@@ -248,10 +245,9 @@ class MovingX:
 
 
 def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float = np.inf, sign: float = -1.0) -> Array:
-    """The left side of the inequality at all corners, shape (V, k, k); of sizes, and with `sign` 1, its terms' sizes.
+    """Returns the left side of the inequality at all corners, shape (V, k, k); from sizes, with `sign` 1, its terms' sizes.
 
-    With a bound it is that of the bounded real lemma: beside the first rows stand [F Bw, C'] and [G Bw, 0], below them
-    [-gamma I, Dw'; Dw, -gamma I].
+    With a bound it is that of the bounded real lemma, bordered by [F Bw, C'; G Bw, 0] and [-gamma I, Dw'; Dw, -gamma I].
     """
     A, Bw, C, Dw = loops
     (V, n, r), d = Bw.shape, C.shape[1]
@@ -270,10 +266,10 @@ def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float = np.inf,
 
 
 @dataclass(frozen=True, eq=False)
-class MovingBand:
-    """What proves a bound on the norm in a band, of all loops of a box, stable or not: the generalized KYP lemma, moving.
+class ParameterDependentKYP:
+    """A parameter-dependent KYP proof of a bound on the norm in a band, for all loops of a box, stable or not.
 
-    Let (a, c, b) be (-1, (w1 + w2) / 2, -w1 w2) of a band that ends, else (1, 0, -w1^2). For one loop a bound gamma follows from
+    Let (a, c, b) be (-1, (w1 + w2) / 2, -w1 w2) for a finite band, else (1, 0, -w1^2). For one loop a bound gamma follows from
 
         [ a Q        P + j c Q    0          0   ]
         [ P - j c Q  b Q          0          C'  ]  +  He [-I A Bw 0]' W  <  0,     Q > 0
@@ -298,7 +294,7 @@ class MovingBand:
     gamma: float
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
-        """Whether it proves its bound for all loops of a box, beyond rounding."""
+        """Returns True if the bound is proved for all loops of a box, beyond rounding."""
         corners = box.corners
         if not gain.posed(box) or not len(self.P) == len(self.Q) == len(corners) or not (hermitian(self.P) and hermitian(self.Q)):
             return False
@@ -313,7 +309,7 @@ class MovingBand:
 
 
 def band_side(loops: Loops, P: Array, Q: Array, W: Array, low: float, high: float, gamma: float, sign: float = -1.0) -> Array:
-    """The left side of `MovingBand` at all corners, shape (V, k, k); of sizes, and with `sign` 1, its terms' sizes."""
+    """Returns the left side of `ParameterDependentKYP` at all corners, shape (V, k, k); from sizes, with `sign` 1, its terms'."""
     a, c, b = (sign, (low + high) / 2, sign * low * high) if np.isfinite(high) else (1.0, 0.0, sign * low**2)
     A, Bw, C, Dw = loops
     (V, n, r), d = Bw.shape, C.shape[1]
@@ -330,17 +326,17 @@ def band_side(loops: Loops, P: Array, Q: Array, W: Array, low: float, high: floa
 
 
 def _real(M: Array) -> Array:
-    """The symmetric matrices that are positive definite where Hermitian ones are, shape (..., 2 k, 2 k)."""
+    """Returns the real symmetric matrices that are positive definite if and only if M is, shape (..., 2 k, 2 k)."""
     real, imaginary = np.real(M), np.imag(M)
     upper, lower = (np.concatenate(pair, axis=-1) for pair in ((real, -imaginary), (imaginary, real)))
     return np.concatenate([upper, lower], axis=-2)
 
 
 def _size(M: Array) -> Array:
-    """At least the size of each complex entry."""
+    """Returns an upper bound on the size of each complex entry."""
     return np.abs(np.real(M)) + np.abs(np.imag(M))
 
 
 def hermitian(M: Array) -> bool:
-    """Whether all matrices of a stack are Hermitian, to the last bit."""
+    """Returns True if all matrices of a stack are Hermitian, to the last bit."""
     return np.array_equal(M, M.conj().swapaxes(-1, -2))

@@ -21,7 +21,7 @@ TOLERANCE = 1e-5  # relative in gamma: Clarabel stops at 1e-8 in eta against ent
 
 
 @dataclass(frozen=True)
-class Witness:
+class CrossCheck:
     """What Clarabel says of a design.
 
     Attributes:
@@ -72,7 +72,7 @@ class Witness:
         return f"{text}; {self.said}" if self.said else text
 
 
-def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> Witness | None:
+def cross_check(designer: Designer, controller: Controller, zero_l: bool = False) -> CrossCheck | None:
     """Clarabel's answer to the problem that a controller comes from, or None for one that comes from none.
 
     Args:
@@ -134,4 +134,4 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         found[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
             said.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return Witness(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, found[0], found[1], "; ".join(said))
+    return CrossCheck(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, found[0], found[1], "; ".join(said))

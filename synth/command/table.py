@@ -16,7 +16,7 @@ from synth.controller.controller import Controller
 from synth.controller.report import heading_lines, norm_lines, norm_object, norm_record
 
 if TYPE_CHECKING:
-    from synth.command.cross_check import Witness
+    from synth.command.cross_check import CrossCheck
     from synth.command.fragility import Fragile
 
 
@@ -40,7 +40,7 @@ class Row:
     notes: tuple[str, ...]
     failures: tuple[str, ...]
     worth: float = 0.0
-    witness: "Witness | None" = None
+    witness: "CrossCheck | None" = None
     sampled: SampledNorm | None = None
     fragile: "Fragile | None" = None
 
@@ -149,7 +149,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
-def _witness_object(witness: "Witness") -> dict[str, Any]:
+def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
     """A witness as JSON has it."""
     return {**asdict(witness), "apart": witness.apart, "above": witness.above}
 

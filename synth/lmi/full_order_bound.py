@@ -1,6 +1,6 @@
 """How good output feedback of any order can be: the Gahinet-Apkarian LMIs, their central path, and the bound that it proves.
 
-    minimise t   over the inequality of the plant's `Side` for (X, eta), that of the transposed plant for (S, t), and
+    minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
 
 (`synthesis_inequality.py` and `lower_bound.py` derive them, and prove the bound). They are followed as in `central_path.py`, in
@@ -18,9 +18,9 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.analysis.invariant_point import invariant_limit
-from synth.analysis.lower_bound import LowerBound, Witness, prove_from_sides
+from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_from_inequalities
 from synth.analysis.rigorous import floats
-from synth.analysis.synthesis_inequality import Side, meeting, transposed
+from synth.analysis.synthesis_inequality import SynthesisInequality, meeting, transposed
 from synth.lmi.barrier import Barrier, Block, boundary, newton
 from synth.lmi.central_path import CENTRED, INSIDE, CentralPoint, along_path
 from synth.plant.generalized import GeneralizedPlant, measurement_matrices
@@ -84,7 +84,7 @@ def find_lower_bound(
         return replace(found, gamma=found.gamma * (1 - MAPPED), limit_at=at)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = transposed(plant, Cy, Dyw) if Cy is not None else None
-    other = Side.of(dual) if dual is not None else None
+    other = SynthesisInequality.of(dual) if dual is not None else None
     if other is not None and not len(other.J):
         other = Cy = None  # y shows, with its derivatives, all that state feedback knows
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
@@ -92,7 +92,7 @@ def find_lower_bound(
         return best
     from synth.analysis.interpolation import zero_limit
 
-    one = Side.of(plant)
+    one = SynthesisInequality.of(plant)
     gamma, zeros = zero_limit(plant, Cy, (one, other), Dyw)
     if gamma > best.gamma:
         best = LowerBound(gamma, zeros=zeros)
@@ -104,13 +104,15 @@ def find_lower_bound(
     return max(best, _along_the_walk(plant, dual, one, other), key=_gamma)
 
 
-def _for_state_feedback(plant: GeneralizedPlant, one: Side, path: Sequence[CentralPoint]) -> LowerBound:
+def _for_state_feedback(plant: GeneralizedPlant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
     """What the dual of (22) proves: by the path of the side where that is another one, or the only one that is there."""
     found = _along_the_walk(plant, None, one, None) if len(one.J) < len(plant.A) or not path else LowerBound(0.0)
     return found if found.gamma else _sharpest(one, None, _of_state_feedback(plant, path))
 
 
-def _along_the_walk(plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None) -> LowerBound:
+def _along_the_walk(
+    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: SynthesisInequality, other: SynthesisInequality | None
+) -> LowerBound:
     """The best bound of `_walk`; 0 where the problem has no solution, or none at a finite gain."""
     points = []
     with contextlib.suppress(InputError), up_to_rounding(), np.errstate(all="ignore"):
@@ -125,7 +127,7 @@ def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
     return LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
 
 
-def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) -> list[tuple[Witness, None, float]]:
+def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) -> list[tuple[DualCertificate, None, float]]:
     """The witnesses of the path of (22), also where its end cannot be reached."""
     points = [point for point in path if point.mu > 0.5 * STATE_END]
     if not path:
@@ -133,26 +135,30 @@ def _of_state_feedback(plant: GeneralizedPlant, path: Sequence[CentralPoint]) ->
         with contextlib.suppress(InputError, np.linalg.LinAlgError), np.errstate(all="ignore"):
             for point in along_path(plant, np.zeros((n, 0)), np.eye(n), STATE_END):
                 points.append(point)
-    return [(Witness(point.X, point.eta), None, point.gamma) for point in points]
+    return [(DualCertificate(point.X, point.eta), None, point.gamma) for point in points]
 
 
 def _gamma(bound: LowerBound) -> float:
     return bound.gamma
 
 
-def _sharpest(one: Side, other: Side | None, points: Sequence[tuple[Witness, Witness | None, float]]) -> LowerBound:
+def _sharpest(
+    one: SynthesisInequality,
+    other: SynthesisInequality | None,
+    points: Sequence[tuple[DualCertificate, DualCertificate | None, float]],
+) -> LowerBound:
     """The best bound that points of a path prove, from its end back to the first that loses nothing to rounding."""
     best = LowerBound(0.0)
     for state, observer, gamma in reversed(points):
-        best = max(best, prove_from_sides(one, other, state, observer), key=_gamma)
+        best = max(best, prove_from_inequalities(one, other, state, observer), key=_gamma)
         if best.gamma >= gamma * (1 - SHARP):
             break
     return best
 
 
 def _walk(
-    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: Side, other: Side | None
-) -> Iterator[tuple[Witness, Witness | None, float]]:
+    plant: GeneralizedPlant, dual: GeneralizedPlant | None, one: SynthesisInequality, other: SynthesisInequality | None
+) -> Iterator[tuple[DualCertificate, DualCertificate | None, float]]:
     """Witnesses along the path with the gamma that it has come to, ever closer to the optimum, until it cannot be followed."""
     if sum(len(side.J) * (len(side.J) + 1) // 2 + 1 for side in (one, other) if side is not None) > MOST:
         return
@@ -198,7 +204,7 @@ def _walk(
 
 
 def _inside(plant: GeneralizedPlant) -> Array:
-    """X inside the inequality of the plant's `Side`, for some eta.
+    """X inside the plant's `SynthesisInequality`, for some eta.
 
     It is the inverse of the solution of a Riccati equation in which z is joined by the states and the inputs, in the plant's own
     units and of the size of what there is: what is inside then is so without, and it is the same whatever units are given.
@@ -222,7 +228,7 @@ def _inside(plant: GeneralizedPlant) -> Array:
 class _Face:
     """A side and where its X stands: X = T T', in coordinates in which it is I."""
 
-    def __init__(self, side: Side, X: Array) -> None:
+    def __init__(self, side: SynthesisInequality, X: Array) -> None:
         J = floats(side.J) / floats(side.J[np.arange(len(side.J)), side.coordinates])[:, None]
         self.n, self.coordinates = len(X), side.coordinates
         self.U, self.Q, self.b, self.c = side.floats()
@@ -252,10 +258,10 @@ class _Face:
         E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
         return E
 
-    def witness(self, unknowns: Array, last: float) -> Witness:
+    def witness(self, unknowns: Array, last: float) -> DualCertificate:
         X = np.zeros((self.n, self.n))
         X[np.ix_(self.coordinates, self.coordinates)] = self.T @ np.tensordot(unknowns, self.units(), 1) @ self.T.T
-        return Witness((X + X.T) / 2, float(last))
+        return DualCertificate((X + X.T) / 2, float(last))
 
     def move_to(self, unknowns: Array) -> None:
         self.T = self.T @ np.linalg.cholesky(np.tensordot(unknowns, self.units(), 1))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.uncertainty_box import Box, MovingBand, ScaledGain
+from synth.analysis.uncertainty_box import Box, ParameterDependentKYP, ScaledGain
 from synth.design.uncertainty.parameter_dependent_lyapunov import own_coordinates
 from synth.lmi.sdp import answered
 from synth.plant.numerics import DesignError
@@ -19,7 +19,7 @@ SPARE = (1e-6, 1e-4)  # of the inequalities, in coordinates and units in which a
 MOST = 25_000  # numbers in all inequalities of one problem: some seconds
 
 
-def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: float) -> MovingBand | None:
+def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: float) -> ParameterDependentKYP | None:
     """About the least bound on a norm in a band that can be proved of a whole box; it says nothing of stability.
 
     Args:
@@ -42,7 +42,7 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
     return None
 
 
-def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, spare: float) -> MovingBand:
+def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, spare: float) -> ParameterDependentKYP:
     """P, Q and W of the least bound, in coordinates and units in which all numbers have size one.
 
     Raises:
@@ -81,4 +81,6 @@ def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, 
         return (found + found.conj().swapaxes(-1, -2)) / 2
 
     of_w = unit / rate * inverse.T @ np.asarray(W.value) @ S
-    return MovingBand(hermitian(P, rate), hermitian(Q, rate**2), of_w, low, high, unit * float(np.asarray(bound.value)))
+    return ParameterDependentKYP(
+        hermitian(P, rate), hermitian(Q, rate**2), of_w, low, high, unit * float(np.asarray(bound.value))
+    )

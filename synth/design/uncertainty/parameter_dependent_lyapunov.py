@@ -13,7 +13,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
-from synth.analysis.uncertainty_box import Box, Loops, MovingX, ScaledGain, left_side
+from synth.analysis.uncertainty_box import Box, Loops, ParameterDependentLyapunov, ScaledGain, left_side
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.lmi.barrier import Barrier, newton
 from synth.plant.generalized import GeneralizedPlant
@@ -38,7 +38,7 @@ def unknowns(gain: ScaledGain, box: Box) -> int:
     return 2 ** len(box.free) * n * (n + 1) // 2 + 2 * n * n + 1
 
 
-def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, MovingX]] | None:
+def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDependentLyapunov]] | None:
     """Parts that fill a box, each with a proof that all its loops are stable; None where none is found.
 
     Args:
@@ -77,7 +77,7 @@ def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
     return np.inf
 
 
-def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> MovingX | None:
+def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDependentLyapunov | None:
     """What satisfies the inequality at all corners of a box; None where there is nothing, or next to nothing.
 
     Args:
@@ -104,10 +104,10 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> MovingX | Non
     if found is None:
         return None
     X, F, G = (unit / rate * inverse.T @ matrix @ inverse for matrix in (found.X, found.F, found.G / rate))
-    return MovingX((X + X.swapaxes(-1, -2)) / 2, F, G, gamma)
+    return ParameterDependentLyapunov((X + X.swapaxes(-1, -2)) / 2, F, G, gamma)
 
 
-def _own_x(loops: Loops, gamma: float) -> MovingX | None:
+def _own_x(loops: Loops, gamma: float) -> ParameterDependentLyapunov | None:
     """The same in coordinates and units in which all numbers have size one."""
     (V, n, r), d = loops.Bw.shape, loops.C.shape[1]
     k = 2 * n + (r + d if np.isfinite(gamma) else 0)
@@ -145,7 +145,7 @@ def _own_x(loops: Loops, gamma: float) -> MovingX | None:
             X = np.zeros((V, n, n))
             X[:, rows, columns] = X[:, columns, rows] = p[: V * N].reshape(V, N)
             F, G = p[V * N : -1].reshape(2, n, n)
-            return MovingX(X, F, G, gamma)
+            return ParameterDependentLyapunov(X, F, G, gamma)
         weight *= FASTER
     return None
 
