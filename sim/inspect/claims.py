@@ -1,4 +1,4 @@
-"""What a log claims of a run, claim by claim, against what follows anew from the same log."""
+"""Checks of a log's claims about a run, each against the value that follows from the same log."""
 
 import json
 import math
@@ -31,7 +31,7 @@ from synth.vehicle.quadratic import best_in_the_mean, mean_of
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
-    """How many samples the run had; logs of older versions do not say."""
+    """Returns the claimed number of samples, or `otherwise` for logs of older versions, which lack that claim."""
     said = recorded.claim("samples") if "samples" in recorded.claims else otherwise
     if isinstance(said, bool) or not isinstance(said, int):
         raise InputError("its number of samples is no number")
@@ -39,7 +39,7 @@ def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
 
 
 def check_samples(recorded: RecordedRun, samples: int, h: float) -> Iterator[Finding]:
-    """What is missing of a run's time."""
+    """Reports missing or extra samples of a run."""
     said, there = claimed_samples(recorded, samples), max((len(r.times) for r in recorded.responses.values()), default=0)
     if samples < said:
         end = f"it ends at {(samples - 1) * h:.6g} s of {(said - 1) * h:.6g} s: " if samples else ""
@@ -93,9 +93,9 @@ def check_certificate(
 
 
 def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
-    """Whether a law is what its section asks for, where that follows without a search: the best in the mean, LQR, LQG or H2.
+    """Checks that a law is its section's design, if that needs no search: the best in the mean, LQR, LQG or H2.
 
-    Laws are compared by what they answer at frequencies around their poles, which no coordinates of their states change.
+    Laws are compared by their frequency responses around their poles, which do not depend on the coordinates of their states.
 
     Args:
         vehicle: of the vehicle file; for its `[implementation]` it was designed.
@@ -123,7 +123,7 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
 
 
 def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
-    """That a log claims nothing of goals: what the attached file has of them was written by whoever wrote the file.
+    """Notes that the log makes no claim about the controller's goals.
 
     Args:
         vehicle: of the vehicle file.
@@ -178,11 +178,11 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
 
 
 def check_states(run: Run, anew: Response | None) -> Iterator[Finding]:
-    """The states of its law in the logged physics, which follow from what it measures there.
+    """Checks the states of the law in the logged physics against those that follow from its measurements.
 
     Args:
         run: with the physics of the log.
-        anew: what MuJoCo and the law make of the run now; None where that is not known.
+        anew: the run recomputed by MuJoCo and the law, or None if it is not known.
     """
     states, logged = kept(run.controller), [signal.name for signal in run.physics.signals if is_kept(signal)]
     if not states:

@@ -1,4 +1,4 @@
-"""What a log's command line asks for, against what the log holds. It is read as the command itself reads it, and never run."""
+"""Check of a log's command line against the log. The line is parsed as the command parses it, and never run."""
 
 import contextlib
 import io
@@ -29,7 +29,7 @@ MOST_LINE = 32_767  # characters; Windows starts no command with more, and shlex
 
 @dataclass(frozen=True)
 class Held:
-    """What a log holds of one run: its name, its controller's, the implementation, the number of samples, the road."""
+    """Data of one logged run: its name, its controller's, the implementation, the number of samples, the road."""
 
     name: str
     controller: Any
@@ -68,7 +68,7 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
 
 
 def _wrong(log: Recorded, asked: Asked, timestep: float, runs: Sequence[Held]) -> Iterator[str]:
-    """Where the line asks for other things than the log holds, in words."""
+    """Yields the differences between the options of the line and the log, in words."""
     names = [run.controller for run in runs]
     wanted = list(asked.controllers)
     if names != wanted and not (len(wanted) == 1 and set(names) == set(wanted)):

@@ -71,11 +71,11 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
 
 
 def check_whole_result(log: Recorded, again: Sequence[Prediction]) -> Iterator[Finding]:
-    """What is in the result beside its runs.
+    """Checks the keys of the result and its parts beside the runs.
 
     Args:
         log: of this format.
-        again: what analysis predicts of its runs, anew.
+        again: recomputed predictions of its runs.
     """
     try:
         result, command = log.result, log.metadata.get("command", "")
@@ -106,12 +106,12 @@ def _objects(runs: Any) -> bool:
 
 
 def _records(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
-    """Where the metadata are not those that would be written."""
+    """Yields the differences between the metadata and those that would be written."""
     expected = records(made, common_metadata(log.metadata.get("command_line", ""), vehicle, timestep))
-    found = log.file.metadata
-    yield from _keys("metadata record", found, expected)
-    for name in expected.keys() & found.keys():
-        yield from _keys(f"claim of {name}", found[name], expected[name])
+    logged = log.file.metadata
+    yield from _keys("metadata record", logged, expected)
+    for name in expected.keys() & logged.keys():
+        yield from _keys(f"claim of {name}", logged[name], expected[name])
     for key in ("format", "command", "vehicle_type", "timestep"):
         if log.metadata.get(key, "") != expected[PACKAGE][key]:
             yield f"its {key} is not {expected[PACKAGE][key]!r}"
@@ -119,34 +119,36 @@ def _records(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[Ru
     if not isinstance(said, dict) or set(said) != set(versions()) or not all(isinstance(one, str) for one in said.values()):
         yield f"its versions are not those of {', '.join(versions())}"
     for run in made:
-        claims = found.get(f"run/{run.name}", {})
+        claims = logged.get(f"run/{run.name}", {})
         for key in run.metadata.keys() & claims.keys() - set(ELSEWHERE):
             yield from different({key: _json(claims[key])}, {key: _json(run.metadata[key])}, True, f"run {run.name}")
 
 
 def _attachments(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
-    """Where the attachments are not those that would be written."""
+    """Yields the differences between the attachments and those that would be written."""
     expected = attachments(vehicle, timestep, {}) | {name: file for run in made for name, file in run.files.items()}
-    found = log.file.attachments
-    yield from _keys("attachment", found, expected)
-    for name in expected.keys() & found.keys():
+    attached = log.file.attachments
+    yield from _keys("attachment", attached, expected)
+    for name in expected.keys() & attached.keys():
         media_type, data = expected[name]
-        if (found[name].media_type, found[name].times) != (media_type, (0, 0)):
+        if (attached[name].media_type, attached[name].times) != (media_type, (0, 0)):
             yield f"the attachment {name} is not {media_type}, without a time"
-        if name not in CHECKED and found[name].data != data:
+        if name not in CHECKED and attached[name].data != data:
             yield f"the attachment {name} is not what the run has"
 
 
 def _topics(log: Recorded, kept: Sequence[LoggedChannel]) -> tuple[list[str], list[str]]:
-    """Where the channels are not those that would be written; and topics whose schema another version of a library has made."""
-    expected, found = {channel.topic: channel for channel in kept}, log.file.channels
-    wrong, older = list(_keys("channel", found, expected)), []
+    """Returns the differences of the channels from those that would be written, and the topics with another library version's
+    schema.
+    """
+    expected, channels = {channel.topic: channel for channel in kept}, log.file.channels
+    wrong, older = list(_keys("channel", channels, expected)), []
     if sorted(log.file.schemas) != sorted({channel.schema[0] for channel in kept}):
         wrong.append("it has other schemas than those of its channels, each once")
     then, now = _json(log.metadata.get("versions", "")), versions()
     known = isinstance(then, dict) and all(then.get(name) == now[name] for name in SCHEMAS)
-    for topic in expected.keys() & found.keys():
-        logged, channel = found[topic], expected[topic]
+    for topic in expected.keys() & channels.keys():
+        logged, channel = channels[topic], expected[topic]
         if logged.schema != channel.schema:
             if known or logged.schema is None or logged.schema[:2] != channel.schema[:2] or channel.metadata:
                 wrong.append(f"{topic} has another schema")
@@ -157,7 +159,7 @@ def _topics(log: Recorded, kept: Sequence[LoggedChannel]) -> tuple[list[str], li
 
 
 def _channel(logged: Logged, channel: LoggedChannel) -> Iterator[str]:
-    """Where a channel is not the one that would be written."""
+    """Yields the differences between a channel and the one that would be written."""
     if logged.encoding != "protobuf" or dict(logged.metadata) != dict(channel.metadata):
         yield "does not say of its fields what a log says"
     if logged.unlike:
@@ -172,7 +174,7 @@ def _channel(logged: Logged, channel: LoggedChannel) -> Iterator[str]:
 
 
 def _keys(what: str, found: Any, expected: Any) -> Iterator[str]:
-    """What is missing, and what is extra."""
+    """Yields missing and extra keys."""
     for name in expected:
         if name not in found:
             yield f"the {what} {name} is missing"
@@ -182,7 +184,7 @@ def _keys(what: str, found: Any, expected: Any) -> Iterator[str]:
 
 
 def _json(text: str) -> Any:
-    """JSON; text that is none is itself."""
+    """Returns the parsed JSON, or the text itself if it is not JSON."""
     try:
         return read_json(text, "a claim")
     except InputError:

@@ -1,4 +1,4 @@
-"""What is found of a log: claims that hold and those that do not, and how far numbers are from those computed anew."""
+"""Findings about a log: claims that hold or fail, and differences of numbers from recomputed ones."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,12 +20,12 @@ HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflo
 
 @dataclass(frozen=True)
 class Finding:
-    """One claim, checked.
+    """Result of the check of one claim.
 
     Attributes:
-        part: of what.
-        verdict: one of `HOLDS`, `FAILS`, `MISSING` (what would prove it is not there), `NOTE` (there was nothing to prove).
-        text: what was found.
+        part: subject of the claim.
+        verdict: one of `HOLDS`, `FAILS`, `MISSING` (its proof is absent), `NOTE` (there was nothing to prove).
+        text: the result in words.
     """
 
     part: str
@@ -34,7 +34,9 @@ class Finding:
 
 
 def apart(logged: Response, again: Response) -> tuple[float, str]:
-    """How far a logged response is from the one computed anew, over the peak of each signal, and the signal that is furthest."""
+    """Returns the largest difference between logged and recomputed response, over the peak of each signal, and that signal's
+    name.
+    """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
     logged, again = logged.until(end), again.until(end)
@@ -44,7 +46,7 @@ def apart(logged: Response, again: Response) -> tuple[float, str]:
 
 
 def off(logged: Array, again: Array, scale: float | None = None) -> float:
-    """Largest difference, over a scale, by default the peak; infinite where a number is none."""
+    """Returns the largest difference, over a scale, by default the peak; infinite if a logged number is not finite."""
     if not np.all(np.isfinite(logged)):
         return math.inf
     size = scale if scale is not None else float(np.abs(again).max(initial=0.0))
@@ -52,7 +54,7 @@ def off(logged: Array, again: Array, scale: float | None = None) -> float:
 
 
 def same(said: Any, now: Any, relative: float, absolute: float) -> bool:
-    """Whether JSON values are the same, numbers to a tolerance."""
+    """Returns True if two JSON values are equal, numbers to a tolerance."""
     if isinstance(now, list):
         if not isinstance(said, list) or len(said) != len(now):
             return False
@@ -64,14 +66,14 @@ def same(said: Any, now: Any, relative: float, absolute: float) -> bool:
 
 
 def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float = ROUNDING) -> Iterator[str]:
-    """Where a JSON value is not as computed anew.
+    """Yields the paths at which a JSON value differs from the recomputed one.
 
     Args:
-        said: what a log has.
-        now: computed anew.
-        exact: whether it has the same keys, but for `SINCE`; else it may lack of `LATER`, and what is not computed now is let be.
-        path: where in the whole it stands.
-        absolute: how far numbers may differ, where that is more than `SAME` of them.
+        said: logged value.
+        now: recomputed value.
+        exact: True to require the same keys, except `SINCE`. Otherwise keys of `LATER` may be absent, and extra keys are ignored.
+        path: of the value in the whole.
+        absolute: tolerance of numbers, if that is more than the relative one, `SAME`.
     """
     if not isinstance(now, Mapping):
         if not same(said, now, SAME, absolute):
@@ -100,7 +102,7 @@ def folded(names: Sequence[str], what: str) -> str:
 
 
 def count(value: Any) -> int:
-    """How many numbers there are in a JSON value."""
+    """Returns the number of numbers in a JSON value."""
     if isinstance(value, Mapping):
         return sum(count(item) for item in value.values())
     if isinstance(value, list):

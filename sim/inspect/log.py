@@ -17,7 +17,7 @@ from google.protobuf.message import DecodeError
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from sim.inspect.mcap_contents import Logged, McapFile
+from sim.inspect.mcap_contents import Logged, McapContents
 from sim.inspect.mcap_reader import read_mcap
 from sim.recording.mcap_writer import PACKAGE
 from sim.recording.run_log import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, SINCE
@@ -48,13 +48,13 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """One run as it was logged.
+    """Logged run.
 
     Attributes:
         name: its name.
         claims: its metadata as text, by key, see `sim.recording.run_records.run_log`.
-        responses: those of `RESPONSES` that are there and can be read.
-        damage: of those that cannot, in words.
+        responses: readable ones of `RESPONSES`.
+        damage: of the unreadable ones, in words.
     """
 
     name: str
@@ -63,7 +63,7 @@ class RecordedRun:
     damage: tuple[str, ...]
 
     def claim(self, key: str) -> Any:
-        """What is claimed under a key that holds JSON.
+        """Returns the claim of a key that holds JSON.
 
         Raises:
             InputError: there is no such claim, or it is no JSON.
@@ -84,12 +84,12 @@ class Recorded:
     """
 
     path: Path
-    file: McapFile
+    file: McapContents
     runs: tuple[RecordedRun, ...]
 
     @property
     def metadata(self) -> Mapping[str, str]:
-        """What all its runs share, as text by key."""
+        """Returns the metadata of the whole log, as text by key."""
         return self.file.metadata[PACKAGE]
 
     @property
@@ -99,17 +99,17 @@ class Recorded:
 
     @property
     def result(self) -> dict[str, Any]:
-        """What the command found, as it is attached.
+        """Returns the attached result of the command.
 
         Raises:
-            InputError: it is not, is no object, or an empty one.
+            InputError: it is not attached, is no object, or is empty.
         """
         if "result.json" not in self.file.attachments:
             raise InputError("result.json is not attached")
-        found = read_json(self.file.attachments["result.json"].data, "result.json")
-        if not isinstance(found, dict) or not found:
+        result = read_json(self.file.attachments["result.json"].data, "result.json")
+        if not isinstance(result, dict) or not result:
             raise InputError("result.json is empty, or no object")
-        return found
+        return result
 
 
 def read_log(path: Path) -> Recorded:
@@ -158,7 +158,7 @@ def timestep(metadata: Mapping[str, str]) -> float:
     return value
 
 
-def _run(file: McapFile, name: str, prefix: str) -> RecordedRun:
+def _run(file: McapContents, name: str, prefix: str) -> RecordedRun:
     responses, damage = {}, []
     for response in RESPONSES:
         topic = file.channels.get(prefix + response)
@@ -193,7 +193,7 @@ def _samples(topic: Logged) -> Samples:
 
 
 def _unit(text: str) -> Any:
-    """The unit in what a channel says of a signal; None where it says none."""
+    """Returns the unit in a channel's description of a signal, or None if it has none."""
     about = read_json(text, "what is said of a signal") if len(text) <= MOST_ABOUT else None
     return about.get("unit") if isinstance(about, dict) else None
 
@@ -241,10 +241,10 @@ def _whole(text: str) -> int:
 
 
 def is_current(log: Recorded) -> bool:
-    """Whether a log is of this format; False for one that is older than formats are numbered.
+    """Returns True if a log has this format, False if it is older than numbered formats.
 
     Raises:
-        InputError: it is of another, or of none and yet younger.
+        InputError: the log has another format, or no format number in spite of younger claims.
     """
     number = log.metadata.get("format")
     if number is not None and number != str(FORMAT):

@@ -1,4 +1,4 @@
-"""What could be read of an MCAP file: its bytes, records, attachments and channels, as they stand there."""
+"""Readable contents of an MCAP file: its bytes, records, attachments and channels."""
 
 import io
 import struct
@@ -39,7 +39,7 @@ class ExactStream(ReadDataStream):
 
 
 def decompressed(chunk: Chunk) -> bytes | None:
-    """A chunk's records, at most one byte more than it says; None where it is not compressed as it says."""
+    """Returns a chunk's records, at most one byte more than its size, or None if its data do not decompress."""
     most = chunk.uncompressed_size + 1
     try:
         if chunk.compression == "":
@@ -56,17 +56,17 @@ def decompressed(chunk: Chunk) -> bytes | None:
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """A channel and its messages, as bytes.
+    """Channel and its messages, as bytes.
 
     Attributes:
         topic: its name; a second channel of the same name is damage, and its messages are not kept.
         encoding: of its messages.
-        schema: name, encoding and data; None where it has none.
-        metadata: what is said beside it.
+        schema: name, encoding and data, or None without a schema.
+        metadata: of the channel.
         times: log times [ns], shape (N,), uint64, in the order of the file.
-        ends: where each message ends in `content`, shape (N,), uint64.
-        content: the messages, one behind the other.
-        unlike: messages that were not published when they were logged, or are numbered; a run of ours writes none.
+        ends: end of each message in `content`, shape (N,), uint64.
+        content: the messages, concatenated.
+        unlike: number of messages with a sequence number, or published at another time than logged; Roadproof writes none.
     """
 
     topic: str
@@ -79,7 +79,7 @@ class Logged:
     unlike: int
 
     def messages(self) -> Iterator[memoryview]:
-        """One by one."""
+        """Yields the messages one by one."""
         start = 0
         for end in self.ends.tolist():
             yield self.content[start:end]
@@ -107,19 +107,19 @@ class Attached:
 
 
 @dataclass(frozen=True, eq=False)
-class McapFile:
-    """What could be read of a file.
+class McapContents:
+    """Readable contents of a file.
 
     Attributes:
         metadata: records by name.
         attachments: by name.
         channels: by topic.
-        schemas: their names, also of those that no channel has.
-        chunks: how many were read.
-        messages: how many were read, on whatever channel.
-        right: checksums that are there, and right.
-        absent: checksums that are not there: the format allows zero for one.
-        damage: what is missing or broken, in words; empty for a whole file.
+        schemas: names of all schemas, used or not.
+        chunks: number of chunks read.
+        messages: number of messages read, on any channel.
+        right: number of correct checksums.
+        absent: number of absent checksums: the format allows zero for one.
+        damage: missing or broken parts, in words; empty for a whole file.
     """
 
     metadata: Mapping[str, Mapping[str, str]]
@@ -157,7 +157,7 @@ class Channels:
     """
 
     def __init__(self, damaged: Callable[[str], None]) -> None:
-        """What is damaged is said to `damaged`, in words."""
+        """Prepares to collect channels; `damaged` receives descriptions of damage."""
         self.messages, self._damaged = 0, damaged
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -166,7 +166,7 @@ class Channels:
 
     @property
     def schema_names(self) -> tuple[str, ...]:
-        """Of all schemas, in their order."""
+        """Returns the names of all schemas, in their order."""
         return tuple(schema.name for schema in self._schemas.values())
 
     def logged(self) -> dict[str, Logged]:

@@ -19,7 +19,7 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord
 
 from models.common.errors import InputError
 from models.common.files import open_plain
-from sim.inspect.mcap_contents import MIB, MOST_RECORD, Attached, Channels, ExactStream, McapFile, decompressed
+from sim.inspect.mcap_contents import MIB, MOST_RECORD, Attached, Channels, ExactStream, McapContents, decompressed
 
 GIVE = "give an .mcap file that a run has written"
 MAGIC = b"\x89MCAP0\r\n"
@@ -35,7 +35,7 @@ _BROKEN = (McapError, ValueError, struct.error)  # what a record's own reader ma
 AnyRecord = TypeVar("AnyRecord", bound=McapRecord)
 
 
-def read_mcap(path: Path) -> McapFile:
+def read_mcap(path: Path) -> McapContents:
     """Reads a regular file as far as it can be read.
 
     Raises:
@@ -80,14 +80,14 @@ class _Reader:
             else:
                 self._damaged(f"the {_name(opcode)} {where} is none that a run of ours writes")
 
-    def found(self) -> McapFile:
-        """What was read."""
+    def found(self) -> McapContents:
+        """Returns the contents read so far."""
         damage = list(self._damage)
         if len(damage) > MOST_DAMAGE:
             damage = [*damage[:MOST_DAMAGE], f"and {len(damage) - MOST_DAMAGE} more of the kind"]
         counts = self._chunks, self._channels.messages, self._right, self._absent
         logged, schemas = self._channels.logged(), self._channels.schema_names
-        return McapFile(self._metadata, self._attachments, logged, schemas, *counts, tuple(damage))
+        return McapContents(self._metadata, self._attachments, logged, schemas, *counts, tuple(damage))
 
     def _damaged(self, remark: str) -> None:
         if len(self._damage) < 1000 * MOST_DAMAGE:
@@ -142,11 +142,11 @@ class _Reader:
         if magic != MAGIC:
             self._damaged("it does not end as an MCAP file does")
 
-    def _sound(self, given: int, found: int) -> bool:
-        """Whether a checksum is right, or not there: zero stands for none, where it is not the checksum itself."""
-        self._right += given == found
-        self._absent += given == 0 != found
-        return given in (0, found)
+    def _sound(self, given: int, computed: int) -> bool:
+        """Returns True if a checksum is right or absent, and counts it: zero means absent, unless it is the checksum itself."""
+        self._right += given == computed
+        self._absent += given == 0 != computed
+        return given in (0, computed)
 
     def _keep(self, where: str, size: int) -> bool:
         self._kept += size
@@ -226,6 +226,6 @@ class _Reader:
 
 
 def _name(opcode: int) -> str:
-    """What a record is called."""
+    """Returns the name of a record type."""
     known = {code.value: code.name.lower().replace("_", " ") for code in Opcode}
     return f"{known.get(opcode, 'unknown')} record"

@@ -1,4 +1,4 @@
-"""Whether a log still proves what it claims: every claim against what follows anew from the same log."""
+"""Proof of a log: every claim is checked against the value that follows from the same log."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ from sim.inspect.command_line import Held, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
-from sim.inspect.mcap_contents import McapFile
+from sim.inspect.mcap_contents import McapContents
 from sim.inspect.reproduction import (
     FEWEST,
     as_response,
@@ -54,15 +54,15 @@ NOT_RUN = "its text is attached and was not run: what follows is of the forces t
 
 @dataclass(frozen=True, eq=False)
 class Inspected:
-    """One run of a log, checked.
+    """Checked run of a log.
 
     Attributes:
         recorded: as it was logged.
-        samples: how many could be used.
+        samples: number of usable samples.
         findings: every claim.
-        again: what analysis predicts of it anew; None where that was not possible.
-        run: with the physics of the log and the verdict on it, anew; None where there is none.
-        made: as it would be written now, its responses as they were logged; None where it is not whole.
+        again: recomputed prediction, or None if that was not possible.
+        run: run with the logged physics and a recomputed verdict, or None.
+        made: the log that would be written now, with the logged responses, or None if the run is not whole.
     """
 
     recorded: RecordedRun
@@ -75,12 +75,12 @@ class Inspected:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """A log, checked.
+    """Checked log.
 
     Attributes:
         log: as it was read.
-        vehicle: of the attached file; None where there is none.
-        timestep: [s]; NaN where there is none.
+        vehicle: of the attached file, or None.
+        timestep: [s], or NaN if it is unknown.
         findings: on the file as a whole.
         runs: its runs.
     """
@@ -93,7 +93,7 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the log still proves everything that it claims."""
+        """Returns True if the log still proves everything that it claims."""
         findings = [*self.findings, *(finding for run in self.runs for finding in run.findings)]
         return bool(self.runs) and all(finding.verdict in (HOLDS, NOTE) for finding in findings)
 
@@ -126,8 +126,8 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
     return Proof(log, vehicle, h, tuple(findings), runs)
 
 
-def _file(file: McapFile, current: bool) -> list[Finding]:
-    """Whether the file is whole. All its checksums have to be there: a run of ours writes them, and did not always."""
+def _file(file: McapContents, current: bool) -> list[Finding]:
+    """Checks that the file is whole. Logs of the current format have all their checksums, older ones may lack some."""
     remarks = list(file.damage)
     if current and file.absent:
         remarks.append(f"{file.absent} of {file.right + file.absent} checksums not there; a run of ours writes them all")
@@ -138,7 +138,7 @@ def _file(file: McapFile, current: bool) -> list[Finding]:
 
 
 def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
-    """What a log holds beside its runs, and how it is written down."""
+    """Checks the parts of a log beside its runs, and its format."""
     made, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
     if len(made) < len(runs):
         absent = ", ".join(run.recorded.name for run in runs if not run.made)
@@ -155,10 +155,10 @@ def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected]
 
 
 def _held(one: Inspected) -> Held:
-    """What a log holds of a run that its command line is to have asked for.
+    """Returns the data of a run for the check of the command line.
 
     Raises:
-        InputError: it does not claim that.
+        InputError: a claim is missing.
     """
     assert one.again is not None, "the caller has asked"
     recorded, how = one.recorded, one.again.vehicle.implementation
@@ -244,7 +244,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
 
 
 def _is_whole(recorded: RecordedRun, samples: int) -> bool:
-    """Whether all samples are there; of a log that does not say how many there were, they are not."""
+    """Returns True if all samples are there; False if the claimed number cannot be read."""
     try:
         return samples == claimed_samples(recorded, samples)
     except InputError:  # which `check_samples` says

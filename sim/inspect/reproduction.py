@@ -46,14 +46,14 @@ FEWEST = 3  # samples that make a run
 
 
 def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
-    """The vehicle of the attached file.
+    """Returns the vehicle of the attached file.
 
     Args:
         log: the log.
-        kinds: folder of kinds of vehicle of the user's own, whose Python is run; None where only those that ship are known.
+        kinds: folder of kinds of vehicle of the user's own, whose Python is run, or None for those that ship alone.
 
     Raises:
-        InputError: there is no such file, or it is none.
+        InputError: there is no such file, or it is no vehicle file.
     """
     shipped, said = kind_names(), log.metadata.get("vehicle_type")
     if kinds is None and said is not None and said not in shipped:
@@ -73,10 +73,10 @@ def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
 
 
 def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
-    """The vehicle with the implementation of this run: one that shows a delay margin has a delay that the vehicle file has not.
+    """Returns the vehicle with the implementation of this run, which may have a delay that the vehicle file lacks.
 
     Raises:
-        InputError: what the log says is none, or its limits are not those of the vehicle file.
+        InputError: the logged implementation is invalid, or its limits are not those of the vehicle file.
     """
     limits = read_limits(_given(run.claim("limits"), "limits"), vehicle.kind.suspensions)
     if limits != vehicle.limits:
@@ -191,14 +191,14 @@ def predicted_again(
     samples: int,
     timestep: float,
 ) -> Prediction:
-    """What linear analysis says of a run, anew: of a law in Python, under the forces that are attached.
+    """Recomputes the prediction of a run by linear analysis; for a law in Python, under the attached forces.
 
     Args:
         log: the log.
         run: the run.
         vehicle: its vehicle, see `implemented`.
         controller: its controller, see `recorded_controller`.
-        samples: how many are computed.
+        samples: number of samples.
         timestep: [s].
 
     Raises:
@@ -221,7 +221,7 @@ def predicted_again(
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:
-    """How many samples of a run all its responses have, from the first on and without a gap."""
+    """Returns the number of samples that all responses of a run have, from the first on and without a gap."""
     counts = []
     for logged in run.responses.values():
         due = np.round(np.arange(len(logged.times)) * timestep * 1e9)
@@ -262,7 +262,7 @@ def as_response(
 
 
 def _given(section: Any, what: str) -> Mapping[str, Any]:
-    """What a section of a vehicle file would give: the log writes down what is absent too."""
+    """Returns a logged section as a vehicle file would have it: the log contains absent keys as well."""
     if not isinstance(section, dict):
         raise InputError(f"its {what} are none")
     return {key: value for key, value in section.items() if value is not None}

@@ -16,9 +16,9 @@ from sim.recording.run_log import MUJOCO, SAMPLED
 
 
 def write_signals(path: Path, proof: Proof) -> None:
-    """One line per sample and run, units in the headings; a number that is missing or not finite is left empty.
+    """Writes a row per sample and run, with units in the headings; missing or non-finite numbers are left empty.
 
-    Of several runs the states of their controllers share columns, by number.
+    The controller states of several runs share columns, by number.
 
     Args:
         path: the file; it gets its name when it is whole.
@@ -45,7 +45,7 @@ def write_signals(path: Path, proof: Proof) -> None:
 
 
 def _rows(proof: Proof, one: Inspected, columns: int) -> Array:
-    """The three of every signal beside each other, shape (T, columns), NaN where there is none."""
+    """Returns the three values of every signal side by side, shape (T, columns), NaN if one is missing."""
     assert proof.vehicle is not None, "the caller has asked"
     states = kept(one.again.controller) if one.again else ()
     rows = np.full((3, one.samples, columns // 3), np.nan)

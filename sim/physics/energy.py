@@ -45,8 +45,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.response import Response
 
-# Largest residual, relative to the turnover. RK4 leaves 2e-7 at 1 ms and 4e-5 at 4 ms, with kinks 5e-5 and 6e-4 (every vehicle and
-# controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
+# Largest residual, relative to the turnover. RK4 leaves 2e-7 at 1 ms and 4e-5 at 4 ms, with kinks 5e-5 and 6e-4 (every vehicle
+# and controller that ships, over two bumps); a damper that is 1 % off leaves 3e-3 and more.
 BALANCED = 1e-3
 ROUNDING = 1e-8  # smallest turnover, relative to the energy at rest: below it the residual is rounding
 AT_ONCE = 4096  # states that are evaluated together

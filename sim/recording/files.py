@@ -65,7 +65,7 @@ def record(
 
 
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
-    """What to type to look at each file of a recording."""
+    """Returns the commands that open each file of a recording."""
     return [
         Whole(f"  rerun {pasted_path(paths['rerun'])}"),
         "  for Foxglove and Lichtblick, with the layout beside it",

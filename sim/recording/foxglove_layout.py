@@ -32,7 +32,9 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
-    """One run: the car and what happened on the left, every signal's responses and the differences on the right."""
+    """Adds the panels of one run: the car and its events on the left, every signal's responses and the differences on the
+    right.
+    """
     color = styles(tuple(other.name for other in runs))[run.name][0]
     car, log = f"3D!{_id(run.name)}", f"RosOut!{_id(run.name)}"
     panels[car] = _scene(runs, [run])
@@ -54,7 +56,7 @@ def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
 
 
 def _acting(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, color: str) -> list[tuple[str, Any]]:
-    """What acted beside the signals: loads over time, and forces of dampers and springs over what stretches them."""
+    """Adds the panels of loads over time, and of damper and spring forces over their arguments."""
     pages = []
     if LOADS in run.acting:
         where = topic(runs, run, LOADS)
@@ -153,7 +155,7 @@ def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, A
 
 
 def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[str, Any]:
-    """One curve: a field of a topic."""
+    """Returns a curve: a field of a topic."""
     return {
         "value": _field(topic, field),
         "label": label,
@@ -176,7 +178,7 @@ def _title(signal: Signal) -> str:
 
 
 def _paged(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """One page as it is, several as tabs."""
+    """Returns a single page as it is, several as tabs."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"

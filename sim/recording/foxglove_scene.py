@@ -46,18 +46,18 @@ def frame(run: RunLog, body: str = "") -> str:
 
 
 def events(run: RunLog, times: list[int]) -> Messages:
-    """What happened, at these times [ns]."""
+    """Yields the events of a run, at these times [ns]."""
     for time, (_, text) in zip(times, run.events, strict=True):
         yield Log(timestamp=_stamp(time), level=Log.INFO, message=text, name=run.name)
 
 
 def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
-    """Where every body is, and the car as a whole.
+    """Yields the poses of every body, and of the car as a whole.
 
     Args:
         run: its frames are finite.
         times: of its frames [ns].
-        stand: where its car stands in the world [m], shape (3,).
+        stand: position of its car in the world [m], shape (3,).
     """
     own = FrameTransform(
         parent_frame_id=WORLD,
@@ -98,7 +98,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving(run: RunLog, times: list[int], largest: float) -> Messages:
-    """What changes its shape: struts, tyres, and the control forces, of which `largest` [N] has the longest arrow."""
+    """Yields the deforming parts: struts, tyres, and the control forces, of which `largest` [N] has the longest arrow."""
     scene = run.scene
     struts = [_packed(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)]
     looks = [
@@ -123,13 +123,13 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
 
 
 def alike(kind: type, first: bytes, second: bytes) -> bool:
-    """Whether two messages show the same. Numbers may differ by `NEAR`, or by one step of the grid if they lie on it."""
+    """Returns True if two messages show the same, with numbers equal to `NEAR`, or to one step of the grid they lie on."""
     try:
         now, said = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue] - generated
     except DecodeError:
         return False
     said.DiscardUnknownFields()
-    return said.SerializeToString() == second and _alike(now, said)  # nothing stands in it twice, or beside what is known
+    return said.SerializeToString() == second and _alike(now, said)  # no field occurs twice, and none is unknown
 
 
 def _alike(first: Any, second: Any) -> bool:
@@ -154,7 +154,7 @@ def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEnti
 
 
 def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:
-    """What pushes on the body, beside each strut. A force too small for an arrow has none."""
+    """Yields an arrow beside each strut for its force on the body, unless the force is too small."""
     for name, force in scene.forces.items():
         bottom, top = scene.springs[name][index]
         length = LONGEST * float(force[index]) / (largest or 1.0)

@@ -286,10 +286,10 @@ def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
     yield from (channel for channel in _published(runs) if channel.times)
 
 
-def _nearly_equal(one: bytes, other: bytes) -> bool:
-    """Whether two messages of doubles are the same, to what another machine makes of a cosine."""
-    (tags, numbers), (others, found) = _fields(one), _fields(other)
-    return tags == others and np.allclose(numbers, found, rtol=SAME, atol=SAME, equal_nan=True)
+def _nearly_equal(message: bytes, other: bytes) -> bool:
+    """Returns True if two messages of doubles are equal up to the rounding of another machine."""
+    (tags, numbers), (others, numbers_of_other) = _fields(message), _fields(other)
+    return tags == others and np.allclose(numbers, numbers_of_other, rtol=SAME, atol=SAME, equal_nan=True)
 
 
 def _fields(message: bytes) -> tuple[bytes, Array]:
@@ -314,7 +314,7 @@ def _nanoseconds(time: Array) -> list[int]:
 
 
 def _described(signal: Signal) -> str:
-    """What a reader needs beside the numbers, as JSON."""
+    """Returns the description of a signal for readers, as JSON."""
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
 
@@ -365,7 +365,7 @@ def _varint(value: int) -> bytes:
 
 
 def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
-    """What has a published schema: events and the scene."""
+    """Yields the channels with published schemas: events and the scene."""
     from sim.recording import foxglove_scene as scene
 
     largest = largest_force(run.scene for run in runs)

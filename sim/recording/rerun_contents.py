@@ -149,7 +149,7 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
 
 
 def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
-    """What happened: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
+    """Logs the events: as text at `events`, and as markers on every curve of the physics, at `signals/<signal>/<what>`."""
     if not run.events:
         return
     texts = [text for _, text in run.events]
@@ -197,15 +197,15 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """What is proved of every run, a table as narrow as a view, and what was found, in sentences that break; as Markdown."""
+    """Returns a narrow table of every run's proved claims, and its results as sentences, in Markdown."""
     keys = ("bound", "norm", "stable")
-    rows, found = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
+    rows, results = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
     for run in runs:
         claims = [_number(run.metadata.get(key, "-")) for key in keys]
         rows.append(f"| {_cell(run.name)} | {' | '.join(claims)} |")
         first = f"; first: {run.events[0][1]}, {run.events[0][0]:.3g} s" if run.events else ""
-        found.append(f"- **{_cell(run.name)}** {_cell(run.verdict) or '-'}{first}")
-    return "\n".join([*rows, "", "MuJoCo:", "", *found])
+        results.append(f"- **{_cell(run.name)}** {_cell(run.verdict) or '-'}{first}")
+    return "\n".join([*rows, "", "MuJoCo:", "", *results])
 
 
 def _number(text: str) -> str:
@@ -289,7 +289,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 
 
 def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Array, force: Array, largest: float) -> None:
-    """What pushes on the body, as an arrow beside the strut."""
+    """Logs a force on the body as an arrow beside the strut."""
     axis = ends[:, 1] - ends[:, 0]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     recording.log(path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.018]), static=True)

@@ -55,7 +55,7 @@ MARGIN = 0.04  # of the range, or of a step, so that neither a peak nor a label 
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
-    """One run: its page. Several: all of them beside each other first, then a page each."""
+    """Returns the page of a single run. For several runs a page that compares all comes first."""
     pages = [_page(run) for run in runs]
     root = pages[0] if len(pages) == 1 else rrb.Tabs(_comparison(runs), *pages, active_tab=0)
     return rrb.Blueprint(
@@ -99,7 +99,7 @@ def _page(run: RunLog) -> rrb.Container:
 
 
 def _acting(run: RunLog) -> list[rrb.Container]:
-    """What acted beside the signals: loads over time, and the diagrams of dampers and springs."""
+    """Returns the views of loads over time, and of the diagrams of dampers and springs."""
     pages: list[rrb.Container] = []
     if LOADS in run.acting:
         loads = run.acting[LOADS]
@@ -178,7 +178,7 @@ def doubles(runs: Sequence[RunLog]) -> set[str]:
 
 @np.errstate(invalid="ignore", over="ignore")  # what is no number is like nothing
 def _same_curves(one: Response, other: Response) -> bool:
-    """Whether no curve of one is seen beside that of the other."""
+    """Returns True if no curve of one response can be told from that of the other."""
     if one.signals != other.signals or not np.array_equal(one.time, other.time):
         return False
     apart = np.abs(one.values - other.values).max(axis=0)
@@ -203,7 +203,7 @@ def _room(count: int, columns: int) -> tuple[float, float]:
 
 
 def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
-    """One signal of all runs, each in its colour."""
+    """Returns the plot of a signal of all runs, each in its colour."""
     having = {
         run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names
     }
@@ -222,7 +222,9 @@ def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
 def _plot(
     signal: Signal, paths: Sequence[str], curves: Sequence[Array], legend: bool, lines: Mapping[Any, Any] | None = None
 ) -> rrb.View:
-    """One signal; `lines` restyles the series by path. All plots zoom and pan together in time; one legend speaks for all."""
+    """Returns the plot of a signal; `lines` restyles the series by path. All plots zoom and pan together in time, with one
+    legend.
+    """
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ {path}" for path in paths],
@@ -275,16 +277,16 @@ def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis | None:
 
 
 def extremes(curves: Iterable[Array]) -> tuple[float, float] | None:
-    """The least and the greatest value of some curves; None where none is finite."""
+    """Returns the least and the greatest finite value of some curves, or None if there is no finite value."""
     finite = [curve[np.isfinite(curve)] for curve in curves]
     ends = [(float(part.min()), float(part.max())) for part in finite if part.size]
     return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
 
 def extremes_text(curves: Iterable[Array]) -> str:
-    """The same in words; empty where there are none."""
-    found = extremes(curves)
-    return "" if found is None else " to ".join(dict.fromkeys(f"{value + 0.0:.3g}" for value in found))
+    """Describes the extremes in words; empty without any."""
+    limits = extremes(curves)
+    return "" if limits is None else " to ".join(dict.fromkeys(f"{value + 0.0:.3g}" for value in limits))
 
 
 def labelled(low: float, high: float) -> tuple[float, float]:
@@ -304,12 +306,12 @@ def labelled(low: float, high: float) -> tuple[float, float]:
 
 
 def spacing(span: float) -> float:
-    """From one label to the next on an axis of this length, in the axis's own unit."""
+    """Returns the distance of labels on an axis of this length, in the axis's own unit."""
     return 10.0 ** math.ceil(math.log10(span) - math.log10(CLOSEST))
 
 
 def count(low: float, high: float, step: float) -> int:
-    """How many multiples of a step lie in a range."""
+    """Returns the number of multiples of a step in a range."""
     return math.floor(high / step) - math.ceil(low / step) + 1
 
 
@@ -374,7 +376,7 @@ def _check_complete(path: Path) -> None:
     """Reads the table of contents, which Rerun writes last: it writes in a thread, and raises nothing on a full disk.
 
     Raises:
-        OSError: there is none.
+        OSError: the table is missing.
     """
     try:
         with warnings.catch_warnings(action="error"):

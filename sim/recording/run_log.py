@@ -1,8 +1,7 @@
-"""What is recorded of one run, in plain data: what its log must hold, and which signals any viewer shows together.
+"""Recorded data of one run: the contents of its log, and the signals that viewers show together.
 
-Together with what writes a log (`records` and `channels` of `mcap_writer.py`, and `run_records.py`) this is the format.
-`sim.inspect` writes a log anew by the same functions, and holds it to that: what is missing, extra or another shows by
-construction.
+Together with the writers of a log (`records` and `channels` of `mcap_writer.py`, and `run_records.py`) this is the format.
+`sim.inspect` writes a log anew by the same functions and compares the two, so that missing, extra or changed parts show.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,7 +49,7 @@ WHOLE = ("bump", "drive")  # whose log holds every run that the result is of, so
 
 
 def check_keys(command: str, result: Mapping[str, Any]) -> None:
-    """Whether a result is one of its command.
+    """Checks that a result has the keys of its command.
 
     Raises:
         InputError: a key is missing or unknown, or there is no such command.
@@ -66,20 +65,20 @@ def check_keys(command: str, result: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """One run, as it is written down.
+    """Recorded data of one run.
 
     Attributes:
         name: the controller's name.
         responses: by topic, see `sim.recording.run_log`: the physics, its exact sampled counterpart, the paper's continuous loop.
-        metadata: what is claimed of the run, as text by key; JSON where a value has structure.
+        metadata: claims about the run, as text by key; structured values as JSON.
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
-        scene: what it looks like.
-        verdict: what the comparison came to, in a few words; empty where nothing was compared.
+        scene: its drawing.
+        verdict: result of the comparison, in a few words; empty if nothing was compared.
         files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
-        acting: what acted beside its signals, by topic: loads on the body, and what dampers and springs pulled with.
-        diagrams: of the latter, as they are drawn, each over its argument.
-        active: of its controller's states those that ask for most, the first of them first: what viewers show of many.
+        acting: further forces by topic: loads on the body, and forces of dampers and springs.
+        diagrams: of damper and spring forces, each over its argument.
+        active: its controller's states by decreasing contribution to the force; viewers show the first of many.
     """
 
     name: str
@@ -96,7 +95,7 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """MuJoCo minus sampled, of each signal's peak; None where there are not both."""
+        """Returns MuJoCo minus sampled, over each signal's peak, or None unless both responses exist."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])
@@ -149,7 +148,7 @@ def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
 
 
 def title(run: RunLog, group: str) -> str:
-    """What a page of a run is called: its group and, where the states of a controller are many, how many of them it shows."""
+    """Returns the title of a run's page: its group and, if the controller has many states, the number shown."""
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
     return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that ask for most"

@@ -52,10 +52,10 @@ SPACING, MOST = 0.05, 20_000  # of a profile's points [m], and how many there ar
 
 
 def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
-    """One run as a scene of 60 frames a second.
+    """Returns a run as a scene of 60 frames a second.
 
-    The names in the MJCF say what is drawn: a spring from every site `NAME_bottom` to its `NAME_top`, the force of an actuator on
-    the tendon NAME beside it, and a cylinder that has the name of a tendon as a tyre of that tendon's length.
+    The names in the MJCF determine the drawing: a spring from every site `NAME_bottom` to its `NAME_top`, the force of an
+    actuator on the tendon NAME beside it, and a cylinder that has the name of a tendon as a tyre of that tendon's length.
 
     Args:
         vehicle: the vehicle.
@@ -176,7 +176,7 @@ def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
 
 
 def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:
-    """What all runs of a log share.
+    """Returns the metadata that all runs of a log share.
 
     Args:
         command_line: `python -m sim.COMMAND ...`, which does the same again.
@@ -195,9 +195,9 @@ def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dic
 
 
 def command_of(command_line: str) -> str:
-    """The name of the command of a line `python -m sim.NAME ...`; empty where it is none."""
-    found = re.match(r"python -m sim\.(\w+)( |$)", command_line)
-    return found[1] if found else ""
+    """Returns the command's name in a line `python -m sim.NAME ...`, or an empty string for another line."""
+    match = re.match(r"python -m sim\.(\w+)( |$)", command_line)
+    return match[1] if match else ""
 
 
 def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
@@ -217,7 +217,7 @@ def record_runs(
     runs: Mapping[str, Run],
     result: Mapping[str, Any],
 ) -> dict[str, str]:
-    """Records what a command has run, as `sim.recording.files.record` does.
+    """Records the runs of a command, as `sim.recording.files.record` does.
 
     Args:
         folder: where to.
@@ -231,7 +231,7 @@ def record_runs(
         The files' paths: `mcap` and `rerun`.
 
     Raises:
-        InputError: the folder cannot be written, or the result is none of the command's (`sim.recording.run_log`).
+        InputError: the folder cannot be written, or the result does not fit the command (`sim.recording.run_log`).
     """
     from sim.recording.files import record  # it imports Rerun
 
@@ -342,7 +342,7 @@ def run_log(run: Run, name: str) -> RunLog:
 
 
 def _active(run: Run) -> tuple[str, ...]:
-    """Its controller's states, the one that asks for most at any moment first, as the sampled response has it."""
+    """Returns the names of its controller's states by decreasing peak contribution to the force in the sampled response."""
     if not isinstance(run.controller, Controller):
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]

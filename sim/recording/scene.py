@@ -1,4 +1,4 @@
-"""What a run looks like, for viewers that know nothing of MuJoCo: solids on moving bodies, springs, dampers, tyres and forces."""
+"""Drawing of a run for viewers without MuJoCo: solids on moving bodies, springs, dampers, tyres and forces."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -44,7 +44,7 @@ class Shape:
 
     @property
     def rotation(self) -> Array:
-        """Its orientation in the body's frame as a matrix, shape (3, 3)."""
+        """Returns the shape's orientation in the body's frame as a matrix, shape (3, 3)."""
         return rotation_matrix(self.quaternion)
 
     @property
@@ -63,7 +63,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where a body is: world positions [m], shape (F, 3), and orientations (w, x, y, z), shape (F, 4), per frame."""
+    """Motion of a body: world positions [m], shape (F, 3), and orientations (w, x, y, z), shape (F, 4), per frame."""
 
     positions: Array
     quaternions: Array
@@ -93,7 +93,7 @@ class Tyre:
 
     @property
     def lifted(self) -> Array:
-        """Whether it is off the road, per frame, shape (F,)."""
+        """Returns True for each frame in which the tyre is off the road, shape (F,)."""
         return self.height > self.radius
 
 
