@@ -1,1 +1,1 @@
-"""The door for vehicles: a vehicle's signals as a plant, and a law as a controller, with what is proved of it and as built."""
+"""Controllers of vehicles: a vehicle's signals as a plant, a law with its certificate, and the loop as implemented."""

@@ -1,4 +1,4 @@
-"""A controller of a vehicle: its law, and what is proved of it for the problem that it is for (`synth.controller.problem`)."""
+"""A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class Law(Protocol):
-    """From what is measured to forces."""
+    """The protocol of a law from measurements to forces."""
 
     @property
     def record(self) -> dict[str, Any]:
-        """It as JSON and TOML hold it."""
+        """Returns the law for JSON and TOML."""
         ...
 
 
@@ -42,22 +42,22 @@ class Driver(Protocol):
 
     @property
     def name(self) -> str:
-        """As asked for."""
+        """Name of the controller."""
         ...
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The signals y that it measures, q of them."""
+        """The q measured signals y."""
         ...
 
     @property
     def law(self) -> Law:
-        """Its law."""
+        """The law of the controller."""
         ...
 
     @property
     def states(self) -> int:
-        """How many states its linear law has; 0 if it is not linear."""
+        """Number of states of a linear law; 0 if the law is not linear."""
         ...
 
     @property
@@ -67,34 +67,33 @@ class Driver(Protocol):
 
     @property
     def text(self) -> str:
-        """Its law on one line."""
+        """The law on one line."""
         ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(Shown):
-    """A linear controller with what is known of it.
+    """A linear controller with its certificate and the notes of its design.
 
     Attributes:
-        name: as asked for.
-        measured: the signals y, q of them. Empty for `passive`.
-        law: from them to the m forces; a static one is u = K y.
-        designed: whether it was designed here; otherwise the law was given (or is zero, for `passive`).
-        state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
-            limit of the central path, more where the second problem is infeasible from there.
-        optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
-            where the optimum is reached only by gains beyond any actuator.
-        moved: how far the gain still moved from the point of its path before, relative to its largest entry; a hundredth of it is
-            about what is left to the limit.
+        name: section of the vehicle file.
+        measured: the q measured signals y. Empty for `passive`.
+        law: from y to the m forces; a static one is u = K y.
+        designed: True if it was designed here; otherwise the law was given (or is zero, for `passive`).
+        state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
+            central path, more if the second problem is infeasible from there.
+        optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
+            gains beyond any actuator reach the optimum.
+        moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
-        certificate: what is true of it.
-        case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
-        instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
-        remarks: of another design than by two steps, how near it came or what it is the best of, in words.
-        false_claims: what of the certificate that came with its gain does not hold, in words.
-        hardware: what of sensors and actuators its certificate knows.
-        sampled: whether it was designed for the loop that the computer closes; its certificate is of the ideal one.
-        promises: what it was designed for instead of the least norm, or is judged by beside it; empty where neither.
+        certificate: of the closed loop.
+        case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
+        instead: the fallback method and why the two steps found no gain, in words, or empty.
+        remarks: for other designs than by two steps, distance from the optimum or what was optimised, in words.
+        false_claims: claims of the given certificate that do not hold, in words.
+        hardware: sensor noise, actuator lag and loads that its certificate takes into account.
+        sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
+        promises: specifications that it was designed for or is judged by, beside the least norm.
     """
 
     name: str
@@ -117,7 +116,7 @@ class Controller(Shown):
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """What it measures, its law, and what its certificate says."""
+        """Measured signals, law and certificate."""
         title, proved = self.certificate.shown
         law = f"{self.law.states} states" if self.law.states else f"gain {self.gain.tolist()}" if self.measured else "no force"
         return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
@@ -128,7 +127,7 @@ class Controller(Shown):
 
     @property
     def states(self) -> int:
-        """How many states its law has."""
+        """Number of states of the law."""
         return self.law.states
 
     @property
@@ -138,41 +137,41 @@ class Controller(Shown):
 
     @property
     def text(self) -> str:
-        """Its law on one line."""
+        """The law on one line."""
         return self.law.text if self.measured else "no control force"
 
     @property
     def gain(self) -> Array:
-        """What acts at once: D_c, and K of a static controller, shape (m, q) [N per measured unit]."""
+        """Feedthrough D_c, or K of a static controller, shape (m, q) [N per measured unit]."""
         return self.law.D
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """The promises that are not kept, or not proved to be, in words."""
+        """The specifications that are not kept, or not proved, in words."""
         return tuple(f"not kept: {promise.text}" for promise in self.promises if not promise.holds)
 
     def problem(self, vehicle: Vehicle) -> Problem:
-        """What it is judged with, of a vehicle that has these signals."""
+        """Returns the problem that the controller is judged with, for a vehicle that has these signals."""
         return problem(vehicle, self.measured, self.hardware)
 
     def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
-        """The law in continuous time on C_y x: a force that is in what is measured is solved for.
+        """Returns the law in continuous time on C_y x, solved for forces that are part of the measurements.
 
         Raises:
-            InputError: it cannot be, or a discrete law has no continuous counterpart.
+            InputError: that loop has no solution, or a discrete law has no continuous counterpart.
         """
         return self.law.continuous().fed_back(self.problem(vehicle).through)
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
-        """The closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
+        """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
         plant, G = self.problem(vehicle).closed(self.law)
         return plant.closed_loop(G)
 
     def state_gain(self, vehicle: Vehicle) -> Array:
-        """G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
+        """Returns G = K C_y (6) of a static controller, for a vehicle that has these signals, shape (m, n).
 
         Raises:
-            ValueError: it has states; `loop` is of any.
+            ValueError: the law has states; `loop` accepts any law.
         """
         if self.law.states:
             raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
@@ -181,11 +180,11 @@ class Controller(Shown):
 
 
 class InterruptedDesign(KeyboardInterrupt):
-    """Ctrl-C, with a controller that is there all the same.
+    """Ctrl-C during a design, with the controller found so far.
 
     Attributes:
         controller: certified.
-        said: what of it is not as it would have been.
+        said: how it differs from the finished design.
     """
 
     def __init__(self, controller: Controller, said: str) -> None:
@@ -194,11 +193,11 @@ class InterruptedDesign(KeyboardInterrupt):
 
 
 def checked(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-    """What is true of a law by the proofs that its certificate brings, and what of that does not hold, in words.
+    """Recomputes the certificate of a law from the given proofs. Returns it with the claims that fail, in words.
 
     Args:
-        posed: what it is judged with.
-        entry: it gives its law.
+        posed: the problem that it is judged with.
+        entry: section of the vehicle file with its law.
 
     Raises:
         InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
@@ -213,7 +212,7 @@ def checked(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[
 
 
 def certified(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
-    """What is true of a law with no proof of its own, and what that beside it claims in vain; arguments as for `checked`.
+    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `checked`.
 
     Raises:
         InputError: the law has no loop.
@@ -237,13 +236,13 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 
 
 def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
-    """A law that was designed on C_y x, on what sensors read, where accelerations have the force in them.
+    """Returns a law designed on C_y x as a law on sensor readings, of which accelerations contain the force.
 
-    Forces that are measured are taken out of the readings; for the others the law is changed, so that its loop is the same.
+    Measured forces are subtracted from the readings; for others the law is changed, so that the loop stays the same.
 
     Args:
-        law: on those of the measured signals that say something of the state.
-        posed: what it was designed for, with all q signals.
+        law: on the measured signals that depend on the state.
+        posed: the problem that it was designed for, with all q signals.
 
     Raises:
         InputError: the loop through the measurements has no solution.
@@ -262,10 +261,10 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
 
 
 def alike(one: Vehicle, vehicles: Sequence[Vehicle]) -> list[Vehicle]:
-    """Vehicles of the kind of one, checked.
+    """Returns vehicles after a check that they are of the same kind as `one`.
 
     Raises:
-        InputError: one is no vehicle, of another kind, or has a parameter or a weight that is missing, unknown or not allowed.
+        InputError: an element is no vehicle, of another kind, or has a missing, unknown or forbidden parameter or weight.
     """
     sound: list[Vehicle] = []
     for i, vehicle in enumerate(vehicles):

@@ -1,8 +1,8 @@
-"""The L2 gain of a vehicle's loop as its computer closes it, from the road's continuous velocity to the continuous z.
+"""The L2 gain of a vehicle's sampled loop, from the road's continuous velocity to the continuous z.
 
-That is the continuous counterpart of the norm (18) for what `[implementation]` and the lag of `[limits]` make of the loop: its
-force is held from sample to sample and comes late, while road and vehicle go on. What is not linear does not count: limits of
-force and stroke, quantisation; nor does noise, which no road makes. Behind a lag the force that z weighs is the one that acts.
+It is the continuous norm (18) of the loop with `[implementation]` and the lag of `[limits]`: the force is held and delayed, while
+road and vehicle move continuously. Nonlinear parts (limits of force and stroke, quantisation) and noise do not count. Behind a
+lag, z weights the acting force.
 """
 
 import numpy as np
@@ -23,12 +23,12 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm:
-    """The L2 gain of the loop from all that disturbs it to z, infinite where it is not stable.
+    """Returns the L2 gain of the loop from all disturbances to z, infinite if the loop is not stable.
 
     Args:
-        vehicle: it says how the controller is implemented.
+        vehicle: with the controller's implementation.
         controller: its controller.
-        timestep: of the runs [s]; the sample period, where the vehicle gives none.
+        timestep: of the runs [s]; the sample period if the vehicle gives none.
     """
     ideal = controller.certificate.norm.value
     near = ideal if 0 < ideal < np.inf else 1.0
@@ -36,7 +36,7 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
 
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
-    """The loop as it is implemented, around the plant with its weights and its lag; arguments as for `norm_as_implemented`."""
+    """Returns the loop as implemented, with the plant's weights and lag; arguments as for `norm_as_implemented`."""
     how = vehicle.implementation
     period = how.sample_period or timestep
     cut = sampled(vehicle, controller, period)
@@ -49,12 +49,12 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
 
 
 def pieces_of(how: Implementation, period: float) -> tuple[Piece, ...]:
-    """The parts of a sample period [s], one after the other: two where forces come a fraction of one late."""
+    """Returns the consecutive parts of a sample period [s]: two if the delay has a fraction of a period."""
     return tuple(Piece(share * period, late) for share, late in how.held)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
-    """What the norms of faster and faster computers tend to: of the loop with its actuators' lag, and the road alone."""
+    """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
     if controller.hardware == IDEAL and vehicle.limits.actuator_bandwidth is None:
         return controller.certificate.norm.value
     Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
@@ -63,5 +63,5 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 
 def plant_as_built(vehicle: Vehicle) -> GeneralizedPlant:
-    """The plant (15) behind its actuators' lag, if they have one; z weighs the forces that act."""
+    """Returns the plant (15) behind its actuators' lag, if they have one; z weights the acting forces."""
     return generalized_plant(vehicle, vehicle.limits.actuator_bandwidth, acting=True)

@@ -1,11 +1,11 @@
-"""A vehicle with its actuators and whatever its controller keeps: before any loop is closed, and from one sample to the next.
+"""Open loops of a vehicle with its actuators and controller states, and closed loops from one sample to the next.
 
 A law with states is a static gain on a larger vehicle: its states are integrators, x_c' = v, driven by inputs v of their own.
 Then every formula of a loop that is closed by a gain holds for any law. Continuous, v = A_c x_c + B_c y. Sampled every T seconds,
 v = ((A_d - I) x_c + B_d y) / T is held meanwhile, which takes x_c to A_d x_c + B_d y exactly.
 
-A measured acceleration has the force in it. Continuous, that loop is solved. Sampled, the reading is taken before the new force
-acts: y = C x + D u, with the u that has acted until then, which is kept as a state too.
+A measured acceleration contains the force. In continuous time that loop is solved. A sampled reading is taken before the new
+force acts: y = C x + D u, with the previous u, which is a state too.
 """
 
 from dataclasses import dataclass, replace
@@ -28,15 +28,15 @@ from synth.plant.discrete import held_inputs
 
 @dataclass(frozen=True, eq=False)
 class Controlled:
-    """A vehicle, its actuators and its controller's states, and what is asked of its inputs.
+    """A vehicle with its actuators and controller states, and the gain to its inputs.
 
     Attributes:
-        model: its n states are the vehicle's, the lagged forces, the law's, and the forces that have acted; its inputs the m
-            forces asked for, and k rates of what is kept.
-        G: from its states to all those inputs, shape (m + k, n).
-        hold: what the forces that act add to the rates, shape (k, m).
-        reading: what a disturbance of each measurement adds to all the inputs, shape (m + k, q).
-        forces: m.
+        model: its n states are those of vehicle, lag and law, and the previous forces; its inputs are the m requested forces and
+            the k rates of the controller states.
+        G: from its states to all inputs, shape (m + k, n).
+        hold: from the acting forces to the rates, shape (k, m).
+        reading: from a disturbance of each measurement to all inputs, shape (m + k, q).
+        forces: number m.
     """
 
     model: LinearModel
@@ -47,27 +47,27 @@ class Controlled:
 
     @property
     def law_states(self) -> slice:
-        """Where the law's states are among those of the model."""
+        """Position of the law's states among those of the model."""
         named = [i for i, name in enumerate(self.model.states) if name.startswith(KEPT)]
         return slice(named[0], named[-1] + 1) if named else slice(0)
 
     @property
     def asked(self) -> Array:
-        """From the states to the forces asked for, shape (m, n)."""
+        """Gain from the states to the requested forces, shape (m, n)."""
         return self.G[: self.forces]
 
     @property
     def kept(self) -> Array:
-        """From the states to the rates of what is kept, but for what the forces that act add, shape (k, n)."""
+        """Gain from the states to the rates of the controller states, without that of the acting forces, shape (k, n)."""
         return self.G[self.forces :]
 
     def inputs(self, acting: Array, kept: Array | None = None, last: Array | None = None) -> Array:
-        """All inputs, from the forces that act: both per the same, shape (..., m, c) to (..., m + k, c).
+        """Returns the acting forces and the rates of the controller states, stacked, shape (..., m + k, c).
 
         Args:
             acting: the forces, shape (..., m, c).
-            kept: the rates, but for what those add, shape (..., k, c); those of the states where none are given.
-            last: the forces that act at the period's end, where those are others: they are what has acted then.
+            kept: the rates without the effect of the forces, shape (..., k, c). Default: those of the states.
+            last: the acting forces at the period's end. Default: `acting`.
         """
         kept = self.kept if kept is None else kept
         if not len(self.hold):
@@ -77,10 +77,10 @@ class Controlled:
 
 
 def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
-    """In continuous time; a discrete law as its bilinear counterpart.
+    """Returns the open loop in continuous time; a discrete law as its bilinear counterpart.
 
     Raises:
-        InputError: what is measured has the force in it, and that loop has no solution.
+        InputError: the measurements contain the force, and that loop has no solution.
     """
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
@@ -88,7 +88,7 @@ def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
 
 
 def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controlled:
-    """Sampled every so many seconds.
+    """Returns the open loop for a sample period.
 
     Args:
         vehicle: the vehicle.
@@ -109,14 +109,14 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
 
 
 def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 0.0) -> Controlled:
-    """With the states of a law, and the forces that have acted, where a measurement has them in it.
+    """Returns the open loop with the states of a law, and with the previous forces if a measurement contains them.
 
     Args:
         model: n states, m forces.
         law: continuous, k states.
         C: of the measurements, shape (q, n).
-        D: what the forces that have acted do in them, shape (q, m), or (q, 0) for nothing.
-        rate: at which a force that acts becomes one that has acted [1/s].
+        D: from the previous forces to the measurements, shape (q, m), or (q, 0) if they are not measured.
+        rate: at which an acting force becomes the previous one [1/s].
     """
     (n, m), k, held = model.B.shape, law.states, D.shape[1]
     more = k + held
@@ -149,18 +149,18 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
-    """The linear model with its actuators' lag, if they have one: the forces that act are its last states then."""
+    """Returns the linear model with its actuators' lag, if they have one: then the acting forces are its last states."""
     return vehicle.linear_model.behind_lag(vehicle.limits.actuator_bandwidth)
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A part of the period over which one force is held.
+    """A part of the period in which one force is held.
 
     Attributes:
-        steps: how many timesteps it lasts.
-        inputs: all inputs of `ImplementedLoop.cut` meanwhile, from the loop's state, shape (m + k, s).
-        at_once: what they are more by what is added to those that are computed at the sample, shape (m + k, m + k).
+        steps: duration in timesteps.
+        inputs: from the loop's state to all inputs of `ImplementedLoop.cut`, shape (m + k, s).
+        at_once: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
     """
 
     steps: int
@@ -170,15 +170,15 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class ImplementedLoop:
-    """The loop from one sample of the controller to the next.
+    """A closed loop from one sample of the controller to the next.
 
-    Its s states are those of `open_loop.sampled`, and beside them the forces on their way, the next to act first.
+    The s states are those of `open_loop.sampled`, followed by the delayed forces, the next to act first.
 
     Attributes:
-        cut: the vehicle and what its controller keeps, before the loop is closed.
+        cut: the open loop of vehicle and controller.
         transition: shape (s, s).
-        added: what is added to the inputs that are computed at a sample does to the next state, shape (s, m + k).
-        parts: of the period, in their order; one, but for a delay of a fraction of a sample.
+        added: from a disturbance of the inputs computed at a sample to the next state, shape (s, m + k).
+        parts: of the period, in their order; more than one if the delay has a fraction of a sample.
     """
 
     cut: Controlled
@@ -188,18 +188,18 @@ class ImplementedLoop:
 
     @property
     def by_step(self) -> list[Held]:
-        """What is held at every timestep of the period."""
+        """The held part at every timestep of the period."""
         return [part for part in self.parts for _ in range(part.steps)]
 
 
 @dataclass(frozen=True, eq=False)
 class LoopModel:
-    """A vehicle with its linear controller at a timestep, and the matrices of their loop, each made once, when first asked for.
+    """A vehicle with its linear controller at a timestep, and the matrices of their loop, computed when first used.
 
-    They raise an InputError if the sample period or the delay is no multiple of the timestep, see `steps_per_sample`.
+    Its properties raise an InputError if the sample period or the delay is no multiple of the timestep, see `steps_per_sample`.
 
     Attributes:
-        vehicle: the vehicle, which says how its controller is implemented.
+        vehicle: with the controller's implementation.
         controller: its controller.
         timestep: of the run [s].
     """
@@ -220,17 +220,17 @@ class LoopModel:
 
     @cached_property
     def open_loop(self) -> Controlled:
-        """The vehicle and what its sampled controller keeps, before the loop is closed."""
+        """The open loop of the vehicle and its sampled controller."""
         return sampled(self.vehicle, self.controller, self.period)
 
     @cached_property
     def continuous(self) -> Controlled:
-        """The same in continuous time, without delay."""
+        """The open loop in continuous time, without delay."""
         return continuous(self.vehicle, self.controller)
 
     @cached_property
     def closed_loop(self) -> ImplementedLoop:
-        """The loop as it is implemented."""
+        """The closed loop as implemented."""
         return _implemented(self.open_loop, self.vehicle.implementation, self.timestep)
 
     @cached_property

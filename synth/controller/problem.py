@@ -1,8 +1,7 @@
-"""The door through which a vehicle's named signals come in: its plant (15), and what a controller measures of it.
+"""The design problem of a vehicle: its plant (15) and the measurements of a controller, from named signals.
 
-The plant is the linear model with the weighted signals of `[performance]` as z. A controller may ask for more than that: for the
-noise of its sensors, which then is a disturbance beside the road, as loads on the body are; and for its actuators' lag, whose
-states join the vehicle's.
+The plant is the linear model with the weighted signals of `[performance]` as z. A controller may add the noise of its sensors and
+loads on the body, which are disturbances beside the road, and its actuators' lag, whose states join the vehicle's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a controller of a vehicle is designed for and judged with: y = C_y x + `through` u + Dyw w.
+    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `through` u + Dyw w.
 
     Attributes:
-        plant: n states, m inputs, r disturbances; loads, and then the noises of what is measured, are the
-            last of these.
+        plant: n states, m inputs, r disturbances, of which loads and then the measurement noises are the last.
         Cy: shape (q, n).
-        through: what the forces do at once to what is measured, shape (q, m).
-        Dyw: shape (q, r); None without noise, and without loads in what is measured.
-        forces: which of the measurements are forces that act at once, and so say nothing of the state; each by its input.
+        through: feedthrough from the forces to the measurements, shape (q, m).
+        Dyw: shape (q, r); None without noise and without loads in the measurements.
+        forces: input by index of each measurement that is a force without lag, and so independent of the state.
     """
 
     plant: GeneralizedPlant
@@ -44,30 +42,30 @@ class Problem:
 
     @property
     def of_state(self) -> list[int]:
-        """Which of the measurements are no such forces."""
+        """Indices of the measurements that are not in `forces`."""
         return [i for i in range(len(self.Cy)) if i not in self.forces]
 
     def rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
-        """C_y and Dyw of some of the measurements."""
+        """Returns C_y and Dyw of some of the measurements."""
         return self.Cy[kept], self.Dyw[kept] if self.Dyw is not None else None
 
     def closed(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
-        """A law as a gain on the plant with its states; a discrete one as its continuous counterpart (Tustin).
+        """Returns the plant with a law's states, and the law as a gain on it; a discrete law by its Tustin counterpart.
 
         Raises:
-            InputError: the loop through what is measured has no solution, or the law no counterpart.
+            InputError: the loop through the measurements has no solution, or the law no counterpart.
         """
         return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.through), self.Dyw)
 
 
 def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant: GeneralizedPlant | None = None) -> Problem:
-    """What a controller that measures these signals is designed for and judged with.
+    """Returns the problem that a controller with these measured signals is designed for and judged with.
 
     Args:
         vehicle: the vehicle.
         measured: the q signals.
-        hardware: what of sensors and actuators counts.
-        plant: `generalized_plant` for its actuators, if it is there already.
+        hardware: sensor noise, actuator lag and loads.
+        plant: `generalized_plant` for its actuators, if it is known already.
 
     Raises:
         InputError: a signal this vehicle has not.
@@ -90,7 +88,7 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant
 
 
 def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
-    """What loads do to states and outputs, in so much as counts as 1 m/s of w, shapes (n, l) and (p, l)."""
+    """Returns the effect of loads on states and outputs, scaled to the loads that count as 1 m/s of w, shapes (n, l), (p, l)."""
     some, scale = [model.loads.index(name) for name, _ in loads], np.array([value for _, value in loads])
     return model.Bl[:, some] * scale, model.Dl[:, some] * scale
 
@@ -98,17 +96,17 @@ def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[A
 def generalized_plant(
     vehicle: Vehicle, bandwidth: float | None = None, acting: bool = False, loads: Sequence[tuple[str, float]] = ()
 ) -> GeneralizedPlant:
-    """The plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
+    """Returns the plant (15) of a vehicle: its linear model, and the weighted signals of `[performance]` as z (34)-(37).
 
-    Where a weight, or the road's spectrum, depends on frequency, the states of its filters follow those of the vehicle, of which
-    the forces that act behind a lag are the last.
+    The states of frequency-dependent weights and of the road filter follow those of the vehicle, of which the forces behind a lag
+    are the last.
 
     Args:
         vehicle: the vehicle.
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
-        acting: behind a lag, the weight of a control force is of the force that acts, as for what is built. Else it is of the
-            force that is asked for, as that is what a controller decides.
-        loads: on the body, each with how much of it counts as 1 m/s of w; disturbances after those of the road.
+        acting: behind a lag, z weights the acting control force, as in the built system. Else it weights the requested force,
+            which the controller decides.
+        loads: on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
     """
     model = vehicle.linear_model.behind_lag(bandwidth)
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
@@ -140,7 +138,7 @@ def _system(one: "Filter | None") -> System:
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
-    """The names of the states of a vehicle's plant: the vehicle's own, and those of its filters, in their order.
+    """Returns the names of the states of a vehicle's plant: the vehicle's own, then those of its filters.
 
     Args:
         vehicle: the vehicle.
@@ -158,14 +156,14 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
 
 
 def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | None = None) -> tuple[Array, Array]:
-    """C_y on the states of a vehicle's plant, shape (q, n), and what the forces do at once to what is measured, shape (q, m).
+    """Returns C_y on the states of a vehicle's plant, shape (q, n), and the feedthrough of the forces, shape (q, m).
 
-    No state of a filter is measured: those are of what is asked for, not of the vehicle.
+    Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
         vehicle: the vehicle.
         signals: the q signals.
-        bandwidth: as for `generalized_plant`; behind a lag forces do nothing at once.
+        bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
 
     Raises:
         InputError: a signal this vehicle has not.
@@ -176,10 +174,10 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
 
 
 def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
-    """What the road's heights do where they act as such, as disturbances of their own, shapes (n, k) and (len(signals), k).
+    """Returns the effect of the road's twist as a disturbance of its own, shapes (n, k) and (len(signals), k).
 
-    From the road's velocity a lasting twist is an integral, which no controller bounds. As a disturbance beside the velocities it
-    is bounded, and counts at the rate of wheel hop (`LinearModel.twist_rate`): a bound that holds for both together.
+    As an integral of the road's velocity a lasting twist is unbounded. As a disturbance beside the velocities it is bounded, and
+    scaled by the rate of wheel hop (`LinearModel.twist_rate`): the bound holds for both together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
     directions = twists(model)
@@ -187,6 +185,6 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
 
 
 def twists(model: LinearModel) -> Array:
-    """Which combinations of the road's heights under the wheels act as such, orthonormal, shape (k, r)."""
+    """Returns the combinations of road heights under the wheels that act by their height, orthonormal, shape (k, r)."""
     _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
     return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]

@@ -1,4 +1,4 @@
-"""What there is to say of a controller and its design: in words, and of its loop as it is implemented also in records."""
+"""Reports on a controller and its design in words, and on its loop as implemented also in records."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,12 +19,12 @@ from synth.analysis.record import SAMPLED_NORM
 from synth.analysis.specification import ABOVE, SampledNorm
 from synth.controller.controller import Controller
 
-SAME = 10 * ABOVE  # relative: two machines agree in a norm that lies between two levels so close
-ROUTES_AGREE = 1e-6  # relative: a norm, and what an actual disturbance reaches of it
+SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
+ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
 
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
-    """The norm of a loop as it is implemented, where `[implementation]` says of its computer how often or how late it acts."""
+    """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay."""
     if vehicle.implementation.prompt:
         return None
     from synth.controller.implementation_norm import norm_as_implemented
@@ -33,19 +33,19 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
-    """The norm as certificates hold it; empty where there is none, or it is infinite."""
+    """Returns the norm as certificates hold it; empty if the norm is None or infinite."""
     return {SAMPLED_NORM: norm.value} if norm is not None and norm.stable else {}
 
 
 def norm_object(norm: SampledNorm | None) -> dict[str, Any]:
-    """The norm as JSON has it, with what proves it; empty where there is none."""
+    """Returns the norm with its proof as JSON; empty if the norm is None."""
     if norm is None:
         return {}
     return {SAMPLED_NORM: finite(norm.value), f"{SAMPLED_NORM}_proof": proof_object(norm) if norm.stable else None}
 
 
 def proof_object(norm: SampledNorm) -> dict[str, Any]:
-    """What proves a norm that is not infinite, as JSON has it."""
+    """Returns the proof of a finite norm as JSON."""
     return {
         "above": norm.lower,
         "below": norm.upper,
@@ -57,7 +57,7 @@ def proof_object(norm: SampledNorm) -> dict[str, Any]:
 
 
 def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | None) -> list[str]:
-    """The norm in words, beside that of the ideal loop; nothing where there is none."""
+    """Returns the norm in words, compared with that of the ideal loop; empty if the norm is None."""
     if norm is None:
         return []
     built = built_words(vehicle)
@@ -78,20 +78,20 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
 
 
 def built_words(vehicle: Vehicle) -> str:
-    """What of a loop as built counts in its norm: what is linear of it."""
+    """Returns the linear parts of an implementation, which its norm takes into account, in words."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
     return ", ".join((*vehicle.implementation.clear.words, *lag.words(())))
 
 
 def sampled_lines(vehicle: Vehicle) -> list[str]:
-    """What "sampled" is in a table of norms, where there is such a column."""
+    """Returns the explanation of the column "sampled" in a table of norms, if it has one."""
     if vehicle.implementation.prompt:
         return []
     return [f"sampled is the norm of the loop as built, road and car going on between its samples: {built_words(vehicle)}"]
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
-    """What does not hold of a norm, in words."""
+    """Returns the failures of a sampled norm, in words."""
     if norm is None or not norm.stable:
         return ()
     if norm.reached > norm.upper:
@@ -102,9 +102,9 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
 
 
 def only_without_computer(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """What of a certificate's failures is none, in words: that a loop would not be stable without the computer that makes it so.
+    """Returns the certificate failures to ignore: instability of the continuous loop if the sampled loop is stable.
 
-    Whether a controller is any good is said by the loop that drives: the one that its computer closes, where there is one.
+    The sampled loop, if there is one, decides, as it is the one that drives.
     """
     held = norm is not None and norm.stable and not vehicle.implementation.prompt
     return (certificate.stability.words,) if held and not certificate.stable else ()
@@ -113,13 +113,13 @@ def only_without_computer(vehicle: Vehicle, certificate: Certificate, norm: Samp
 def failures_as_it_runs(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
-    """What fails of a controller as it runs, in words: of the failures without its computer, those that its computer leaves."""
+    """Returns the failures of the loop as implemented: those of the continuous loop that sampling does not cure, and its own."""
     excused = only_without_computer(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
 def still_false(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
-    """What of a certificate's claims does not hold, in words, without what the computer of its loop makes good."""
+    """Returns the false claims of a certificate, except instability that sampling cures."""
     if not wrong or controller.certificate.stable:
         return wrong
     excused = only_without_computer(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
@@ -127,28 +127,30 @@ def still_false(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]
 
 
 def notes_as_it_runs(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
-    """What there is to know where only its computer makes a loop stable."""
+    """Returns a note if only sampling makes the loop stable."""
     return tuple(f"without a computer its loop is {words}" for words in only_without_computer(vehicle, certificate, norm))
 
 
 def against(value: float, other: float) -> str:
-    """How far a value lies above or below another, in percent."""
+    """Returns the difference of two values in words, in percent of the other."""
     share = value / other - 1
     return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
 
 
-def false_norm(record: Mapping[str, Any] | None, vehicle: Vehicle, found: Callable[[], SampledNorm | None]) -> tuple[str, ...]:
-    """What a record claims in vain of the norm as implemented, in words.
+def false_norm(
+    record: Mapping[str, Any] | None, vehicle: Vehicle, norm_of_loop: Callable[[], SampledNorm | None]
+) -> tuple[str, ...]:
+    """Returns the false claims of a record about the norm as implemented, in words.
 
     Args:
-        record: a certificate, whose numbers are numbers; None where a controller came without one.
-        vehicle: it says how the controller is implemented.
-        found: finds the norm (`norm_if_implemented`); it is called only where one is claimed.
+        record: a checked certificate; None for a controller without one.
+        vehicle: with the controller's implementation.
+        norm_of_loop: computes the norm (`norm_if_implemented`); called only if a norm is claimed.
     """
     said = (record or {}).get(SAMPLED_NORM)
     if said is None:
         return ()
-    norm = found()
+    norm = norm_of_loop()
     if norm is not None and abs(norm.value - said) <= SAME * said:
         return ()
     claimed = f"the sampled norm is claimed to be {said:.10g}"
@@ -160,12 +162,12 @@ def false_norm(record: Mapping[str, Any] | None, vehicle: Vehicle, found: Callab
 
 IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
-SHORT = 1e-6  # relative in gamma; less is the path's own end
+SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
 UNITS = {one.name: one.unit for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
 
 
 def heading_lines(controller: Controller) -> list[str]:
-    """What a controller measures, and its gain."""
+    """Returns the lines with a controller's measured signals and its gain."""
     measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
     if not controller.measured:
         return [measures, "  no control force"]
@@ -173,19 +175,19 @@ def heading_lines(controller: Controller) -> list[str]:
 
 
 def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
-    """A law after some text: a static one as its gain, a row to a line, others by their states and poles."""
+    """Returns the lines of a law after some text: a static one as its gain, others by their states and poles."""
     if not law.states:
         return gain_lines(law.D, gain)
     return [f"{of_states}{law.text}"]
 
 
 def gain_lines(gain: Array, start: str) -> list[str]:
-    """A gain matrix after some text, a row to a line."""
+    """Returns the lines of a gain matrix after some text, a row to a line."""
     return matrix(start, [[f"{entry:.6g}" for entry in row] for row in gain])
 
 
 def twist_lines(vehicle: Vehicle) -> list[str]:
-    """What else than the road's velocity a norm is of, where a road acts by its height, too."""
+    """Returns a note on the second disturbance, road twist, if the vehicle has one."""
     model = vehicle.linear_model
     if not np.any(model.Br) and not np.any(model.Cr):
         return []
@@ -196,7 +198,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
-    """Which loop the numbers of these controllers are of, where the vehicle file has another one, too."""
+    """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
     asked = [one.name for one in controllers if one.hardware != IDEAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
     but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
@@ -215,7 +217,7 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:
-    """What filters are in z and in w, where there are any, and whose poles theirs are."""
+    """Returns a note on the filters in z and w, if there are any, and on their poles."""
     if not vehicle.filtered:
         return []
     found = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
@@ -224,7 +226,7 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
 
 
 def judged_lines(controller: Controller) -> list[str]:
-    """What a controller's norm and bounds are of, where that is more than its law on the vehicle."""
+    """Returns notes on noise, loads, lag and bilinear transform if a controller's norm and bounds include them."""
     measured, hardware = controller.measured, controller.hardware
     pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
@@ -251,7 +253,7 @@ def judged_lines(controller: Controller) -> list[str]:
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
-    """What is the case where there is no one optimum, what was done instead, how far from it a design is, what is in vain."""
+    """Returns notes: degenerate problem, fallback method, distance from the optimum, redundant measurements."""
     found = [*judged_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)

@@ -1,12 +1,12 @@
-"""What becomes part of a plant: filters of what is asked for, of what disturbs and of actuators, and the states of a law.
+"""Plants augmented with filters of outputs, disturbances and actuators, and with the states of a law.
 
 The law's states x_c become integrators with inputs of their own (El Ghaoui, Oustry, AitRami 1997): x_c' = v, and
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-Of a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
+For a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
 
-What of the disturbance is measured goes through the law at once, and is part of how w enters the larger plant.
+A measured disturbance passes through the law directly and is part of Bw and Dw of the larger plant.
 
 A design knows weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's: in series
 with an output it weighs that, in series with a disturbance it shapes its spectrum, in series with an input it is the actuator.
@@ -34,13 +34,13 @@ from synth.plant.generalized import Feedback, GeneralizedPlant, real_matrix
 def on_larger_plant(
     plant: GeneralizedPlant, Cy: Array, law: LinearLaw, Dyw: Array | None = None
 ) -> tuple[GeneralizedPlant, Feedback]:
-    """The plant with a law's states, and the law as a static gain on it: both are as they were for a static law without noise.
+    """Returns the plant with a law's states, and the law as a static gain on it; a static law without noise changes nothing.
 
     Args:
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
 
     Returns:
         The plant, of n + k states and m + k inputs, and the gain, from q + k measurements.

@@ -1,16 +1,15 @@
-"""Discrete plants: one whose inputs are held, one as a continuous plant with the same norms, and what one answers at a frequency.
+"""Discrete plants: zero-order hold, the bilinear map to a continuous plant with the same norms, and frequency responses.
 
 Tustin's map s = (2 / dt) (z - 1) / (z + 1) takes the unit circle to the imaginary axis and its inside to the left half plane. So
-a loop is stable, and its norm is some gamma, where that of the mapped plant is; and the X of the bounded-real LMI (20) is that of
-the discrete one, but for a factor dt. What is measured then contains what is done and what disturbs, y = C_y x + Dyw w + Dyu u:
-the gain is the same gain, of a loop that is solved for at once.
+a loop and the mapped loop have the same stability and norm, and the same X of the bounded-real LMI (20), but for a factor dt. The
+mapped measurements contain inputs and disturbances, y = C_y x + Dyw w + Dyu u: the gain stays the same, in an algebraic loop.
 
-A pole at z = -1 has no place on the imaginary axis. Where the plant has one, a gain that moves it is closed first, and what is
-mapped is the plant under that gain: every gain K of the plant is K - K0 of the other.
+A pole at z = -1 has no image on the imaginary axis. If the plant has one, a gain K0 that moves it is closed first, and the plant
+under that gain is mapped: the gain K of the plant is K - K0 of the mapped one.
 
-A discrete loop's answer Dw + C (z - A)^-1 Bw is computed with twice the digits. The point is given by t = tan(omega dt / 2), a
-float: z = (1 + j t) / (1 - j t) lies on the circle exactly, and no digit of a sine is in the answer. With both sides times 1 - j
-t it is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 by j t instead.
+A discrete loop's response Dw + C (z - A)^-1 Bw is computed with twice the digits. The point is given by t = tan(omega dt / 2), a
+float: z = (1 + j t) / (1 - j t) lies on the circle exactly, without the rounding of a sine. Multiplied by 1 - j t, the equation
+is ((I - A) + j t (I + A)) x = (1 - j t) Bw; beyond t = 1 it is divided by j t.
 """
 
 import itertools
@@ -27,7 +26,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inputs: Array) -> list[Array]:
-    """Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
+    """Returns Phi and one Gamma per input matrix: the step of x' = A x + sum B_i u_i with every u_i held."""
     n = len(A)
     columns = np.cumsum([n, *(B.shape[1] for B in inputs)])
     augmented = np.zeros((columns[-1], columns[-1]))
@@ -36,8 +35,8 @@ def held_inputs(A: Array, h: float, exponential: Callable[[Array], Array], *inpu
     return [step[:n, :n], *(step[:n, a:b] for a, b in itertools.pairwise(columns))]
 
 
-LOST = 1e-6  # relative; how near to singular A + I, balanced, may be: as many digits are lost at most
-MOVES = 20  # gains that are tried where A has a pole next to -1
+LOST = 1e-6  # relative; smallest singular value of the balanced A + I, as many digits are lost at most
+MOVES = 20  # gains that are tried if A has a pole next to -1
 SEED = 20261122
 
 
@@ -61,15 +60,15 @@ class Mapped:
 
 
 def mapped(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Mapped:
-    """The continuous plant for a discrete one and what it measures; a continuous one is its own.
+    """Returns the continuous image of a discrete plant and its measurements; a continuous plant is its own image.
 
     Args:
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
 
     Raises:
-        InputError: the plant has a pole at z = -1, and no gain from what is measured moves it.
+        InputError: the plant has a pole at z = -1, and no gain from the measurements moves it.
     """
     m, r = plant.B.shape[1], plant.Bw.shape[1]
     noise = np.zeros((len(Cy), r)) if Dyw is None else Dyw
@@ -87,12 +86,11 @@ def mapped(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Mapp
 
 
 def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> GeneralizedPlant:
-    """The continuous loop, from w to z, for a discrete one without a pole at z = -1; a continuous one is its own.
+    """Returns the continuous image, from w to z, of a discrete loop without a pole at z = -1; a continuous loop is its own.
 
     Args:
         loop: continuous or discrete.
-        turned: whether a discrete one is turned by half a circle first, z for -z: then z = -1 is mapped to 0, not to infinity. It
-            has the same norm, and the same X.
+        turned: replace z by -z first: then z = -1 is mapped to 0, not to infinity. Norm and X stay the same.
     """
     if loop.dt is None:
         return loop
@@ -100,9 +98,9 @@ def continuous_loop(loop: GeneralizedPlant, turned: bool = False) -> Generalized
 
 
 def from_differences(loop: GeneralizedPlant, step: float) -> GeneralizedPlant:
-    """The same for a loop in differences (`GeneralizedPlant.differences`) over a step [s].
+    """Returns the continuous image of a loop in differences (`GeneralizedPlant.differences`) over a step [s].
 
-    X of (20) is the same in both. A loop of step 0 is its own.
+    X of (20) is the same in both. A loop of step 0 is its own image.
     """
     if not step:
         return loop
@@ -111,29 +109,29 @@ def from_differences(loop: GeneralizedPlant, step: float) -> GeneralizedPlant:
 
 
 def true_frequency(omega: float, dt: float | None) -> float:
-    """The frequency [rad/s] at which a discrete plant does what the mapped one does at `omega`, infinity included."""
+    """Returns the frequency [rad/s] of the discrete plant whose image is `omega`, which may be infinite."""
     return omega if dt is None else float(2 / dt * np.arctan(omega * dt / 2))
 
 
 def mapped_frequency(omega: float, dt: float | None) -> float:
-    """The way back: where the mapped plant does what the discrete one does at `omega` [rad/s]."""
+    """Returns the image of a frequency [rad/s] of the discrete plant: the inverse of `true_frequency`."""
     if dt is None:
         return omega
     return float(2 / dt * np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
 
 
 def _tustin(A: Array, B: Array, C: Array, D: Array, step: float) -> tuple[Array, Array, Array, Array]:
-    """The map of what stands in differences over a step."""
+    """Returns the bilinear image of a system in differences over a step."""
     beside = np.linalg.inv(2 * np.eye(len(A)) + step * A)
     inputs = beside @ B
     return 2 * A @ beside, 2 * inputs, 2 * C @ beside, D - step * C @ inputs
 
 
 def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """K0 after which no pole lies next to z = -1, shape (m, q); zero where none does.
+    """Returns a gain K0 after which no pole lies next to z = -1, shape (m, q); zero if none does.
 
-    In other units of states, inputs or measurements it is the same, but for a pole at the very distance LOST, where the powers of
-    two decide that balancing leaves; in coordinates that mix the states it need not be.
+    K0 does not depend on the units of states, inputs or measurements, but for a pole at the very distance LOST, where the powers
+    of two of balancing decide. In coordinates that mix the states it may differ.
     """
 
     def lost(K: Array) -> float:
@@ -156,9 +154,9 @@ def _away_from_minus_one(plant: GeneralizedPlant, Cy: Array) -> Array:
 
 
 def _reach(plant: GeneralizedPlant, Cy: Array) -> Array:
-    """The size in which an input first shows in a measurement, all signs alike, shape (q, m); 1 where it never does.
+    """Returns |C_y| |A|^k |B| for the first k at which it is not 0, entry by entry, shape (q, m); 1 if it always is.
 
-    It is |C_y| |A|^k |B|, entry by entry, of the first k where that is not 0: no unit of a state is in it.
+    This size of an input's first effect on a measurement does not depend on the units of the states.
     """
     spread, reach = np.abs(plant.B), np.zeros((len(Cy), plant.B.shape[1]))
     for _ in range(len(plant.A)):
@@ -167,15 +165,15 @@ def _reach(plant: GeneralizedPlant, Cy: Array) -> Array:
     return np.where(reach > 0, reach, 1.0)
 
 
-LEFT = 1e-14  # relative; what moves by less has come to rest
+LEFT = 1e-14  # relative; an iteration that moves by less has converged
 MOST_TURNS = 12
 
 
 def response_closely(system: GeneralizedPlant, t: float) -> tuple[Array, float]:
-    """T at a point of the unit circle, complex, shape (d, r), and by how much its entries still moved in the last turn, at most.
+    """Returns T at a point of the unit circle, complex, shape (d, r), and the largest change of an entry in the last iteration.
 
     Args:
-        system: discrete; `beyond` is part of what it is.
+        system: discrete; `beyond` counts.
         t: tan(omega dt / 2), from 0 to infinity.
 
     Raises:

@@ -1,7 +1,7 @@
 """Sums and products with twice the digits of floats: pairs (high, low), whose sum is the number.
 
-Knuth's sum and Dekker's product have no error at all: what rounding takes is a float itself, and is kept (Ogita, Rump, Oishi
-2005, Accurate sum and dot product). Nothing may come near 1e300 or 1e-140, where that ends; entries of a plant do not.
+Knuth's sum and Dekker's product are exact: the rounding error is a float itself, and is kept (Ogita, Rump, Oishi 2005, Accurate
+sum and dot product). Numbers must stay away from 1e300 and 1e-140; entries of a plant do.
 """
 
 import numpy as np
@@ -9,26 +9,26 @@ import numpy as np
 from models.common.arrays import Array
 
 SPLIT = 2.0**27 + 1  # halves a float: each half has 26 bits, so that products of halves are exact
-LEFT = 1e-14  # relative; what moves by less has come to rest
-MOST_TURNS = 12  # each gains what digits A leaves floats, of sixteen
+LEFT = 1e-14  # relative; an iteration that moves by less has converged
+MOST_TURNS = 12  # iterations; each gains the digits that the condition of A leaves, of sixteen
 
 
 def added(a: Array, b: Array) -> tuple[Array, Array]:
-    """a + b without error, entry by entry."""
+    """Returns a + b without error, entry by entry."""
     high = a + b
     part = high - a
     return high, (a - (high - part)) + (b - part)
 
 
 def multiplied(a: Array, b: Array) -> tuple[Array, Array]:
-    """a b without error, entry by entry."""
+    """Returns a b without error, entry by entry."""
     high = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     return high, a2 * b2 - (((high - a1 * b1) - a2 * b1) - a1 * b2)
 
 
 def product(left: Array, right: Array) -> tuple[Array, Array]:
-    """left @ right with twice the digits, for stacks of matrices of shapes (..., k, n) and (..., n, c)."""
+    """Returns left @ right with twice the digits, for stacks of matrices of shapes (..., k, n) and (..., n, c)."""
     if not left.shape[-1]:
         whole = left @ right
         return whole, np.zeros_like(whole)
@@ -49,10 +49,10 @@ def _halves(a: Array) -> tuple[Array, Array]:
 def transfer_matrix_closely(
     A: tuple[Array, Array], Bw: Array, C: tuple[Array, Array], Dw: Array, omega: Array
 ) -> tuple[Array, Array]:
-    """Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and what may be missing in it.
+    """Returns Dw + C (j omega - A)^-1 Bw (19) with twice the digits, and an estimate of its error.
 
-    The residual of the linear system is computed with twice the digits and solved for again, until the answer stays as it is
-    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). That ends where A leaves floats no digit at all.
+    The residual of the linear system is computed with twice the digits and solved for again, until the answer converges
+    (Higham 2002, Accuracy and Stability of Numerical Algorithms, chapter 12). It fails if A leaves floats no digit at all.
 
     Args:
         A: shape (n, n), high and low parts.
@@ -62,7 +62,7 @@ def transfer_matrix_closely(
         omega: angular frequencies [rad/s], shape (F,).
 
     Returns:
-        T, complex, shape (F, d, r), and by how much its entries still moved in the last turn, at most, shape (F,).
+        T, complex, shape (F, d, r), and the largest change of its entries in the last iteration, shape (F,).
     """
     n, r = Bw.shape
     turned = omega[:, None, None]

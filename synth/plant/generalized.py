@@ -17,17 +17,17 @@ SHAPES = {"A": ("n", "n"), "B": ("n", "m"), "Bw": ("n", "r"), "C": ("d", "n"), "
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """A static gain u = K y from y = C_y x, as the floats of both say: no product of them is rounded on the way to a claim.
+    """A static gain u = K y from y = C_y x, held as two factors, so that their product is not rounded in a claim.
 
-    Of signals that nearly follow from one another a gain may weigh the difference a million times, and the nearest floats to
-    K C_y are then the gain of another controller.
+    A gain may weight the difference of two nearly dependent signals a million times. Then the nearest floats to K C_y are
+    those of another controller.
 
     Attributes:
         K: shape (m, q).
         Cy: shape (q, n).
 
     Raises:
-        InputError: one of them is not one of real finite numbers.
+        InputError: a matrix is not one of real finite numbers.
     """
 
     K: Array
@@ -50,14 +50,13 @@ class GeneralizedPlant:
         C: shape (d, n).
         D: shape (d, m).
         Dw: shape (d, r). Zero in the paper.
-        beyond: of a closed loop, by how much its A and C are larger than the floats they are rounded to, shape (n + d, n); None
-            of a plant that is what its floats say.
-        weights: how many of its states, the last ones, are those of weights: no control moves their poles, so that they say
-            nothing of how fast the plant is.
-        dt: of a discrete plant, the seconds from x[k] to x[k + 1]; None of a continuous one.
+        beyond: rounding error of A and C of a closed loop, true value less float, shape (n + d, n); None if they are exact.
+        weights: number of the last states that belong to weights: no control moves their poles, and they do not count for the
+            plant's speed.
+        dt: seconds from x[k] to x[k + 1] of a discrete plant; None for a continuous one.
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, has the wrong shape, more rows or columns than are worked with, or
+        InputError: a matrix is not one of real finite numbers, has the wrong shape, too many rows or columns, or
             entries beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
     """
 
@@ -98,9 +97,9 @@ class GeneralizedPlant:
 
     @cached_property
     def differences(self) -> "GeneralizedPlant":
-        """(x[k+1] - x[k]) / dt in the place of x': the same loop in numbers that tend to the continuous ones as dt falls.
+        """The plant in differences, (x[k+1] - x[k]) / dt in place of x': its entries tend to the continuous ones as dt falls.
 
-        It is held as a continuous plant, and is one only as far as what asks for it says; a continuous plant is its own.
+        The result has the form of a continuous plant, but other poles and norms; a continuous plant is its own.
         """
         if self.dt is None:
             return self
@@ -108,9 +107,9 @@ class GeneralizedPlant:
         return GeneralizedPlant(A, self.B / self.dt, self.Bw / self.dt, self.C, self.D, self.Dw, weights=self.weights)
 
     def closed_loop(self, G: Array | Feedback) -> "GeneralizedPlant":
-        """The plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and what that took.
+        """Returns the plant under u = G x + (a new u), equations (16)-(17): A + B G and C + D G, rounded once, and the error.
 
-        Of a huge gain, or one that cancels much of A, rounding takes what decides the norm.
+        For a huge gain, or one that cancels much of A, that rounding error may decide the norm.
 
         Args:
             G: state gain, shape (m, n), or a gain from measurements.
@@ -120,7 +119,7 @@ class GeneralizedPlant:
         return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
 
     def in_coordinates(self, T: Array) -> "GeneralizedPlant":
-        """The same plant with state T^-1 x.
+        """Returns the same plant with state T^-1 x.
 
         Args:
             T: shape (n, n), regular.
@@ -130,7 +129,7 @@ class GeneralizedPlant:
         return GeneralizedPlant(A, B, Bw, self.C @ T, self.D, self.Dw, dt=self.dt)
 
     def with_inputs(self, W: Array) -> "GeneralizedPlant":
-        """The plant whose inputs v act as u = W v.
+        """Returns the plant with inputs v that act as u = W v.
 
         Args:
             W: shape (m, k).
@@ -138,7 +137,7 @@ class GeneralizedPlant:
         return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw, dt=self.dt)
 
     def independent_inputs(self) -> Array:
-        """W, shape (m, k), whose orthonormal columns are the combinations of inputs that do something; I where all inputs do."""
+        """Returns W, shape (m, k): an orthonormal basis of the combinations of inputs that have an effect; I if all have."""
         m = self.B.shape[1]
         sizes = [float(np.linalg.norm(part, 2)) or 1.0 for part in (self.B, self.D)]
         together = np.vstack([self.B / sizes[0], self.D / sizes[1]])
@@ -151,7 +150,7 @@ class GeneralizedPlant:
         return np.linalg.qr((directions[:k] / columns).T)[0]
 
     def frequency_response(self, omega: Array) -> Array:
-        """T(j omega) from w to z without control, complex, shape (F, d, r), by (19); of a discrete plant T(e^(j omega dt)).
+        """Returns T(j omega) from w to z without control, complex, shape (F, d, r), by (19); T(e^(j omega dt)) if discrete.
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
@@ -163,13 +162,13 @@ class GeneralizedPlant:
 
 
 def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array | None = None) -> tuple[Array, Array]:
-    """[A; C] + [B; D] G, rounded once, and what that took.
+    """Returns [A; C] + [B; D] G, rounded once, and the rounding error.
 
     Args:
         open_loop: [A; C], shape (n + d, n).
         inputs: [B; D], shape (n + d, m).
         G: state gain, shape (m, n), or a gain from measurements.
-        beyond: by how much A and C are larger, shape (n + d, n); None where they are as they stand.
+        beyond: true A and C less their floats, shape (n + d, n); None if they are exact.
     """
     gain, rest = product(G.K, G.Cy) if isinstance(G, Feedback) else (G, np.zeros_like(G))
     moved, low = product(inputs, gain)
@@ -179,7 +178,7 @@ def fed_back(open_loop: Array, inputs: Array, G: Array | Feedback, beyond: Array
 
 
 def _sample_period(dt: object) -> float:
-    """The seconds between samples, checked: a number above zero, in range."""
+    """Returns the seconds between samples after a check: a number above zero, in range."""
     allowed = f"give the seconds between samples, from {SMALLEST:g} to {LARGEST:g}, or None for a continuous plant"
     try:
         if isinstance(dt, bool | np.bool_):
@@ -193,7 +192,7 @@ def _sample_period(dt: object) -> float:
 
 
 def real_matrix(value: object, name: str, expected: str) -> Array:
-    """A copy of a matrix that is one of real numbers, none beyond `LARGEST`, and of a size that can be worked with.
+    """Returns a copy of a matrix after a check: real numbers, none beyond `LARGEST`, and not too many rows or columns.
 
     Args:
         value: the matrix, or nested lists.
@@ -201,23 +200,19 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
         expected: its shape, for messages.
 
     Raises:
-        InputError: it is none; the message names it.
+        InputError: the matrix fails the check; the message names it.
     """
     return arrays.real_matrix(value, name, LARGEST, expected)[0]
 
 
 def check_states(n: int) -> None:
-    """Whether a plant has a state; parts that are split off one need not.
-
-    Raises:
-        InputError: it has none.
-    """
+    """Raises an InputError if a plant has no state; parts that are split off a plant need none."""
     if not n:
         raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
 
 
 def check_continuous(plant: GeneralizedPlant) -> None:
-    """Raises an InputError for a discrete plant, where a formula is that of continuous ones."""
+    """Raises an InputError for a discrete plant, if a formula holds for continuous ones only."""
     if plant.dt is not None:
         raise InputError(
             f"the plant is discrete (dt = {plant.dt:g}), and this is done for continuous ones alone; give such a one"
@@ -225,10 +220,10 @@ def check_continuous(plant: GeneralizedPlant) -> None:
 
 
 def check_posed(plant: GeneralizedPlant) -> None:
-    """Whether there is something to design against, and for.
+    """Checks that a plant has a disturbance and a controlled output.
 
     Raises:
-        InputError: nothing disturbs the plant, or nothing is weighed.
+        InputError: Bw and Dw are zero, or C and D are.
     """
     if not (np.any(plant.Bw) or np.any(plant.Dw)):
         raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
@@ -237,7 +232,7 @@ def check_posed(plant: GeneralizedPlant) -> None:
 
 
 def measurement_matrix(Cy: object, n: int) -> Array:
-    """C_y, checked, shape (q, n).
+    """Returns C_y after a check, shape (q, n).
 
     Raises:
         InputError: the plant has no state; or it is not one of real finite numbers with n columns, or has no row, or one that is
@@ -249,18 +244,18 @@ def measurement_matrix(Cy: object, n: int) -> Array:
 
 
 def measured_with(plant: GeneralizedPlant, Cy: object, Dyw: object | None) -> tuple[Array, Array | None]:
-    """The same, with a Dyw that is None where none is given."""
+    """Returns checked C_y and Dyw like `measurement_matrices`, with Dyw None if it is not given."""
     states, noise = measurement_matrices(plant, Cy, Dyw)
     return states, None if Dyw is None else noise
 
 
 def measurement_matrices(plant: GeneralizedPlant, Cy: object, Dyw: object = None) -> tuple[Array, Array]:
-    """C_y and Dyw of y = C_y x + Dyw w, checked, shapes (q, n) and (q, r).
+    """Returns C_y and Dyw of y = C_y x + Dyw w after a check, shapes (q, n) and (q, r).
 
     Args:
         plant: n states, r disturbances.
         Cy: a row for each measured signal.
-        Dyw: likewise; zero where it is not given.
+        Dyw: likewise; zero if it is not given.
 
     Raises:
         InputError: one of them is not one of real finite numbers of its shape, or no signal is measured, or one that is next to

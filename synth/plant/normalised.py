@@ -1,8 +1,8 @@
-"""A plant and what it measures, in units in which all its numbers have size one, and the way back for a law.
+"""Normalisation of a plant and its measurements to numbers of size one, and the way back for a law.
 
-Whatever units a plant is given in, it is the same here, to the last bit where they differ by powers of two: so a design made here
-does not depend on them. A design depends on what the measurements span, and on nothing else of them: they are the rows of an
-orthonormal basis here, and signals that follow from others are left out.
+The normalised plant does not depend on the given units, to the last bit if these differ by powers of two. So a design does not
+depend on them either. A design depends only on the span of the measurements: they are replaced by an orthonormal basis, and
+dependent signals are left out.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from synth.plant.units import OwnUnits, independent, nearest_power, orthonormal_
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A plant with what it measures, in its own units.
+    """A plant and its measurements in the plant's own units.
 
     Attributes:
         plant: n states, m inputs that are independent, numbers of size one; so time, w and z have units of its own, too.
         Cy: shape (k, n), and
         Dyw: shape (k, r): together orthonormal rows.
-        norm: what a norm of one in the given units counts in these.
-        kept: which of the q given measurements do not follow from those before them.
-        q: how many were given.
+        norm: value in these units of a norm of one in the given units.
+        kept: indices of the given measurements that do not follow from earlier ones.
+        q: number of given measurements.
         units: of states and inputs.
         rate: of time [rad/s].
         inputs: W, shape (m', m): u = W v of the given inputs, each in its own unit.
-        rows: S, shape (k, k): what is measured and kept is S times what is measured here.
+        rows: S, shape (k, k): the kept measurements are S times those of this plant.
     """
 
     plant: GeneralizedPlant
@@ -47,7 +47,7 @@ class Measured:
 
     @classmethod
     def of(cls, plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> "Measured":
-        """In the plant's own units.
+        """Returns the plant and its measurements in the plant's own units.
 
         Args:
             plant: n states, some disturbance and some output.
@@ -81,7 +81,7 @@ class Measured:
         return cls(scaled, V[:, :n], V[:, n:], z * w, kept, len(Cy), units, rate, u * W, S)
 
     def back(self, law: LinearLaw) -> LinearLaw:
-        """A law for the plant as it was given, on all q measurements; its states keep these units."""
+        """Returns a law for the given plant, on all q measurements; its states keep these units."""
         from_y = np.zeros((len(self.kept), self.q))
         # Row by row: pivots would depend on units.
         from_y[:, self.kept] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
@@ -90,7 +90,7 @@ class Measured:
 
 
 def missing(D: Array, share: float) -> Array:
-    """Rows that a D must be joined by so that no singular value of both together is below a share; shape (m, m)."""
+    """Returns rows that raise all singular values of D, joined by them, to a share; shape (m, m)."""
     m = D.shape[1]
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(m)])[:m]

@@ -1,4 +1,4 @@
-"""What every door to a computation has in common: one thread, and failures that are raised, never returned as an empty result."""
+"""Common frame of every computation: one thread, and failures that are raised, never returned as an empty result."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,15 +11,15 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """No controller could be designed. The message says what happened, what usually causes it, what to do."""
+    """Failure of a design. The message says what happened, what usually causes it, what to do."""
 
 
 class BatchError(DesignError):
-    """Some of many could not be designed. It carries those that were.
+    """Failure of some designs of a batch. The error carries the successful ones.
 
     Attributes:
-        designs: what was designed, by index.
-        failures: why the others were not, by index.
+        designs: successful designs, by index.
+        failures: reasons of the failures, by index.
     """
 
     def __init__(self, message: str, designs: Mapping[int, Any], failures: Mapping[int, InputError]) -> None:
@@ -44,7 +44,7 @@ NUMERIC = (  # what numpy, scipy, LAPACK and Python say
 
 
 def of_rounding(error: BaseException) -> bool:
-    """Whether an error says that floats leave no answer: a singular or infinite matrix, and no mistake such as a wrong shape."""
+    """Returns True if an error comes from rounding, as for a singular matrix, not from a mistake like a wrong shape."""
     said = str(error)
     if isinstance(error, np.linalg.LinAlgError):
         return not any(word in said for word in OF_SHAPES)
@@ -55,7 +55,7 @@ def of_rounding(error: BaseException) -> bool:
 
 @contextmanager
 def up_to_rounding() -> Iterator[None]:
-    """What floats leave no answer to ends what is within, in silence: as a descent on the border of stability."""
+    """Ends the block silently on an error that comes from rounding, as in a descent on the border of stability."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -65,12 +65,12 @@ def up_to_rounding() -> Iterator[None]:
 
 @contextmanager
 def numerics() -> Iterator[None]:
-    """Within it, or in a function that it decorates, BLAS has one thread, and what leaves the range of floats does so in silence.
+    """Limits BLAS to one thread in a block or decorated function, silences overflow, and turns failed linear algebra into errors.
 
-    What is not finite is refused where it would count. Where linear algebra finds no answer beyond rounding, that is said.
+    Results that are not finite are refused where they would count.
 
     Raises:
-        DesignError: for what numpy and scipy raise of matrices that are singular, or not finite.
+        DesignError: numpy or scipy found a matrix that is singular, or not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
         try:

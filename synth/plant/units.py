@@ -12,20 +12,20 @@ from models.common.arrays import Array
 from synth.plant.generalized import GeneralizedPlant
 
 NILPOTENT = 1e-14  # of |A|^n; an A^n this small is 0 but for rounding, and so are all poles: those of integrators
-CANCELLED = 1e-9  # relative; a sum of this much less than its terms may be one of zeros
-TOGETHER = 1e-4  # of one equation: how much it counts that a norm has one unit of all of w, and one of all of z
+CANCELLED = 1e-9  # relative to its terms; a smaller sum may be zero
+TOGETHER = 1e-4  # weight of the equations that give all of w one unit, and all of z one
 OPEN = 1e-11  # of the largest eigenvalue of the normal equations: units that nothing decides; of those decided none is below 1e-8
 FINEST = 2.0**-20  # of an exponent of two: what rounding leaves of one is less, so that in powers of two the same is the same
-ALIKE = 1e-6  # relative; units that are open to this alike are open alike
+ALIKE = 1e-6  # relative; units with this similar a freedom are equally undetermined
 UPWARDS = 0.53  # so that a unit half-way between two powers of two, as are those of entries that are such powers, is no tie
 DEPENDENT = 1e-10  # smallest singular value of rows of length one
 
 
 def reachable(plant: GeneralizedPlant, free: int) -> Array:
-    """Coordinates of (12)'s block structure in which the inputs and the disturbance reach all states alike.
+    """Returns coordinates of (12)'s block structure in which the inputs and the disturbance reach all states equally.
 
-    The square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not depend on the
-    coordinates, so that the result does not either.
+    They are the square root of a controllability Gramian, block by block. A is shifted until it decays, by rates that do not
+    depend on the coordinates, so that the result does not either.
     """
     n = len(plant.A)
     _, (diagonal, _) = linalg.matrix_balance(plant.A, permute=False, separate=True)
@@ -42,15 +42,14 @@ def reachable(plant: GeneralizedPlant, free: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OwnUnits:
-    """Units in which the entries of a plant and of C_y have size one: whatever units it is given in, it is the same in these.
+    """Units in which the entries of a plant and of C_y have size one, independent of the given units.
 
     They are powers of two, so that nothing is rounded on the way there and back.
 
     Attributes:
-        states: what one of each state counts in the given unit, shape (n,).
-        inputs: likewise, shape (m,).
-        exact: both before they were rounded to powers of two: in these nothing is left of the given ones, whatever they were;
-            shapes (n,) and (m,).
+        states: own units of the states in given ones, shape (n,).
+        inputs: own units of the inputs in given ones, shape (m,).
+        exact: both before rounding to powers of two, shapes (n,) and (m,): independent of the given units.
         rate: of the plant [rad/s]; time keeps its unit.
     """
 
@@ -60,18 +59,18 @@ class OwnUnits:
     rate: float
 
     def into(self, plant: GeneralizedPlant) -> GeneralizedPlant:
-        """A plant of the given units in these."""
+        """Returns a plant of the given units in the own units."""
         return _in_units(plant, self.states, self.inputs)
 
     def back(self, plant: GeneralizedPlant) -> GeneralizedPlant:
-        """A plant of these units in the given ones."""
+        """Returns a plant of the own units in the given units."""
         return _in_units(plant, 1 / self.states, 1 / self.inputs)
 
     def rows(self, Cy: Array) -> tuple[Array, Array]:
-        """C_y of independent rows, in these units of the states, as S V with orthonormal rows V.
+        """Returns C_y of independent rows, in the own units of the states, as S V with orthonormal rows V.
 
-        A design depends on what the rows span, and on nothing else of them. Rows that nearly follow from others span it, too, but
-        digits are lost on every way through them: so all ways go through V, and S is undone once, at the end.
+        A design depends only on the span of the rows. Nearly dependent rows lose digits in every product: so a design uses V, and
+        S is inverted once, at the end.
 
         Args:
             Cy: shape (q, n).
@@ -83,7 +82,7 @@ class OwnUnits:
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Independent rows as S V with orthonormal rows V, and S, lower triangular; whatever the unit of each, V is the same.
+    """Returns V and S of independent rows S V: V has orthonormal rows that do not depend on units, S is lower triangular.
 
     Args:
         rows: shape (q, n).
@@ -95,7 +94,7 @@ def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
 
 
 def independent(rows: Array) -> list[int]:
-    """Which rows do not follow from those before them, ascending, whatever the unit of each; none may be zero."""
+    """Returns the indices of rows that do not follow from earlier ones, ascending, independent of units; no row may be zero."""
     rows, _ = unit_rows(rows)
     kept: list[int] = []
     for i in range(len(rows)):
@@ -105,32 +104,32 @@ def independent(rows: Array) -> list[int]:
 
 
 def unit_rows(Cy: Array) -> tuple[Array, Array]:
-    """Rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
+    """Returns rows of length one, so that no unit of a measurement makes another vanish, and the lengths, shape (q,)."""
     lengths = np.linalg.norm(Cy, axis=1)
     return Cy / lengths[:, None], lengths
 
 
 def own_units(plant: GeneralizedPlant, Cy: Array | None = None) -> OwnUnits:
-    """The plant's own units: of states, of inputs, and its rate.
+    """Returns the plant's own units of states and inputs, and its rate.
 
-    Least squares over the logarithms of all entries that are not zero, in which the units of disturbances, outputs and
-    measurements are free, too. (`balance` is blind to a state that does not both drive others and is driven by them.) A norm has
-    one unit of all of w and one of all of z, and what these weigh counts where nothing else says how fast a plant is: integrators
-    have the rate at which the motion and the force that drives it have the same weight in z.
+    They result from least squares over the logarithms of all nonzero entries, in which the units of disturbances, outputs and
+    measurements are free, too. (`balance` ignores a state that does not both drive others and is driven by them.) A norm has one
+    unit of all of w and one of all of z. These decide if nothing else determines the plant's speed: integrators have the rate at
+    which the motion and the driving force have the same weight in z.
 
-    Which units are left open depends on where entries are zero, and of them some are kept as they are given: those of the
-    disturbance before others. So the same plant in other units, each a power of two, is the same in its own to the last bit.
+    The pattern of zeros may leave units undetermined. Some of these are kept as given, those of the disturbance before others. So
+    the same plant in other units, each a power of two, is the same in its own to the last bit.
 
     Args:
         plant: n states; a discrete one has those of its differences.
-        Cy: shape (q, n); of no rows where it is not given.
+        Cy: shape (q, n); without rows if it is not given.
     """
     return _alone(plant) if Cy is None else _measured(plant.differences, Cy)
 
 
 @functools.lru_cache(maxsize=2)
 def _alone(plant: GeneralizedPlant) -> OwnUnits:
-    """Of a plant without measurements: a design asks for them at every door, and plants do not change."""
+    """Returns the units of a plant without measurements; cached, as a design needs them often and plants do not change."""
     return _measured(plant.differences, np.zeros((0, len(plant.A))))
 
 
@@ -161,15 +160,15 @@ def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
 
 
 def _powers(exponents: Any) -> Any:
-    """The powers of two that are nearest to those with these exponents."""
+    """Returns powers of two with rounded exponents."""
     return np.exp2(np.floor(exponents + UPWARDS))
 
 
 def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
-    """Least squares, with 0 for as many unknowns as are left open: of those that are open alike the one that stands first.
+    """Returns the least-squares solution, with 0 for undetermined unknowns, the first of equally undetermined ones.
 
-    Of a plant of one piece all units are open alike, but the rate. Rounding must not choose between them: it differs from one
-    machine to the next, and what has an extreme unit of its own may then decide all others.
+    In a connected plant all units but the rate are equally undetermined. Rounding must not choose between them: it differs from
+    one machine to the next, and an extreme unit may then decide all others.
 
     Args:
         normal: the normal equations, shape (N, N).
@@ -189,9 +188,9 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
 
 
 def speed(plant: GeneralizedPlant) -> tuple[float, bool]:
-    """How fast a plant is by itself [rad/s]: its fastest pole, and True; the rate of its own and False where all lie at 0.
+    """Returns a plant's own speed [rad/s]: its fastest pole, and True; its own rate and False if all poles lie at 0.
 
-    Poles of weights do not count. How fast a mode of a discrete plant is, says its change in a sample over dt.
+    Poles of weights do not count. The speed of a mode of a discrete plant is its change in a sample over dt.
     """
     plant = plant.differences
     n = len(plant.A) - plant.weights
@@ -211,7 +210,7 @@ def _speed(plant: GeneralizedPlant) -> tuple[float, bool]:
 
 
 def are_integrators(A: Array) -> bool:
-    """Whether all poles lie at 0, but for rounding; in coordinates in which the numbers of A have a like size."""
+    """Returns True if all poles lie at 0, to rounding; the entries of A must be of similar size."""
     n = len(A)
     return bool(np.linalg.norm(np.linalg.matrix_power(A / size(A), n), 2) <= NILPOTENT)
 
@@ -230,12 +229,12 @@ def _in_units(plant: GeneralizedPlant, states: Array, inputs: Array) -> Generali
 
 
 def nearest_power(size: float) -> float:
-    """The power of two next to a size."""
+    """Returns the power of two next to a size."""
     return float(np.exp2(np.round(np.log2(size))))
 
 
 def size(matrix: Array) -> float:
-    """The 2-norm of a matrix, or 1 where it is zero."""
+    """Returns the 2-norm of a matrix, or 1 if the matrix is zero."""
     return float(np.linalg.svd(matrix, compute_uv=False).max(initial=0.0)) or 1.0
 
 
@@ -252,11 +251,11 @@ class Scaled:
     Attributes:
         plants: the same in these units.
         T: its states in the given ones, shape (n, n).
-        measured: the unit of what R's columns answer to, y = C_y x, shape (q, q).
+        measured: unit of y = C_y x, to which R's columns belong, shape (q, q).
         rate: as given.
-        force: what one of all inputs counts.
-        disturbance: likewise of w.
-        gain: of z over w, what one of these counts is one over it.
+        force: unit of all inputs.
+        disturbance: unit of w.
+        gain: one over the unit of z over w.
     """
 
     def __init__(self, plants: Sequence[GeneralizedPlant], rate: float, Q: Array, R: Array, blocks: Array) -> None:
