@@ -123,6 +123,7 @@ def _printed(command: str, arguments: tuple[str, ...], files: dict[str, str]) ->
 
 DESIGNS = (  # functions of their arguments alone, which take long
     "synth.lmi.central_path.central_path",
+    "synth.lmi.full_order_bound.bound_beyond_control",
     "synth.lmi.full_order_bound.find_lower_bound",
     "synth.design.two_step.two_step_design",
     "synth.design.static.static_output_feedback",

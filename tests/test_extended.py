@@ -45,7 +45,7 @@ def stiff(seed: int) -> tuple[GeneralizedPlant, np.ndarray]:
     return GeneralizedPlant(mixed, B, rng.standard_normal((3, 1)), rng.standard_normal((1, 3)), one, 0 * one), G
 
 
-@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(8, 24))])
+@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(8, 16))])
 def test_norms_of_huge_gains(seed):
     """Exact rational arithmetic on the plant and the gain as they stand gives the norm at its peak, and nowhere near more."""
     plant, G = stiff(seed)
