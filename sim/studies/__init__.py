@@ -1,1 +1,1 @@
-"""What is computed from runs and loops: ride, frequency responses, stability, and where linear analysis is valid."""
+"""Studies of runs and loops: ride, frequency responses, stability, and the range of validity of linear analysis."""

@@ -1,8 +1,8 @@
-"""What a loop with a law in Python makes of one sinusoid at a time, measured in MuJoCo: its describing function.
+"""Describing function of a loop with a law in Python: its response to one sinusoid at a time, measured in MuJoCo.
 
-Nobody knows whether such a law is linear, so that no chirp can be taken apart into its lines, and there is no response to hold
-this against. Of every output there is the fundamental, which is at the road's own frequency, and the share of its energy that is
-elsewhere: at harmonics, in a mean, or in what has not settled. Another height of the road may have other ones.
+The law may be nonlinear, so that a chirp cannot be split into its lines, and there is no predicted response. For every output the
+result is the fundamental, which is at the road's own frequency, and the share of energy elsewhere: in harmonics, in a mean, or in
+transients. Roads of other heights may give other results.
 """
 
 from collections.abc import Sequence
@@ -44,20 +44,20 @@ class Moving:
 
 @dataclass(frozen=True, eq=False)
 class DescribingFunction:
-    """Of one controller, per road velocity under the first wheel.
+    """Describing function of one controller, per road velocity under the first wheel.
 
     Attributes:
         controller: the controller.
         outputs: names of the p output signals.
         units: their units.
         omega: frequencies [rad/s], shape (F,), a run each.
-        diverged: when each run diverged [s], infinite where it did not, shape (F,); nothing is measured in one that did.
+        diverged: time at which each run diverged [s], shape (F,), or infinity; such a run is not measured.
         measured: the fundamental, complex, shape (F, p).
-        outside: share of an output's energy that is not in it, shape (F, p); NaN where the output does not move.
+        outside: share of an output's energy outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
         drift: by how much a fundamental still changed from one period of the lowest frequency to the next, relative, at most.
-        without: what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither.
-        ended: what ended the linear regime, in whichever run.
+        without: noise and quantisation of the vehicle file, which these runs leave out, in words; empty if there are none.
+        ended: ends of the linear regime in any of the runs.
     """
 
     controller: Driver
@@ -74,24 +74,24 @@ class DescribingFunction:
 
     @property
     def worst(self) -> int:
-        """Which of the frequencies has the largest gain."""
+        """Returns the index of the frequency with the largest gain."""
         return int(np.argmax(np.nan_to_num(self.gains)))
 
     @property
     def moving(self) -> list[Moving]:
-        """Its outputs that move, in short."""
-        found, hertz = [], self.omega / (2 * np.pi)
+        """Returns the outputs that move, in short."""
+        outputs, hertz = [], self.omega / (2 * np.pi)
         for i, name in enumerate(self.outputs):
             size, outside = np.abs(self.measured[:, i]), self.outside[:, i]
             if not np.all(np.isnan(outside)):
                 most, least = int(np.nanargmax(size)), int(np.nanargmax(outside))
                 places = float(size[most]), float(hertz[most]), float(outside[least]), float(hertz[least])
-                found.append(Moving(name, self.units[i], *places))
-        return found
+                outputs.append(Moving(name, self.units[i], *places))
+        return outputs
 
     @property
     def worst_omega(self) -> float:
-        """That frequency [rad/s]."""
+        """Returns the frequency with the largest gain [rad/s]."""
         return float(self.omega[self.worst])
 
 

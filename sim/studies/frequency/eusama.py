@@ -43,16 +43,16 @@ DISPUTED = "disputed: stiff tyres under light axles fail with sound dampers (Kla
 
 @dataclass(frozen=True)
 class MinimumLoad:
-    """What is left of one wheel's load.
+    """Minimum load of one wheel on a shaking plate, predicted and measured.
 
     Attributes:
         tyre: its deflection, by name.
-        ratio: predicted of the sampled loop as it is built, of its static load; at least 0.
-        omega: where that is [rad/s].
-        driven: predicted at the frequency that MuJoCo drives, next to it, before it is cut at 0.
-        measured: there in MuJoCo.
-        allowed: how far they may be apart; infinite where a damper or spring has a curve, and what is predicted is of its line.
-        ended: what ended it.
+        ratio: predicted for the sampled loop as it is built, over its static load; at least 0.
+        omega: its frequency [rad/s].
+        driven: predicted at the neighbouring frequency that MuJoCo drives, before it is cut at 0.
+        measured: at that frequency in MuJoCo.
+        allowed: allowed difference; infinite if a damper or spring has a curve, as the prediction is for its line.
+        ended: ends of the linear regime.
     """
 
     tyre: str
@@ -83,7 +83,7 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
-    """Of a wheel's tyre on a plate of its own, over the plate's, shape like omega."""
+    """Returns the amplitude of a wheel's tyre on a plate of its own, over the plate's, shape like omega."""
     response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
     tyre = vehicle.linear_model.outputs.index(vehicle.kind.wheels[wheel].tyre_deflection)
     return omega * np.abs(response[:, tyre, wheel])

@@ -97,7 +97,7 @@ def sweep_figure(
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:
-    """Where a line is drawn [rad/s], shape (F,), closely about its largest and least, and how high, shape (F, S)."""
+    """Returns the frequencies of a drawn line [rad/s], shape (F,), dense about its extremes, and its magnitudes, shape (F, S)."""
 
     def magnitudes(omega: Array) -> Array:
         if vehicle.implementation.prompt:

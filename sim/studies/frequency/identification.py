@@ -36,7 +36,7 @@ from synth.controller.open_loop import LoopModel
 
 
 def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
-    """||z|| / ||w|| of a run from rest, both over time and wheels; None where the road has a filter, so that w is not known."""
+    """Returns ||z|| / ||w|| of a run from rest, over time and wheels, or None if the road has a filter, so that w is unknown."""
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
@@ -72,11 +72,12 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
 
 
 def mean_square(vehicle: Vehicle, response: Response) -> float:
-    """Of z over the whole periods of a run's last samples, exact to the square of the step where forces are held.
+    """Returns the mean square of z over the whole periods of a run's last samples, exact to the square of the step if forces are
+    held.
 
     Args:
         vehicle: the vehicle.
-        response: whole periods and one sample before them, which tells the first leap.
+        response: whole periods and one sample before them, which gives the first leap.
     """
     model = vehicle.linear_model
     signals = np.stack([response[name] for name in model.outputs], axis=-1)
@@ -107,7 +108,7 @@ def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
 
 
 def _at_once(vehicle: Vehicle) -> Array:
-    """What the forces that are asked for do at once to the output signals, shape (p, m): nothing behind a lag."""
+    """Returns the direct effect of requested forces on the output signals, shape (p, m): zero behind a lag."""
     D = vehicle.linear_model.D
     return D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(D)
 
@@ -133,7 +134,7 @@ SETTLED = 1e-7  # what may be left of it where its shape is not fitted
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """The frequency response of one controller, per road velocity under the first wheel.
+    """Frequency response of one controller, per road velocity under the first wheel.
 
     Attributes:
         controller: the controller.
@@ -144,9 +145,9 @@ class Lines:
         sampled: exact, of the sampled loop as it is implemented.
         integrated: the same as RK4 makes it.
         continuous: exact, of the continuous loop.
-        order: power of the timestep with which sampled tends to continuous; NaN where a delay or sample period stands between.
-        gain: L2 gain of the run, from w to z; None where the road has a filter (`sim.studies.frequency.identification`).
-        ended: what ended the linear regime.
+        order: power of the timestep with which sampled tends to continuous; NaN if there is a delay or sample period.
+        gain: L2 gain of the run, from w to z, or None if the road has a filter (`sim.studies.frequency.identification`).
+        ended: ends of the linear regime.
     """
 
     controller: Controller
@@ -270,7 +271,9 @@ def fit(
 
 
 def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samples: int) -> Array:
-    """How the loop moves by itself over some samples, shape (samples, k), without what has decayed in as many before them."""
+    """Returns the free motions of the loop over some samples, shape (samples, k), without those that decay in as many before
+    them.
+    """
     if steps_per_sample(vehicle.implementation, timestep) > 1:
         if controller.measured:
             return np.zeros((samples, 0))  # see `lead_in`
@@ -283,10 +286,10 @@ def _free_motion(vehicle: Vehicle, controller: Controller, timestep: float, samp
 
 
 def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, period: int) -> int:
-    """How many periods a run has before the one that is fitted.
+    """Returns the number of periods of a run before the fitted one.
 
-    Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They look
-    like free motion a little, so there that has to have died.
+    Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They
+    resemble free motion, which therefore must have decayed.
     """
     if steps_per_sample(vehicle.implementation, timestep) == 1:
         return 1
@@ -295,7 +298,7 @@ def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float
 
 
 def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:
-    """Whether these can be identified; raises InputError where they cannot."""
+    """Checks that these can be identified; raises InputError otherwise."""
     sample_times(vehicle, 1.0, timestep)
     if timestep > 0.25 / HIGHEST:
         raise InputError(f"timestep = {timestep:g} s is too coarse for {HIGHEST:g} Hz; give at most {0.25 / HIGHEST:g} s")

@@ -99,7 +99,7 @@ class Apart(Road):
         return self._sum(t, side, 1j * np.array(self.omega))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its exact derivative."""
+        """Returns the exact derivative of the displacement."""
         return self._sum(t, side, None)
 
     def highest(self, time: Array) -> float:
@@ -108,11 +108,11 @@ class Apart(Road):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Where each wheel begins."""
+        """Returns the times at which each wheel begins."""
         return tuple(sorted({-late for _, late, _ in self.waves}))
 
     def describe(self) -> dict[str, Any]:
-        """Its frequencies, and what each wheel has of them."""
+        """Returns the frequencies, and each wheel's amplitudes."""
         waves = [
             {"side": side, "late": late, "real": np.real(c).tolist(), "imag": np.imag(c).tolist()} for side, late, c in self.waves
         ]
@@ -165,18 +165,18 @@ class MeasuredInvariant:
 
 @dataclass(frozen=True)
 class Extremes:
-    """What one controller lets through at most.
+    """Largest gains of one controller.
 
     Attributes:
         worst: gain and frequency of the worst sinusoid of the sampled loop over a road that is held over every step, as MuJoCo
             holds it: its held-road norm, which `synth.analysis.sampled_norm` does not hold it for.
         integrated: gain of the worst sinusoid of the loop as RK4 makes it.
         tried: the frequency that was driven [rad/s], next to it.
-        gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone where the road has a filter.
+        gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone if the road has a filter.
         invariants: those that this vehicle has.
-        ended: what ended the linear regime, in whichever run.
-        lti: whether the sampled loop is time-invariant, as it is where the controller samples at every step; else its norm here
-            is without the harmonics that it makes, and bounds no gain.
+        ended: ends of the linear regime in any of the runs.
+        lti: True if the sampled loop is time-invariant, because the controller samples at every step. Otherwise its norm here
+            leaves out the harmonics, and bounds no gain.
     """
 
     worst: WorstSinusoid
@@ -270,7 +270,7 @@ def _drive_worst(
 
 
 def whole_periods(omega: float, timestep: float) -> tuple[int, int]:
-    """How many periods of about this frequency are exactly how many samples, `FINEST` of them or more."""
+    """Returns a number of periods near this frequency and their exact number of samples, `FINEST` or more per period."""
     periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))
 
@@ -322,7 +322,8 @@ class WorstRoad:
 def worst_road(
     vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitude: float, timestep: float
 ) -> WorstRoad | None:
-    """The worst road of a loop, driven; None where what happens within one sample decides, which no such road does.
+    """Drives the worst road of a loop, or returns None if its norm depends on motion within one sample, which no such road
+    excites.
 
     Args:
         vehicle: the vehicle, without noise and quantisation.

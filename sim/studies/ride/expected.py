@@ -1,4 +1,4 @@
-"""What a random road is expected to do to a linear vehicle, and how far that is from it when measuring begins.
+"""Expected metrics of a linear vehicle on a random road, and the remaining transient when measuring begins.
 
 The road's vertical velocity is white within its band: the one-sided spectrum (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels meet it
 later, the other track shares of it what the coherency says, so wheel j meets e_j(omega) of two independent white sources. With
@@ -119,10 +119,10 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
         return np.concatenate([steady[..., here] @ (met * shares)[:, here], left @ shares], axis=1)
 
     def final(omega: Array) -> Array:
-        """What the variance comes to, per Hz, shape (F, p): with all wheels on the road."""
+        """Returns the final variance per Hz, shape (F, p), with all wheels on the road."""
         X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
-        met = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
-        return power_of((C @ X + model.Cr / s) @ met)
+        wheel_roads = as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
+        return power_of((C @ X + model.Cr / s) @ wheel_roads)
 
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
@@ -178,14 +178,14 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
 
 @one_thread()
 def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
-    """The expected metrics; None where the loop is not stable, adjustable dampers make it none, or no line does as its curves.
+    """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
         vehicle: the vehicle.
         controller: its controller.
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
-        window: how long is measured [s].
+        window: duration of the measurement [s].
     """
     if not is_linear(vehicle, controller) or LoopModel(vehicle.straight, controller, timestep).radius >= 1:
         return None
@@ -290,12 +290,12 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
 
 
 def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
-    """Of every step of a period: cospectrum of its force and how far the suspension goes meanwhile, and both spectra.
+    """Returns, for every step of a period, the cospectrum of its force and the suspension's travel in the step, and both spectra.
 
     Args:
-        force: amplitudes by source from step to step, the first of the next period, too, shape (steps + 1, F, 2) [N].
-        travel: of the suspension that it pushes along, the same [m].
-        lags: whether the force goes on within a step, instead of being held.
+        force: amplitudes by source at every step and at the next period's first, shape (steps + 1, F, 2) [N].
+        travel: of its suspension, the same [m].
+        lags: True if the force changes within a step, False if it is held.
 
     Returns:
         Shape (steps, F, 3).

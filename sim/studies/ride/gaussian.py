@@ -56,7 +56,7 @@ class Gaussian:
 
     @cached_property
     def sigmas(self) -> list[float]:
-        """That of every step."""
+        """Returns the standard deviation at every step."""
         return [float(self.share @ spectrum) ** 0.5 for spectrum in self.by_step]
 
     @property

@@ -1,4 +1,4 @@
-"""What engineers judge a suspension by: ride, travel, road holding, and what the actuators do. Measured while runs go on.
+"""Metrics of a suspension: ride, travel, road holding, and actuator effort. Measured while runs go on.
 
 Ride, of every vertical acceleration a of the body, weighted as ISO 2631-1 has it (`sim/studies/ride/weighting.py`), a_w:
 
@@ -49,7 +49,7 @@ class Midway:
     """Takes N runs of one kind of vehicle block by block, from their first sample on."""
 
     def __init__(self, vehicles: Sequence[Vehicle], accelerations: Sequence[str], index: Mapping[str, int]) -> None:
-        """Of these signals; `index` has the place of every output signal and coefficient among the values."""
+        """Prepares these acceleration signals; `index` has the place of every output signal and coefficient among the values."""
         vehicle = vehicles[0]
         forces, outputs = vehicle.linear_model.inputs, vehicle.linear_model.outputs
         dampers = {one.force: one for one in vehicle.adjustable}
@@ -73,17 +73,19 @@ class Midway:
         self.before: dict[int, Array] = {}  # the last sample, by place, shape (N, 1)
 
     def __call__(self, values: Array) -> dict[str, Array]:
-        """What to take from each acceleration of the next block of signals, of shape (B, S, N): half its leaps, shape (N, B)."""
+        """Returns half the leaps of each acceleration, shape (N, B), from the next block of signals, shape (B, S, N), to be
+        subtracted.
+        """
         half = {force: self._leap(force, values) / 2 for force in self.leaping}
-        found = {}
+        half_leaps = {}
         for name, shares in self.shares.items():
             for force, share in shares.items():
                 part = share * half[force]
-                found[name] = found[name] + part if name in found else part
-        return found
+                half_leaps[name] = half_leaps[name] + part if name in half_leaps else part
+        return half_leaps
 
     def _leap(self, force: str, values: Array) -> Array:
-        """What a force leaps by at every sample, shape (N, B); nothing at the first, before which nobody has looked."""
+        """Returns the leap of a force at every sample, shape (N, B); zero at the first sample of all."""
         last, now = self._both(self.index[force], values)
         if force not in self.coefficient:
             return now - last
@@ -117,26 +119,28 @@ def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
 
 
 def angle_metrics(angle: Array) -> dict[str, Array]:
-    """What is told of an angle [rad] over time, shape (N, B), in degrees, shape (N,): of `KINDS` all that do for either."""
+    """Returns the metrics of an angle [rad] over time, shape (N, B), in degrees, shape (N,): those of `KINDS` for either
+    angle.
+    """
     largest, smallest = angle.max(axis=1), angle.min(axis=1)
     zero = np.zeros(len(angle))
-    found = {
+    metrics = {
         "dive": np.maximum(largest, zero),
         "squat": np.maximum(-smallest, zero),
         "peak": np.maximum(largest, -smallest),
         "at_end": angle[:, -1],
     }
-    return {name: DEGREES * value for name, value in found.items()}
+    return {name: DEGREES * value for name, value in metrics.items()}
 
 
 def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: float) -> dict[str, float]:
-    """Where the linear loop rests under what the loads are at a time [s], in degrees by angle; none where it does not rest.
+    """Returns the angles of the linear loop at rest under the loads of a time [s], in degrees; empty if it has no rest.
 
     Args:
         vehicle: the vehicle.
         controller: its controller.
         road: with the loads.
-        time: whose loads count.
+        time: of the loads [s].
     """
     cut = continuous(vehicle, controller)
     model, felt = cut.model, readings_of_loads(cut, controller)
@@ -155,13 +159,13 @@ DEFINITIONS = 5  # of the metrics and what is expected of them; one more whereve
 
 @dataclass(frozen=True)
 class Metric:
-    """One number of a run.
+    """Definition of a metric of a run.
 
     Attributes:
-        name: of a column of a file.
+        name: of its column in a file.
         unit: SI.
-        source: the signal that it is of.
-        what: it is of that signal.
+        source: signal that is evaluated.
+        what: quantity that is taken of that signal.
     """
 
     name: str
@@ -172,13 +176,13 @@ class Metric:
 
 @dataclass(frozen=True)
 class Points:
-    """Where a vehicle is measured, as names of its signals.
+    """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: of the body, where people sit; nobody rides on a wheel.
+        accelerations: of the body, where people sit.
         suspensions: deflections.
         tyres: deflections.
-        actuators: (force, deflection that it pushes along); of one that has no such suspension, (force,).
+        actuators: (force, deflection that it pushes along), or (force,) if there is no such suspension.
     """
 
     accelerations: tuple[str, ...]

@@ -49,7 +49,7 @@ class Band:
     error: float
 
     def before(self, other: "Band") -> "Band":
-        """It and a band that begins where it ends, whose integrals count for so much more that its error is that of both."""
+        """Concatenates two adjacent bands. The error is that of `other`, whose integrals dominate."""
         pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
         return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
 
@@ -125,7 +125,7 @@ def _nodes(left: Array, right: Array) -> Array:
 
 
 def _estimate(integrands: Array, width: Array) -> Array:
-    """Of every panel, the largest estimate of its error in any integral, over that integral, shape (P,)."""
+    """Returns the largest relative error estimate of any integral, for every panel, shape (P,)."""
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     apart = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)
@@ -133,19 +133,19 @@ def _estimate(integrands: Array, width: Array) -> Array:
 
 
 def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """What every wheel's track has of the two independent sources of a road, shape (F, r, 2)."""
+    """Returns the share of the two independent sources of a road in every wheel's track, shape (F, r, 2)."""
     alike = road.coherency(omega)
     left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
     return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
 
 
 def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
-    """What every wheel meets of the two independent sources of a road, complex, shape (F, r, 2)."""
+    """Returns the road under every wheel by the two independent sources, complex, shape (F, r, 2)."""
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
 def longest_panel(vehicle: Vehicle, speed: float) -> float:
-    """How far frequencies may be apart that see how much later the last axle meets the road [rad/s]."""
+    """Returns the largest spacing of frequencies that resolves the delay of the last axle [rad/s]."""
     delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed
     return 2 * np.pi / delay if delay else math.inf
 

@@ -49,7 +49,7 @@ def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
 
 
 def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """What the IRIs of a road are called that a vehicle drives over, of those that have some."""
+    """Returns the names of the IRIs of a road under a vehicle: one per track, or a single one."""
     return tuple(f"iri_{track}" for track in TRACKS) if track_width(vehicle) else ("iri",)
 
 
@@ -59,16 +59,15 @@ def _name(one: Roughness, found: Sequence[Roughness]) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """One metric of one run, thrice.
+    """Values of one metric of one run: in physics, predicted and expected.
 
     Attributes:
         unit: SI.
-        mujoco: of the physics; None where the run broke off.
-        sampled: of the exact sampled response over the same road; None where the run broke off.
-        expected: over all roads of this kind, from their spectrum; None where the road has none, the loop is unstable or none
-            that is linear, or nobody has worked it out.
-        spread: its standard deviation from road to road; None where it is not known.
-        approximate: whether what is expected is.
+        mujoco: of the physics, or None if the run broke off.
+        sampled: of the exact sampled response over the same road, or None if the run broke off.
+        expected: over all roads of this kind, from their spectrum, or None without a spectrum, a stable linear loop or a formula.
+        spread: standard deviation from road to road, or None if it is unknown.
+        approximate: True if the expectation is approximate.
     """
 
     unit: str
@@ -81,16 +80,16 @@ class Measured:
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """All metrics of one run, and what they rest on.
+    """All metrics of one run, with the basis of their expectations.
 
     Attributes:
         metrics: by name.
-        settled: how far a variance is from its own when measuring begins; None for roads without a spectrum, unstable loops, and
-            laws in Python.
-        error: what the expectations' integrals are off, relative, at most; None where there are none.
-        line: the linear vehicle that is expected; None where there is no expectation.
-        static: where the linear loop rests under the loads of the end, by angle [deg]; None without loads, and empty where there
-            is no such loop, or no rest.
+        settled: remaining transient of the variances when measuring begins, or None for roads without a spectrum, unstable loops,
+            and laws in Python.
+        error: largest relative error of the expectations' integrals, or None without expectations.
+        line: the linear vehicle of the expectations, or None.
+        static: angles of the linear loop at rest under the final loads [deg]. None without loads; empty without such a loop, or
+            without a rest.
     """
 
     metrics: Mapping[str, Measured]

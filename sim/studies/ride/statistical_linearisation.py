@@ -72,15 +72,15 @@ LOWEST = 1e-3  # of a road's lowest frequency: where noise that the road has not
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What e curves have beyond their lines.
+    """Parts of e curves beyond their lines, as linear memory and noise.
 
     Attributes:
-        pulls: where their forces act.
-        index: among the vehicle's outputs, what each is over, shape (e,).
+        pulls: the curves as elements.
+        index: of each curve's argument among the vehicle's outputs, shape (e,).
         omega: ascending from 0 [rad/s], shape (F,).
-        memory: from what they are over to their forces, beyond the lines of the vehicle, shape (F, e, e).
-        noise: of their forces, the matrix of one-sided spectra [N^2/Hz], shape (F, e, e).
-        mean_force: of them, beyond those lines at their means [N], shape (e,).
+        memory: from the arguments to the forces, beyond the lines of the vehicle, shape (F, e, e).
+        noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
+        mean_force: mean forces beyond those lines [N], shape (e,).
     """
 
     pulls: Elements
@@ -91,7 +91,8 @@ class Remainder:
     mean_force: Array
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """What acts on the vehicle, over the amplitude of a road of its density: under wheels, then as forces in curves.
+        """Returns the excitation of the vehicle, over the amplitude of a road of its density: under wheels, then as forces in
+        curves.
 
         Args:
             vehicle: linear, with the lines of the curves, r wheels.
@@ -111,7 +112,7 @@ class Remainder:
         outside = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
         outside[:, :wheels, :2], outside[:, wheels:, 2:] = met, own
         turn = np.exp(-1j * np.multiply.outer(np.arange(steps) * timestep, omega))[..., None, None]
-        over = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # what of it oscillates with omega
+        over = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component at omega
         memory = _between(self.omega, self.memory, omega)
         closed = np.linalg.solve(np.eye(len(self.index)) - over[..., wheels:] @ memory, over @ outside)
         outside[:, wheels:] += memory @ closed
@@ -130,7 +131,7 @@ def remainder(
     lines: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """What curves have beyond their lines over a road, consistent with itself; None where it is never consistent.
+    """Returns the parts of curves beyond their lines over a road, self-consistent, or None if the iteration does not converge.
 
     Args:
         vehicle: linear, with the lines of e curves.
@@ -139,10 +140,10 @@ def remainder(
         timestep: of the sampled loop [s].
         fastest: rate of the fastest oscillation of its loop [rad/s].
         pulls: the curves.
-        index: among the vehicle's outputs, what each is over, shape (e,).
-        means: of that, to begin with, shape (e,).
-        lines: the slopes that the vehicle has in place of the curves, shape (e,).
-        resting: what it is on average where the curves pull beyond their lines with some forces on average, (e,) to (e,).
+        index: of each curve's argument among the vehicle's outputs, shape (e,).
+        means: initial means of the arguments, shape (e,).
+        lines: slopes of the vehicle in place of the curves, shape (e,).
+        resting: from mean forces beyond the lines to the means of the arguments, (e,) to (e,).
     """
     curves = [curve for curve in pulls.curves if curve is not None]
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -198,7 +199,7 @@ def averages(curve: Curve, mean: float, deviation: float) -> tuple[float, float]
 
 
 def coefficients(curve: Curve, mean: float, deviation: float) -> Array:
-    """Of the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation), in a curve [N]."""
+    """Returns the coefficients of a curve in the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation) [N]."""
     a = (curve.x - mean) / deviation
     weights = deviation * np.diff(curve.slopes) * np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
     return np.array([float(weights @ special.eval_hermitenorm(n - 2, a)) / math.factorial(n) for n in DEGREES])
@@ -244,13 +245,13 @@ MOST_ROUNDS = 100
 
 @dataclass(frozen=True, eq=False)
 class Equivalent:
-    """The linear vehicle that a vehicle is on average over a random road.
+    """Linear vehicle that a vehicle is on average over a random road.
 
     Attributes:
         vehicle: without curves.
         mean: of the output signals that have one, by name [the signal's unit].
-        rounds: after how many it was consistent; 0 where there was nothing to do.
-        remainder: what the curves have beyond their lines; None where there is nothing, or none that is consistent.
+        rounds: number of iterations to consistency; 0 without curves.
+        remainder: parts of the curves beyond their lines, or None without a consistent one.
     """
 
     vehicle: Vehicle
@@ -260,7 +261,8 @@ class Equivalent:
 
 
 def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float) -> Equivalent | None:
-    """The linear vehicle in place of one with curves; None where on the way its loop is not stable, or it is never consistent.
+    """Returns the linear vehicle in place of one with curves, or None if its loop becomes unstable or the iteration does not
+    converge.
 
     Args:
         vehicle: the vehicle.

@@ -113,7 +113,7 @@ class SampledWk:
     denominators: Array
 
     def response(self, omega: Array, timestep: float) -> Array:
-        """Its frequency response, complex, shape like omega [rad/s]."""
+        """Returns the filter's frequency response, complex, shape like omega [rad/s]."""
         z = np.exp(-1j * np.asarray(omega) * timestep)
         return sum(
             (np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in zip(self.numerators, self.denominators, strict=True)),

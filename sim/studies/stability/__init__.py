@@ -1,3 +1,3 @@
-"""How much the loop bears: predicted, then confirmed in MuJoCo on both sides of that."""
+"""Stability margins of a loop: predicted, then confirmed in MuJoCo on both sides."""
 
 TIMESTEP = 5e-4  # s, of its runs, unless another is asked for

@@ -67,7 +67,7 @@ class Search:
         return self._multiples(np.linspace(self.stable, self.unstable, 10)[1:-1].tolist())
 
     def _sides(self) -> list[float]:
-        """Those on either side of what is expected, as near as an answer is narrowed down, that are not yet tried."""
+        """Returns the untried values on either side of the expected one, within the resolution of the search."""
         if self.step:
             below = math.floor(self.expected / self.step)
             return self._multiples([below * self.step, (below + 1) * self.step])

@@ -1,9 +1,9 @@
-"""How fast a loop grows whose forces act late, by many samples: without the eigenvalues of all that is on its way.
+"""Growth rate of a loop whose forces are delayed by many samples, without the eigenvalues of all pending forces.
 
-Over one delay of d samples the state and the d forces on their way become the state after it and the forces computed
-meanwhile. That map is the d-th power of the one from sample to sample, whose eigenvalues lie so close together in size that the
-largest is found only with all the others. Those of the power are apart: what decays is all but gone after a delay, so that a few
-dozen applications of it do (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
+Over one delay of d samples the state and the d pending forces become the later state and the forces computed meanwhile. That map
+is the d-th power of the map from sample to sample, whose eigenvalues are so close in size that the largest is found only with all
+the others. The eigenvalues of the power are apart: decaying motion is all but gone after a delay, so that a few dozen
+applications of it suffice (Arnoldi's method; Lehoucq, Sorensen, Yang 1998, ARPACK Users' Guide).
 """
 
 import math

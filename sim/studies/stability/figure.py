@@ -38,16 +38,16 @@ def margins_figure(
     box: Robustness | None,
     timestep: float,
 ) -> Figure:
-    """How fast the slowest mode grows or decays: lines by the poles of the implemented linear loop, points in MuJoCo's runs.
+    """Draws the growth rate of the slowest mode: lines by the poles of the implemented linear loop, points from MuJoCo's runs.
 
-    Where both cross zero is the margin.
+    The margin is the common zero of both.
 
     Args:
         vehicle: the vehicle, its controller ideal.
         controller: its controller.
         loop: all its loops at once.
-        fragile: what errors it bears.
-        box: the controller on other vehicles; None where there are none.
+        fragile: its margin of errors.
+        box: the controller on other vehicles, or None if the kind has no variations.
         timestep: of the physics [s].
     """
 

@@ -1,4 +1,4 @@
-"""How large errors of its readings and forces a loop bears: predicted, proved, and found in MuJoCo along the worst of them."""
+"""Margin of a loop for errors of its readings and forces: predicted, proved, and confirmed in MuJoCo along the worst of them."""
 
 import math
 from collections.abc import Callable
@@ -31,7 +31,7 @@ class Edge(GainMargin):
 
     @property
     def found(self) -> float:
-        """What physics tends to as its timestep shrinks. Without an edge of the loop's own it is the sampling that ends it."""
+        """Returns the margin extrapolated to timestep zero; infinite if only sampling makes the loop unstable."""
         coarse, fine = self.search.found, self.finer.found
         if not self.finer.tried:
             return coarse
@@ -58,7 +58,7 @@ class FragilityFound:
 
     @property
     def agrees(self) -> bool:
-        """Whether the worst errors end the loop in MuJoCo where they are predicted to."""
+        """Returns True if the worst errors make the loop unstable in MuJoCo at their predicted size."""
         return self.edge.agrees
 
 
@@ -92,7 +92,7 @@ def with_errors(controller: Controller, predicted: Fragility, amount: float) -> 
 
 
 def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility, timestep: float) -> float:
-    """The same edge of the loop that is sampled every timestep; infinite where there is none up to `MOST`."""
+    """Returns the margin of the loop that is sampled every timestep; infinite if it exceeds `MOST`."""
 
     def grows(amount: float) -> bool:
         return LoopModel(vehicle, with_errors(controller, predicted, amount), timestep).radius >= 1

@@ -46,12 +46,12 @@ ENTRIES = 1e7  # numbers in a batch's record
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One run that grows or decays.
+    """Run that grows or decays.
 
     Attributes:
         vehicle: with its implementation of the controller.
         controller: the controller.
-        undelayed: a second one, whose forces act at every timestep, without delay, whatever the implementation; or None.
+        undelayed: second controller, whose forces act at every timestep without delay, or None.
     """
 
     vehicle: Vehicle
@@ -61,11 +61,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Growth:
-    """What became of a run.
+    """Result of a growth test.
 
     Attributes:
-        grows: whether it grows; else it decays.
-        rate: of the slowest mode in it [1/s]; NaN where too little of it was free and linear.
+        grows: True if the run grows, False if it decays.
+        rate: of its slowest mode [1/s], or NaN if too little of the run was free and linear.
     """
 
     grows: bool
@@ -73,14 +73,14 @@ class Growth:
 
 
 def silent(message: str) -> None:
-    """Shows no progress."""
+    """Ignores progress."""
 
 
 def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[Growth]:
-    """Whether runs grow, and how fast. Those that have not settled into growth or decay start anew, and run until they have."""
-    found: dict[int, Growth] = {}
+    """Tests runs for growth, and finds their rates. Unsettled runs start anew, and run until they settle."""
+    growths_by_trial: dict[int, Growth] = {}
     for least in (SHORTEST, LONGEST):
-        going = [i for i in range(len(trials)) if i not in found]
+        going = [i for i in range(len(trials)) if i not in growths_by_trial]
         if not going:
             break
         batches = [[going[i] for i in batch] for batch in _batches([trials[i] for i in going], timestep, least)]
@@ -88,16 +88,16 @@ def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], Non
         pieces = [functools.partial(_settled, [trials[i] for i in batch], timestep, least) for batch in batches]
         with closing(side_by_side(pieces, cores())) as done:
             for number, growths in done:
-                found |= {batches[number][i]: growth for i, growth in growths.items()}
-                progress(f"{len(trials) - len(found)} of {len(trials)} runs to go")
+                growths_by_trial |= {batches[number][i]: growth for i, growth in growths.items()}
+                progress(f"{len(trials) - len(growths_by_trial)} of {len(trials)} runs to go")
     progress("")
-    return [found[i] for i in range(len(trials))]
+    return [growths_by_trial[i] for i in range(len(trials))]
 
 
 def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[list[int]]:
-    """Which trials run in one batch, the longest first: such as take as long, and whose forces are computed alike.
+    """Groups trials into batches of equal computation and similar duration, the longest first.
 
-    So what becomes of a run does not depend on the others, to the last bit.
+    A run's numbers therefore do not depend on the others, to the last bit.
     """
     alike: dict[tuple[object, ...], list[int]] = {}
     for i, trial in enumerate(trials):
@@ -164,7 +164,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
 def _confirmed(
     trial: Trial, loop: LateLoop | None, states: Array, peaks: Array, timestep: float, duration: float
 ) -> Growth | None:
-    """What the loop of a run does, where the run is seen to do so; None where it is not."""
+    """Returns the growth of a run's loop if the run confirms it, or None."""
     if loop is None or not np.all(np.isfinite(states)):
         return None
     hold = _hold(trial, timestep)
@@ -176,7 +176,7 @@ def _confirmed(
 
 
 def _follows(states: Array, loop: LateLoop, duration: float) -> bool:
-    """Whether a run goes on as its loop does with the run's own past, and what is left of it goes as the loop's slowest mode."""
+    """Returns True if a run continues as its loop predicts from its own past, and its end as the loop's slowest mode."""
     first = loop.held * math.ceil(FREE_FROM / (loop.held * loop.timestep))
     last = states.shape[1] // 4
     left, off = states[:, -last:], (states - loop.goes_on(states, first))[:, -last:]
@@ -186,7 +186,7 @@ def _follows(states: Array, loop: LateLoop, duration: float) -> bool:
 
 
 def _growth(trial: Trial, states: Array, timestep: float, duration: float) -> Growth | None:
-    """What is made of a run that has gone for so long [s]; None where that is not enough."""
+    """Returns the growth of a run of this duration [s], or None if it is too short."""
     enough = _enough(trial, timestep)
     rate = _rate(states, timestep, round(_hold(trial, timestep) / timestep))
     if trial.controller.law.states:
@@ -218,7 +218,7 @@ def _enough(trial: Trial, timestep: float) -> float:
 
 
 def _hold(trial: Trial, timestep: float) -> float:
-    """How long a measurement acts, or waits to [s]."""
+    """Returns the time for which a measurement acts or is delayed [s]."""
     how = trial.vehicle.implementation
     return (how.sample_period or timestep) * (1 + how.delay)
 
@@ -249,14 +249,14 @@ def _still(states: Array, samples: int) -> bool:
 
 
 def _grows(states: Array, rate: float, last: bool) -> bool | None:
-    """Whether a run grows; None where it has not settled yet.
+    """Returns True if a run grows, False if it decays, or None if it has not settled yet.
 
-    Its energy is taken in three windows, without the first quarter. A Hann window does not see the oscillation within it, so what
-    is left of a run that has settled is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly
-    excites, so that they hide behind what decays: to one side, and from one side to the other with every step. They are told by
-    the mean over a window, plain and with alternating sign, and nothing decays while they grow. A run that has not settled by
-    that is told by the rate of its slowest mode, where that is known. Where that rate says otherwise than the windows, a mode
-    that creeps, or turns but once in the run, is hidden in them by what is faster: a longer run tells, and at last the rate.
+    The test compares its energy in three windows, without the first quarter. A Hann window suppresses the oscillation within it,
+    so that a settled run is an exponential: the same ratio from window to window. Two kinds of growth the bump hardly excites, so
+    that decaying modes hide them: to one side, and from one side to the other with every step. The mean over a window shows them,
+    plain and with alternating sign; nothing decays while they grow. For a run that is still unsettled the rate of its slowest
+    mode decides, if that is known. If that rate contradicts the windows, faster modes hide a mode that creeps, or turns but once
+    in the run: a longer run decides, and at last the rate.
     """
     length = states.shape[-1] // 4
     with np.errstate(over="ignore"):

@@ -18,13 +18,13 @@ from synth.controller.controller import Controller
 
 @dataclass(frozen=True, eq=False)
 class LateLoop:
-    """From step to step, x[k+1] = Phi x[k] + Gamma G x[i], where i is the last sample that is at least `delay` steps old.
+    """Loop with delayed forces: x[k+1] = Phi x[k] + Gamma G x[i], where i is the last sample that is at least `delay` steps old.
 
     Attributes:
-        Phi: with every force that acts at once closed, shape (n, n).
-        Gamma: from the forces that act late, shape (n, m).
-        G: to the forces asked for, shape (m, n).
-        delay: in steps; 0 where they are sampled more seldom than every step.
+        Phi: with the undelayed forces closed, shape (n, n).
+        Gamma: from the delayed forces, shape (n, m).
+        G: to the requested forces, shape (m, n).
+        delay: in steps; 0 if the controller samples less often than every step.
         held: steps from sample to sample.
         timestep: [s].
     """
@@ -48,11 +48,11 @@ class LateLoop:
             return math.nan
 
     def goes_on(self, states: Array, first: int) -> Array:
-        """What it makes of a run's states up to a step, which is a sample: those of all later steps, shape (n, T).
+        """Predicts all later states from a run's states up to a step, which must be a sample, shape (n, T).
 
         Args:
             states: of the run, shape (n, T).
-            first: the last step up to which they are believed.
+            first: the last step that is taken from the run.
         """
         expected = np.array(states)
         now, forces, Phi, Gamma = expected[:, first], np.zeros(len(self.Phi)), self.Phi, self.Gamma
@@ -69,10 +69,10 @@ class LateLoop:
 
 
 def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | None, timestep: float) -> LateLoop | None:
-    """The loop of a vehicle, as MuJoCo integrates it, with a second controller whose forces act at once.
+    """Returns the loop of a vehicle, as MuJoCo integrates it, with an undelayed second controller.
 
-    None where the first one is late by part of a sample, or samples seldom and is late or has states, or where it has company and
-    either has states.
+    Returns None if the first controller is late by part of a sample, or samples seldom and is late or has states. Also returns
+    None if there is a second controller and either has states.
     """
     how = vehicle.implementation
     held = steps_per_sample(how, timestep)

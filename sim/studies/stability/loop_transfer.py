@@ -40,12 +40,12 @@ class Loop:
 
     @property
     def M(self) -> Array:
-        """What closing the loop adds to A where H is zero, shape (n, n)."""
+        """Returns the contribution of closing the loop to A if H is zero, shape (n, n)."""
         return self.B @ self.G
 
     @property
     def comes_back(self) -> float:
-        """How many times as large a force comes back at once through its own measurement: from 1 on it bears no delay at all."""
+        """Returns the direct gain of a force through its own measurement: from 1 on the loop has no delay margin."""
         return float(np.abs(np.linalg.eigvals(self.H)).max(initial=0.0))
 
     def balanced(self) -> "Loop":

@@ -23,16 +23,16 @@ WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inv
 
 @dataclass(frozen=True, eq=False)
 class GainMargin:
-    """How many times more gain a loop bears, or how many times less, predicted and found; infinite where any.
+    """Gain margin of a loop, upwards or downwards, predicted and found; infinite if any factor is stable.
 
     Physics holds the force over a step, and so runs the sampled loop, whose margin tends to the loop's own with the first power
-    of the timestep. Where what is found at one step is not the loop's own, half the step tells what it tends to.
+    of the timestep. If the margin found at one step is not the loop's own, half the step allows to extrapolate.
 
     Attributes:
-        own: predicted of the loop itself, without sampling.
-        sampled: predicted of the sampled loop, as RK4 integrates it, at the timestep and at half of it.
+        own: predicted for the loop itself, without sampling.
+        sampled: predicted for the sampled loop, as RK4 integrates it, at the timestep and at half of it.
         search: for the margin at the timestep.
-        finer: at half of it; not run where it need not be.
+        finer: at half of it; not run if it is not needed.
     """
 
     own: float
@@ -42,12 +42,14 @@ class GainMargin:
 
     @property
     def doubtful(self) -> bool:
-        """Whether what is found at the timestep is not the loop's own."""
+        """Returns True if the margin found at the timestep is not the loop's own."""
         return not _close(self.own, self.search.found, AGREES * self.own)
 
     @property
     def found(self) -> float:
-        """What physics tends to as its timestep shrinks. A margin that grows as the step shrinks is the sampling's alone."""
+        """Returns the margin extrapolated to timestep zero; infinite if it grows as the step shrinks, and so is the sampling's
+        alone.
+        """
         if not self.finer.tried:
             return self.search.found
         coarse, fine = self.search.found, self.finer.found
@@ -55,12 +57,12 @@ class GainMargin:
 
     @property
     def agrees(self) -> bool:
-        """Whether physics bears what is predicted, at each step that it ran with and in what it tends to.
+        """Returns True if physics has the predicted margins, at each step that it ran with and extrapolated.
 
-        What two steps tend to is off by a second power of the step: by less than half of what the halving has moved.
+        The extrapolation is off by a second power of the step: by less than half of the change by halving.
         """
         tried = zip(self.sampled, (self.search, self.finer), strict=True)
-        here = all(_close(at, one.found, AGREES * at) for at, one in tried if one.tried)
+        here = all(_close(at, search.found, AGREES * at) for at, search in tried if search.tried)
         moved = abs(self.finer.found - self.search.found) if self.finer.tried else 0.0
         return here and _close(self.own, self.found, max(moved / 2, AGREES * self.own))
 
@@ -96,14 +98,14 @@ class LoopMargins:
 
     @property
     def found_phase(self) -> float:
-        """What the delay makes of phase at the crossover [rad]."""
+        """Returns the phase of the found delay at the crossover [rad]."""
         if math.isinf(self.delay.unstable):
             return math.inf
         return self.delay.unstable * self.predicted.frequency
 
     @property
     def agrees(self) -> bool:
-        """Whether every margin is found where it is predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
+        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
         return (
             self.gain.agrees
             and self.gain_lower.agrees

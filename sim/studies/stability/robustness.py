@@ -70,21 +70,21 @@ class Robustness:
 
     @property
     def holds(self) -> bool:
-        """Whether physics and analysis say the same at every corner."""
+        """Returns True if physics and analysis agree at every corner."""
         return all(corner.agrees and corner.decays == math.isfinite(corner.norm) for corner in self.corners)
 
 
 def varied_text(kind: VehicleKind) -> str:
-    """What varies from vehicle to vehicle of a kind, and how far, in words."""
+    """Describes the variations of a kind of vehicle."""
     return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} says how far it varies"
 
 
 def robustness(
     vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, progress: Callable[[str], None] = silent
 ) -> list[Robustness | None]:
-    """The worst norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
+    """Returns the worst norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
-    None where the kind of vehicle varies nothing: then there is no other vehicle.
+    Returns None for each controller if the kind of vehicle has no variations.
     """
     varied = tuple(vehicle.kind.variations)
     if not varied:
@@ -141,7 +141,7 @@ def _worst(
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
-    """Whether MuJoCo agrees with the linear response of each over the bump; all of them run in one batch."""
+    """Returns True for each trial whose linear response over the bump MuJoCo confirms; all run in one batch."""
     controllers, met = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
     predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, met, strict=True)]
     response = simulate(controllers, met, threads=0).response

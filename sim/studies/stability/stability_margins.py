@@ -38,11 +38,11 @@ LONGEST = 100.0  # s; the longest sample period that is looked at where the vehi
 
 @dataclass(frozen=True)
 class Crossover:
-    """Where an eigenvalue of L(j w) has magnitude one.
+    """Frequency at which an eigenvalue of L(j w) has magnitude one.
 
     Attributes:
-        frequency: w [rad/s]; infinite of a force that is in its own measurement and grows with any delay.
-        phase: the lag that makes it 1, between 0 and 2 pi [rad].
+        frequency: w [rad/s]; infinite for a force that is in its own measurement and grows with any delay.
+        phase: lag that makes the eigenvalue 1, between 0 and 2 pi [rad].
     """
 
     frequency: float
@@ -56,13 +56,13 @@ class Crossover:
 
 @dataclass(frozen=True)
 class Margins:
-    """What a loop bears, predicted. Infinite: any amount.
+    """Predicted margins of a loop; infinite if any amount is stable.
 
     Attributes:
-        gain: the smallest factor above 1 at which it is unstable.
-        gain_lower: the largest factor below 1 at which it is unstable; 0 where there is none.
-        crossovers: all of them, by the delay that they allow; the first is the margin.
-        sample_period: the shortest one at which it is unstable [s].
+        gain: smallest factor above 1 at which the loop is unstable.
+        gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is no such factor.
+        crossovers: all crossovers, by increasing delay; the first is the margin.
+        sample_period: shortest period at which the loop is unstable [s].
     """
 
     gain: float
@@ -82,7 +82,7 @@ class Margins:
 
     @property
     def frequency(self) -> float:
-        """That crossover [rad/s]; NaN where there is none."""
+        """Returns the first crossover's frequency [rad/s], or NaN without a crossover."""
         return self.crossovers[0].frequency if self.crossovers else math.nan
 
     @property
@@ -168,10 +168,10 @@ def _of_the_pencil(loop: Loop) -> list[Crossover | None]:
     return found
 
 
-def _by_delay(found: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
-    """Those that are crossovers, each once, by the delay that they allow."""
+def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
+    """Returns the distinct crossovers by increasing delay."""
     different: list[Crossover] = []
-    for one in found:
+    for one in candidates:
         if one and not any(math.isclose(one.delay, other.delay, rel_tol=1e-7) for other in different):
             different.append(one)
     return tuple(sorted(different, key=lambda crossover: crossover.delay))
@@ -192,7 +192,7 @@ def _crossings_on_a_grid(loop: Loop) -> list[Crossover | None]:
 
 
 def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
-    """The crossover next to a lag and a pole, to rounding; None where the pole only comes near the axis."""
+    """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:
         poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
@@ -209,10 +209,10 @@ def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
 
 
 def largest_sample_period(loop: Loop) -> float:
-    """The shortest sample period at which the loop is unstable [s]; infinite where there is none.
+    """Returns the shortest sample period at which the loop is unstable [s], or infinity.
 
-    Looked for in steps that no pole turns by more than a twentieth of a radian in, as long as anything is left of it. A force
-    that comes back as large through its own measurement bears none.
+    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. The result is 0
+    if a force comes back as large through its own measurement.
     """
     if loop.comes_back >= 1:
         return 0.0

@@ -1,1 +1,1 @@
-"""Where linear analysis holds over a grid of bumps."""
+"""Range of validity of linear analysis over a grid of bumps."""

@@ -15,7 +15,7 @@ MOST_CELLS = 100_000
 
 @dataclass(frozen=True)
 class Axis:
-    """One quantity of a bump, varied evenly.
+    """Quantity of a bump, varied evenly.
 
     Attributes:
         name: height, length or speed.

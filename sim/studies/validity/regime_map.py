@@ -1,12 +1,12 @@
-"""The map of validity: over a grid of bumps, where linear analysis holds, and what breaks first where it does not.
+"""Map of validity: range of linear analysis over a grid of bumps, and the first event that ends it.
 
-Before anything breaks, physics *is* linear, so what breaks first, and when, follows from the linear response alone; and that is
-proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights, and MuJoCo, run in
-every cell, says whether that is so.
+Before the first event physics *is* linear, so the event and its time follow from the linear response alone; and that is
+proportional to the height of the bump. One linear run per length and speed predicts a whole column of heights. MuJoCo runs every
+cell to check it.
 
-Adjustable dampers that are asked for forces leave a linear controller short at once, at whatever height. So what is told of them
-is how much of the force is missing; what breaks first is then what ends the analysis *with* its dampers, the switched response,
-which is proportional to the height as well. A curve is off its line by more and more: it breaks at a stated share, `LEAVES`.
+With adjustable dampers a linear controller lacks force at once, at whatever height. The map therefore shows the share of missing
+force, and the first event ends the analysis *with* its dampers, the switched response, which is also proportional to the height.
+A curve departs from its line gradually: it counts from a stated share, `LEAVES`.
 """
 
 import functools
@@ -71,13 +71,13 @@ class Cells:
     missing: Array
 
     def counted(self, noun: str) -> str:
-        """How many were run, and of how many asked where those are more."""
+        """Describes the number of cells that were run, and of those requested if that is more."""
         done, asked = int(self.done.sum()), len(self.bumps)
         return f"{done} {noun}" if done == asked else f"{done} {noun} (of {asked} asked)"
 
     @property
     def short(self) -> str:
-        """How much of the force asked of adjustable dampers is missing, in words; empty where none is."""
+        """Describes the share of missing force of adjustable dampers; empty if no force is missing."""
         some = self.missing[self.done & (self.missing > 0)]
         if not len(some):
             return ""
@@ -87,7 +87,7 @@ class Cells:
 
     @property
     def agrees(self) -> Array:
-        """Where physics breaks first what was predicted, shape (N,)."""
+        """Returns True for cells whose first event in physics is the predicted one, shape (N,)."""
         return self.done & (self.first == self.predicted)
 
     @property
@@ -102,7 +102,7 @@ class Cells:
 
     @property
     def as_predicted(self) -> bool:
-        """Whether physics breaks first what is predicted: in all but a few cells, and those at a boundary."""
+        """Returns True if the first event is the predicted one in all but a few cells, and those are at a boundary."""
         return self.agreement >= ENOUGH and not self.unexplained
 
 
@@ -242,15 +242,15 @@ def _run(
 
 
 def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array) -> tuple[Array, Array]:
-    """How much of the way bumps go to each end, shape (N, E), and when they reach it, from responses to a metre.
+    """Returns the share of each end that bumps reach, shape (N, E), and the times, from responses to a bump of a metre.
 
-    The times are of every bump as it is, and 1 % lower and higher, shape (N, 3, E).
+    The times are for every bump as it is, and 1 % lower and higher, shape (N, 3, E).
 
     Args:
         vehicle: the vehicle.
         unit: of one run for every length and speed.
         heights: of the bumps [m], shape (N,).
-        column: their runs, shape (N,).
+        column: index of their runs, shape (N,).
     """
     hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
     used = np.abs(heights)[:, None] * np.where(
