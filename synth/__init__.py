@@ -10,7 +10,7 @@ Public names, imported when they are first used; all units are SI:
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, whose period has a `Piece` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
-- no controller is ever empty: `DesignError`, `InfeasibleError`, `BatchError` say why there is none
+- no controller is ever empty: `DesignError`, `InfeasibleError` say why there is none
 
 Whatever else a module holds may move without notice.
 """
@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.design.uncertainty.worst_case import worst_norm
     from synth.lmi.full_order_bound import find_lower_bound
     from synth.plant.generalized import Feedback, GeneralizedPlant
-    from synth.plant.numerics import BatchError, DesignError, InfeasibleError
+    from synth.plant.numerics import DesignError, InfeasibleError
     from synth.vehicle.designer import Designer, design_controllers
     from synth.vehicle.state_space import closed_loop, controller_from, from_state_space, law_system
 else:
@@ -67,7 +67,7 @@ else:
             "synth.design.uncertainty.worst_case": "worst_norm",
             "synth.lmi.full_order_bound": "find_lower_bound",
             "synth.plant.generalized": "Feedback GeneralizedPlant",
-            "synth.plant.numerics": "BatchError DesignError InfeasibleError",
+            "synth.plant.numerics": "DesignError InfeasibleError",
             "synth.vehicle.designer": "Designer design_controllers",
             "synth.vehicle.state_space": "closed_loop controller_from from_state_space law_system",
         },

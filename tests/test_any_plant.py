@@ -13,14 +13,13 @@ from scipy import linalg
 from models.common.errors import InputError
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
-from synth.design.batch import two_step_designs
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, lowest_point
 from synth.design.descent.refine import refine, worth_refining
 from synth.design.descent.symmetry import Symmetry
 from synth.design.fallback import two_steps_or_descent
 from synth.design.static import static_output_feedback
-from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
+from synth.design.two_step import state_design, two_step_design, zero_l_design
 from synth.lmi.barrier import Barrier, newton
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import SHAPES, Feedback, GeneralizedPlant
@@ -124,9 +123,6 @@ def ask_everything(seed: int, search: bool) -> None:
     if search:
         asked(lambda: static_output_feedback(plant, Cy, lower_bound=below))
         asked(lambda: two_steps_or_descent(plant, Cy))
-    if design is not None:
-        others = [GeneralizedPlant(**{**parts, "A": parts["A"] * (1 + 0.01 * k)}) for k in range(2)]
-        asked(lambda: two_step_designs(plant, state_path(plant), Cy, others, [Cy, Cy]))
 
 
 @pytest.mark.attack

@@ -11,7 +11,6 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.stability import obstacles
 from synth.controller.report import notes
-from synth.design.batch import two_step_designs
 from synth.design.fallback import two_steps_or_descent
 from synth.design.static import static_output_feedback
 from synth.design.two_step import state_design, state_path, two_step_design, zero_l_design
@@ -106,11 +105,10 @@ def oscillator() -> GeneralizedPlant:
 
 @pytest.mark.parametrize("apart", [1e-2, 1e-5, 1e-7, 3e-8, 1e-9])
 def test_nearly_dependent_signals_that_say_all(apart):
-    """Two signals that differ by next to nothing still tell both states: the two steps give state feedback, in a batch, too."""
+    """Two signals that differ by next to nothing still tell both states: the two steps give state feedback."""
     plant, Cy = oscillator(), np.array([[1, 1], [1, 1 + apart]])
     state = state_design(plant)
-    [beside] = two_step_designs(plant, state_path(plant), Cy, [plant], [Cy])
-    for design in (two_step_design(plant, Cy), two_steps_or_descent(plant, Cy), zero_l_design(plant, Cy), beside):
+    for design in (two_step_design(plant, Cy), two_steps_or_descent(plant, Cy), zero_l_design(plant, Cy)):
         assert design.certificate.failures == ()
         assert not design.instead
         assert not design.redundant
@@ -297,9 +295,8 @@ def test_a_plant_that_is_fast_by_itself():
         state_design,
         lambda plant: two_step_design(plant, np.zeros((1, 0))),
         lambda plant: static_output_feedback(plant, np.zeros((1, 0))),
-        lambda plant: two_step_designs(plant, (), np.zeros((1, 0)), [plant], [np.zeros((1, 0))]),
     ],
-    ids=["state", "two steps", "descent", "many"],
+    ids=["state", "two steps", "descent"],
 )
 def test_a_plant_without_a_state_is_refused(act):
     """Every door says so, in one line."""

@@ -15,7 +15,6 @@ from synth.analysis.certificate import Certificate, bounded_real_exactly, certif
 from synth.analysis.invariant_point import invariant_limit
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable, stability
-from synth.design.batch import state_designs
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import refine
 from synth.design.full_order.full_order import full_order_design
@@ -403,14 +402,6 @@ def test_the_map_is_alike_in_any_units_of_the_states(seed, at):
     own = response(np.ones(n))
     # What the map loses next to -1 is at most 1 / LOST = 1e6 times rounding.
     np.testing.assert_allclose(response(10.0 ** rng.uniform(-9, 9, n)), own, rtol=1e-8, atol=1e-8 * np.abs(own).max())
-
-
-def test_many_are_designed_one_by_one():
-    """Designs of many discrete plants are those of each alone."""
-    plants = [random_plant(3, radius=radius)[0] for radius in (1.1, 1.2)]
-    found = state_designs(plants[0], state_path(plants[0]), plants)
-    for plant, design in zip(plants, found, strict=True):
-        np.testing.assert_array_equal(design.gain, state_design(plant).gain)
 
 
 def test_python_controls_sampled_system():

@@ -20,9 +20,8 @@ from synth.__main__ import main
 from synth.analysis.norm import hinf_norm
 from synth.controller.problem import generalized_plant, measurements, plant_states
 from synth.plant.generalized import Feedback
-from synth.plant.numerics import BatchError, DesignError
 from synth.plant.units import speed
-from synth.vehicle.designer import Designer, one_by_one
+from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.pages import section
 from tests.shared import designed
@@ -188,22 +187,6 @@ def test_state_measures_no_filter():
     assert designer.lower_bound(()).gamma <= designer.lower_bound(controller.measured).gamma * (1 + 1e-9)
 
 
-def test_redesign_with_filters():
-    """Many vehicles with filters at once come to what each comes to alone, `state` and I alike."""
-    vehicle = parse_vehicle(file_with(LEAD))
-    heavier = dataclasses.replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": 600.0})
-    plain = dataclasses.replace(vehicle, filters={})
-    for name in ("state", "II"):
-        found = Designer(vehicle).redesign([vehicle, heavier, plain], name)
-        for one, other in zip(found, (vehicle, heavier, plain), strict=True):
-            alone = Designer(other).design(name)
-            assert not one.certificate.failures
-            assert one.certificate.norm.value == pytest.approx(
-                alone.certificate.norm.value, rel=1e-5
-            )  # one with no filter goes another path
-            assert one.case == alone.case
-
-
 def test_other_designs_with_filters(capsys, tmp_path):
     """Full-order, LQG and H2 controllers are designed from the vehicle's signals; LQR, of states nobody measures, says so."""
     lines, states = "", parse_vehicle(file_with(LEAD)).linear_model.states
@@ -289,22 +272,6 @@ def test_what_synths_readme_says_of_the_two_steps():
         assert found.certificate.own.worst.real < -0.1  # a filter's slowest pole is not it
         assert len(found.certificate.own.poles) == 4
     assert not Designer(read_vehicle("quarter_car")).design("I").instead
-
-
-def test_many_with_filters_are_one_by_one():
-    """Redesigned for many vehicles, W_k's designs are the descent's too, and those that have none are named by index."""
-    vehicle = parse_vehicle(file_with(WK))
-    heavier = dataclasses.replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": 600.0})
-    found = Designer(vehicle).redesign([heavier, vehicle], "II")
-    assert found[0].certificate.norm == Designer(heavier).design("II").certificate.norm
-    assert found[1].certificate.norm == designed(vehicle, "II").certificate.norm
-    with pytest.raises(BatchError, match=r"vehicle\(s\) 1: no gain") as raised:
-        one_by_one("II", [lambda: found[0], _no_gain, lambda: found[1]])
-    assert raised.value.designs == {0: found[0], 2: found[1]}
-
-
-def _no_gain():
-    raise DesignError("no gain")
 
 
 def test_filters_poles_are_not_too_fast():

@@ -251,8 +251,6 @@ def test_what_is_not_there_is_missed():
         built("noise = true", section=KINDS["accelerometer"], with_what=force)
     with pytest.raises(InputError, match="designed for noise, which"):
         Designer(built("noise = true")).design("one", zero_l=True)
-    with pytest.raises(InputError, match="design it for each vehicle by itself"):
-        Designer(built("lag = true")).redesign([built()], "one")
 
 
 def test_others_stay_as_they_are():

@@ -121,13 +121,11 @@ def test_a_mistake_is_named(entry, said):
 
 
 def test_what_is_for_static_gains_alone(designer):
-    """Refining, L = 0 and redesigning side by side are of the two steps: others are refused, not treated as a gain."""
+    """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
     with pytest.raises(DesignError, match="is designed at full order, and it is static gains"):
         designer.refine("full")
     with pytest.raises(InputError, match="there is no L"):
         designer.design("full", zero_l=True)
-    with pytest.raises(InputError, match="it is two steps alone"):
-        designer.redesign([designer.vehicle], "full")
     assert designer.worth_refining(designer.design("lqr")) == 0.0
 
 
@@ -228,4 +226,4 @@ def test_every_method_says_what_goes_with_it(paper, method):
             check_supported(entry, what)
     static = method in (Method.GAIN, Method.TWO_STEPS, Method.NOISE)
     assert supports(entry, "refine") == static
-    assert supports(entry, "zero_l") == supports(entry, "redesign") == (method is Method.TWO_STEPS)
+    assert supports(entry, "zero_l") == (method is Method.TWO_STEPS)

@@ -109,7 +109,7 @@ def test_a_discrete_plant(capsys):
 
 
 def test_many_vehicles(capsys):
-    """The hundred vehicles are redesigned."""
+    """The hundred vehicles are designed."""
     (snippet,) = section("synth/README.md", "Many vehicles").blocks("python")
     exec(snippet, {})
     assert capsys.readouterr().out.startswith("[[")

@@ -229,7 +229,7 @@ def test_refused(text, message):
 
 
 def test_refused_where_it_is_done(tmp_path, capsys):
-    """Refining, L = 0 and redesigning such a design are refused in one line, and so is a vehicle that lost its period."""
+    """Refining and L = 0 of such a design are refused in one line, and so is a vehicle that lost its period."""
     vehicle = asked()
     designer = Designer(vehicle)
     with pytest.raises(
@@ -239,8 +239,6 @@ def test_refused_where_it_is_done(tmp_path, capsys):
         designer.refine("I")
     with pytest.raises(InputError, match="is designed for the sampled loop, so that there is no L"):
         designer.design("I", zero_l=True)
-    with pytest.raises(InputError, match="is designed for the sampled loop, and it is two steps alone"):
-        designer.redesign([vehicle], "I")
     lost = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None))
     with pytest.raises(InputError, match=r"\[implementation\] gives no sample period"):
         Designer(lost).design("I")

@@ -1,12 +1,9 @@
 """The same plant in other units has the same design: no unit decides a rank, a path, where it rests, or what is too fast."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from synth.design.batch import state_designs, two_step_designs
 from synth.design.two_step import Design, state_design, state_path, two_step_design, zero_l_design
 from synth.lmi.central_path import CENTRED
 from synth.plant.generalized import GeneralizedPlant
@@ -124,26 +121,6 @@ def _outcome(design) -> "Design | str":
 def test_a_design_is_the_same_in_any_units(seed):
     """In units of states, forces, measurements, w, z and time that are powers of two a design is the same to the last bits."""
     refuse_units(seed, 1)
-
-
-@pytest.mark.parametrize("seed", [9, 17, pytest.param(10, marks=pytest.mark.attack)])
-def test_designs_side_by_side_are_the_same_in_any_units(seed):
-    """Of plants like one that is designed, in other units all together: the same gains, up to where paths are stopped."""
-    plant, Cy = any_plant(seed)
-    rng = np.random.default_rng(seed)
-    others = [replace(plant, A=plant.A * (1 + 0.02 * rng.standard_normal(plant.A.shape))) for _ in range(3)]
-    moved, *each = (Moved(one, Cy, seed) for one in (plant, *others))
-    path, there = state_path(plant), state_path(moved.plant)
-    for one, other in zip(
-        two_step_designs(plant, path, Cy, others, [Cy] * 3),
-        two_step_designs(moved.plant, there, moved.Cy, [one.plant for one in each], [moved.Cy] * 3),
-        strict=True,
-    ):
-        np.testing.assert_allclose(moved.back(other.gain), one.gain, rtol=1e-6)  # of LIMIT, where gains are 3e-6 away
-    for one, other in zip(
-        state_designs(plant, path, others), state_designs(moved.plant, there, [one.plant for one in each]), strict=True
-    ):
-        np.testing.assert_allclose(other.gain * moved.u[:, None] / moved.x, one.gain, rtol=1e-6)  # likewise
 
 
 @pytest.mark.attack

@@ -1,13 +1,12 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError
 from models.common.printed import Shown
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware
@@ -258,22 +257,3 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
         B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
         unknown[:, force] = 0.0
     return LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown)
-
-
-def alike(one: Vehicle, vehicles: Sequence[Vehicle]) -> list[Vehicle]:
-    """Returns vehicles after a check that they are of the same kind as `one`.
-
-    Raises:
-        InputError: an element is no vehicle, of another kind, or has a missing, unknown or forbidden parameter or weight.
-    """
-    sound: list[Vehicle] = []
-    for i, vehicle in enumerate(vehicles):
-        if not isinstance(vehicle, Vehicle):
-            raise InputError(f"vehicle {i} is {quoted(vehicle)}; expected a Vehicle, as `read_vehicle` reads one")
-        if vehicle.kind.name != one.kind.name:
-            raise InputError(f"vehicle {i} is a {vehicle.kind.name}; expected {one.kind.name}, as the vehicle that is redesigned")
-        try:
-            sound.append(vehicle.checked())
-        except InputError as error:
-            raise InputError(f"vehicle {i}: {error}") from error
-    return sound

@@ -1,8 +1,7 @@
 """Common frame of every computation: one thread, and failures that are raised, never returned as an empty result."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
@@ -12,19 +11,6 @@ from models.common.threads import one_thread
 
 class DesignError(InputError):
     """Failure of a design. The message says what happened, what usually causes it, what to do."""
-
-
-class BatchError(DesignError):
-    """Failure of some designs of a batch. The error carries the successful ones.
-
-    Attributes:
-        designs: successful designs, by index.
-        failures: reasons of the failures, by index.
-    """
-
-    def __init__(self, message: str, designs: Mapping[int, Any], failures: Mapping[int, InputError]) -> None:
-        super().__init__(message)
-        self.designs, self.failures = dict(designs), dict(failures)
 
 
 class InfeasibleError(DesignError):

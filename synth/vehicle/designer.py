@@ -1,7 +1,7 @@
 """The designs of a vehicle file: from a controller's name to a certified gain, and what those of one vehicle share."""
 
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware, Method
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.controller.controller import Controller, alike, certified, checked, on_readings
+from synth.controller.controller import Controller, certified, checked, on_readings
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, still_false
 from synth.design.fallback import two_steps_or_descent
@@ -22,7 +22,7 @@ from synth.design.two_step import Design, state_design, state_path, zero_l_desig
 from synth.lmi.central_path import CentralPoint
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import BatchError, DesignError
+from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
     from synth.design.multi_objective.search import Told
@@ -56,33 +56,10 @@ def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contro
     )
 
 
-def one_by_one(name: str, designs: Sequence[Callable[[], Controller]]) -> list[Controller]:
-    """What each of many designs of one controller comes to.
-
-    Args:
-        name: of the controller.
-        designs: each makes one, for a vehicle of its own.
-
-    Raises:
-        BatchError: some come to none; as `synth.vehicle.designer.Designer.redesign` says.
-    """
-    found: dict[int, Controller] = {}
-    failures: dict[int, InputError] = {}
-    for i, make in enumerate(designs):
-        try:
-            found[i] = make()
-        except DesignError as error:
-            failures[i] = error
-    if failures:
-        whose, first = ", ".join(map(str, failures)), next(iter(failures.values()))
-        raise BatchError(f"controller {name!r}: no design for vehicle(s) {whose}: {first}", found, failures)
-    return [found[i] for i in range(len(designs))]
-
-
 # What goes with each method of design: L = 0 in its second step (remark 4), descent from its gain on the norm of the ideal loop,
-# many vehicles side by side, fronts of static gains, and a design of its own for another sample period.
+# fronts of static gains, and a design of its own for another sample period.
 SUPPORTED: Mapping[Method, tuple[str, ...]] = {
-    Method.TWO_STEPS: ("zero_l", "refine", "redesign", "front", "rates"),
+    Method.TWO_STEPS: ("zero_l", "refine", "front", "rates"),
     Method.NOISE: ("refine", "front"),
     Method.GAIN: ("refine", "front"),
     Method.GOALS: ("front", "rates"),
@@ -91,15 +68,12 @@ SUPPORTED: Mapping[Method, tuple[str, ...]] = {
 WITHOUT = {
     "zero_l": "so that there is no L; design it as it is",
     "refine": "and it is static gains of the least norm of the ideal loop that are refined; take it as it is",
-    "redesign": "and it is two steps alone that many vehicles are redesigned by; design it for each vehicle by itself",
     "front": "and a front is of static gains that are designed; give another with --controller",
 }
 
 
 def supports(entry: ControllerEntry, what: str) -> bool:
-    """Returns whether something goes with a controller's method: "zero_l", "refine", "redesign", "front" or "rates"."""
-    if what == "redesign" and entry.hardware != IDEAL:
-        return False
+    """Returns whether something goes with a controller's method: "zero_l", "refine", "front" or "rates"."""
     if what == "refine" and entry.goals is not None:  # also of a gain that is given, and held against goals
         return False
     return what in SUPPORTED.get(entry.method, ())
@@ -340,51 +314,6 @@ class Designer:
         from synth.vehicle.refined import worth
 
         return worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
-
-    def redesign(self, vehicles: Sequence[Vehicle], name: str) -> list[Controller]:
-        """A controller of this vehicle for many others like it: `design` for each, side by side, which is several times as fast.
-
-        The others lend their parameters and weights; what is measured says this one. The gains are those of `design` up to
-        where the central path is stopped: 3e-6 of the largest entry on the paper's car. Each certificate is true of its own gain,
-        but the X of a proof comes from there, too: where rounding leaves it little room, as near a marginal loop, the bound
-        may be looser or tighter than that of `design`, by up to a tenth. They come without a lower bound:
-        `Designer(vehicle).lower_bound(measured)` has it.
-
-        Args:
-            vehicles: of this vehicle's kind.
-            name: `state`, or a controller of this vehicle that its file gives no gain for.
-
-        Returns:
-            A controller for each vehicle, in their order.
-
-        Raises:
-            InputError: no controller has that name, its gain is given, or a vehicle is none, of another kind, or has a parameter
-                or a weight that is missing, unknown or not allowed.
-            BatchError: some vehicles have no such controller; the message names them by index, and the error carries the
-                controllers of the others, `designs`, and why these have none, `failures`, each by index.
-        """
-        entry = self._entry(name)
-        check_supported(entry, "redesign")
-        sound = alike(self.vehicle, vehicles)
-        if any(vehicle.filtered for vehicle in (self.vehicle, *sound)):  # there the two steps are not the end of a design
-            named = [replace(vehicle, controllers=self.vehicle.controllers) for vehicle in sound]
-            return one_by_one(name, [lambda each=each: Designer(each).design(name) for each in named])
-        from synth.design.batch import state_designs, two_step_designs
-
-        plants = [generalized_plant(vehicle) for vehicle in sound]
-        states = plant_states(self.vehicle)
-        try:
-            if name == "state":
-                designs = state_designs(self.plant, self.state_path, plants, states)
-            else:
-                Cy, *Cys = (measurements(each, entry.measured)[0] for each in (self.vehicle, *sound))
-                designs = two_step_designs(self.plant, self.state_path, Cy, plants, Cys, states)
-        except BatchError as error:
-            controllers = {i: designed(sound[i], entry, design) for i, design in error.designs.items()}
-            raise BatchError(f"controller {name!r}: {error}", controllers, error.failures) from error
-        except DesignError as error:
-            raise type(error)(f"controller {name!r}: {error}") from error
-        return [designed(vehicle, entry, design) for vehicle, design in zip(sound, designs, strict=True)]
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
         """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
