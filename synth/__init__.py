@@ -4,8 +4,8 @@ Public names, imported when they are first used; all units are SI:
 
 - of a vehicle: `design_controllers`, `Designer`, `Controller`
 - any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
-- static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`, for hard limits
-  `limited_design`, for goals `design_for_goals` of a `GoalProblem` with `NormGoal`, `Member`, `Posed`, `Errors`
+- static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`; for goals
+  `design_for_goals` of a `GoalProblem` with `NormGoal`, `Member`, `Posed`, `Errors`
 - controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, whose period has a `Piece` or two
@@ -38,7 +38,6 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
     from synth.design.static import static_output_feedback
     from synth.design.two_step import two_step_design
-    from synth.design.two_step_with_peak_limits import limited_design
     from synth.design.uncertainty.worst_case import worst_norm
     from synth.lmi.full_order_bound import find_lower_bound
     from synth.plant.generalized import Feedback, GeneralizedPlant
@@ -63,7 +62,6 @@ else:
             "synth.design.multi_objective.problem": "Errors GoalProblem Member NormGoal Posed",
             "synth.design.static": "static_output_feedback",
             "synth.design.two_step": "two_step_design",
-            "synth.design.two_step_with_peak_limits": "limited_design",
             "synth.design.uncertainty.worst_case": "worst_norm",
             "synth.lmi.full_order_bound": "find_lower_bound",
             "synth.plant.generalized": "Feedback GeneralizedPlant",

@@ -1,4 +1,4 @@
-"""How far signals go for a disturbance of given energy: norms, proofs, and designs that keep limits."""
+"""How far signals go for a disturbance of given energy: norms and proofs."""
 
 import dataclasses
 
@@ -9,14 +9,9 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.vehicle import read_vehicle
 from synth.analysis.energy_to_peak import energy_peaks
-from synth.analysis.norm import hinf_norm
-from synth.design.two_step_with_peak_limits import limited_design
 from synth.plant.generalized import Feedback, GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
-from synth.vehicle.designer import Designer
-from tests.shared import made
+from synth.plant.numerics import DesignError
 
 SIGNALS = ("suspension_deflection", "tyre_deflection", "control_force")
 
@@ -103,81 +98,12 @@ def test_a_force_by_its_measurements(paper, designer):
     assert of_states.peaks[0] == pytest.approx(9000.0 * velocity.peaks[0], rel=1e-12)
 
 
-def limited(plant: GeneralizedPlant, Cy, Cs, Ds, most):
-    """A design with limits, for all who ask for the same."""
-    return limited_design(plant, Cy, Cs, Ds, most)
-
-
-@pytest.mark.parametrize(
-    ("measured", "signals", "most", "norm"),
-    [
-        pytest.param(
-            ("suspension_deflection", "sprung_velocity"), ("suspension_deflection",), (0.6,), 7.97, marks=pytest.mark.attack
-        ),
-        pytest.param(
-            ("suspension_deflection", "sprung_velocity"), ("suspension_deflection",), (0.65,), 7.90, marks=pytest.mark.attack
-        ),
-        (("sprung_velocity",), ("suspension_deflection",), (0.6,), 8.05),
-        (("sprung_velocity",), ("control_force",), (5000.0,), 8.25),
-        (("suspension_deflection", "sprung_velocity", "unsprung_velocity"), SIGNALS, (0.6, 0.26, 8000.0), 7.8366),
-    ],
-)
-def test_limits_are_kept(paper, designer, measured, signals, most, norm):
-    """Designs with limits of travel, tyre and force keep them, proved; without limits the paper's two steps do not."""
-    Cy, (Cs, Ds) = paper.linear_model.rows(measured)[0], paper.linear_model.rows(signals)
-    design = made(limited, designer.plant, Cy, Cs, Ds, np.array(most))
-    assert not design.certificate.failures
-    assert not design.certificate.beyond_actuators
-    found = energy_peaks(designer.plant, Feedback(design.gain, Cy), Cs, Ds)
-    assert np.all(found.bounds <= most)
-    assert found.proof.holds
-    value = hinf_norm(designer.plant.closed_loop(Feedback(design.gain, Cy))).value
-    assert design.certificate.norm.value == value
-    assert 7.8364 < value < norm
-    if len(measured) < 3:
-        name = "I" if len(measured) == 2 else "II"
-        free = energy_peaks(designer.plant, designer.design(name).state_gain(paper), Cs, Ds)
-        assert np.any(free.bounds > most)
-
-
-def test_a_limit_costs_norm(paper, designer):
-    """The less travel is allowed the larger is the norm, by and large: the trade-off that limits are for."""
-    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
-    norms = [made(limited, designer.plant, Cy, Cs, Ds, np.array([most])).certificate.norm.value for most in (0.6, 0.5)]
-    assert norms[1] > norms[0] + 0.1
-
-
-@pytest.mark.attack
-def test_a_half_car():
-    """Limits of both travels of the half-car are kept: a tenth less than the two steps have without them."""
-    vehicle = read_vehicle("half_car")
-    designer, model = Designer(vehicle), vehicle.linear_model
-    Cy = model.rows(vehicle.controllers["I"].measured)[0]
-    Cs, Ds = model.rows(["suspension_deflection_front", "suspension_deflection_rear"])
-    free = energy_peaks(designer.plant, designer.design("I").state_gain(vehicle), Cs, Ds)
-    design = limited_design(designer.plant, Cy, Cs, Ds, 0.9 * free.peaks)
-    assert np.all(design.peaks.bounds <= 0.9 * free.peaks)
-    assert not design.certificate.failures
-
-
-def test_what_no_gain_keeps(paper, designer):
-    """Where limits are too narrow it is said which signal goes too far, and how far."""
-    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
-    with pytest.raises(InfeasibleError, match=r"of the nearest, signal 0 goes 1\.\d+ times as far as it may, 0\.\d+ for a dist"):
-        limited_design(designer.plant, Cy, Cs, Ds, np.array([0.3]))
-
-
-def test_nothing_disturbs_and_nothing_limits(paper, designer):
-    """Without a disturbance peaks are zero, and proved to be small; limits that limit nothing leave what the two steps find."""
+def test_nothing_disturbs(designer):
+    """Without a disturbance peaks are zero, and proved to be small."""
     still = dataclasses.replace(designer.plant, Bw=np.zeros((4, 1)))
     found = energy_peaks(still, np.zeros((1, 4)), np.eye(4), np.zeros((4, 1)))
     assert not np.any(found.peaks)
     assert np.all(found.bounds < 1e-4)
-    Cy, (Cs, Ds) = paper.linear_model.rows(["sprung_velocity"])[0], paper.linear_model.rows(["suspension_deflection"])
-    free = limited_design(designer.plant, Cy, Cs, Ds, np.array([1e30]))
-    assert free.certificate.norm.value <= designer.design("II").certificate.norm.value
-    limits = energy_peaks(designer.plant, designer.design("II").state_gain(paper), Cs, Ds).peaks * 1.001
-    assert limited_design(designer.plant, Cy, Cs, Ds, limits).certificate.norm.value <= free.certificate.norm.value * 1.01
 
 
 def test_bad_input(designer):
@@ -192,9 +118,3 @@ def test_bad_input(designer):
             energy_peaks(*arguments)
     with pytest.raises(DesignError, match=r"no peak is bounded, for the loop is unstable: a pole at .*; stabilise it first"):
         energy_peaks(plant, np.array([[0.0, 0.0, 1e5, 0.0]]), Cs, Ds)
-    for most in ([0.0], [1.0, 2.0], [-1.0]):
-        with pytest.raises(InputError, match="give a finite number above 0 for each"):
-            limited_design(plant, np.eye(4)[2:3], Cs, Ds, np.array(most))
-    for most in (np.inf, "a"):
-        with pytest.raises(InputError, match="the row of limits"):
-            limited_design(plant, np.eye(4)[2:3], Cs, Ds, np.array([most]))
