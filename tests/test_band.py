@@ -9,9 +9,8 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
-from synth.analysis.band_norm import norm_in_band, prove_in_band, stays_below
+from synth.analysis.band_norm import norm_in_band, stays_below
 from synth.analysis.norm import hinf_norm
-from synth.lmi.sdp import band_witness
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError
 from tests.test_norm import oscillator, system
@@ -189,95 +188,3 @@ def test_what_is_no_level(level):
     """A level is a finite number above zero."""
     with pytest.raises(InputError, match="is no gain to stay below"):
         stays_below(oscillator(1.0, 0.1), 1.0, 2.0, level)
-
-
-def lemma(loop: GeneralizedPlant, P: np.ndarray, Q: np.ndarray, bound: float, low: float, high: float) -> np.ndarray:
-    """The matrix of the generalized KYP lemma in floats, as Iwasaki and Hara write it."""
-    n, r = loop.Bw.shape
-    if np.isfinite(high):
-        mean = (low + high) / 2
-        middle = np.block([[-Q, P + 1j * mean * Q], [P - 1j * mean * Q, -low * high * Q]])
-    else:
-        middle = np.block([[Q, P], [P, -(low**2) * Q]])
-    F = np.block([[loop.A, loop.Bw], [np.eye(n), np.zeros((n, r))]])
-    z = np.hstack([loop.C, loop.Dw])
-    return F.T @ middle @ F + z.T @ z - bound**2 * np.diag([0.0] * n + [1.0] * r)
-
-
-@pytest.mark.parametrize("name", ["passive", "I"])
-@pytest.mark.parametrize("band", [(LOW, HIGH), (0.0, 20.0), (30.0, np.inf), (0.0, np.inf)])
-def test_witnesses_of_the_papers_loops(paper, designer, name, band):
-    """Every loop of the paper has a witness for a bound at most 0.1 % above its norm in a band, closed or open at either end."""
-    G = designer.design(name).state_gain(paper)
-    norm = norm_in_band(designer.plant.closed_loop(G), *band).value
-    proof = band_witness(designer.plant, G, *band)
-    assert norm < proof.bound <= norm * 1.0011
-    assert proof.holds
-    assert prove_in_band(designer.plant, G, proof.P, proof.Q, proof.bound, *band).holds
-    matrix = lemma(designer.plant.closed_loop(G), proof.P, proof.Q, proof.bound, *band)
-    np.testing.assert_allclose(matrix, matrix.conj().T, atol=1e-12 * np.abs(matrix).max())
-    scale = np.abs(np.diag(matrix)) ** -0.5  # balanced, its eigenvalues are what was proved
-    assert np.linalg.eigvalsh(matrix * scale * scale[:, None])[-1] < 0
-
-
-def test_a_proof_is_of_its_own_bound_band_and_loop(paper, designer):
-    """A witness proves nothing of a bound below the norm, of a wider band that has more, or of another loop; nor with a Q < 0."""
-    plant, G = designer.plant, designer.design("I").state_gain(paper)
-    proof, norm = band_witness(plant, G, LOW, HIGH), norm_in_band(plant.closed_loop(G), LOW, HIGH).value
-    P, Q = proof.P, proof.Q
-    assert prove_in_band(plant, G, P, Q, proof.bound * 1.01, LOW, HIGH).holds
-    assert not prove_in_band(plant, G, P, Q, norm * (1 - 1e-9), LOW, HIGH).holds
-    assert not prove_in_band(plant, G, P, Q, proof.bound, LOW, HIGH * 1.01).holds
-    assert not prove_in_band(plant, G, P, Q, proof.bound, LOW, np.inf).holds
-    assert not prove_in_band(plant, 1.01 * G, P, Q, proof.bound, LOW, HIGH).holds
-    assert not prove_in_band(plant, G, P, -Q, proof.bound, LOW, HIGH).holds
-    assert not prove_in_band(plant, G, P.conj(), Q.conj(), proof.bound, LOW, HIGH).holds  # that of the band's mirror image
-
-
-def test_the_lemma_by_integers():
-    """On random numbers what is said of definiteness is what the eigenvalues of the matrix in floats say."""
-    told, rng = 0, np.random.default_rng(0)
-    for seed in range(200):
-        plant = random_system(seed, 2)
-        plant = dataclasses.replace(plant, B=rng.standard_normal((2, 1)), D=rng.standard_normal((3, 1)))
-        P, Q = ((M + M.conj().T) / 2 for M in rng.standard_normal((2, 2, 2)) + 1j * rng.standard_normal((2, 2, 2)))
-        low, high, bound = rng.uniform(0, 2), rng.uniform(3, 9) if seed % 3 else np.inf, rng.uniform(3, 30)
-        K, Cy = rng.standard_normal((1, 2)), rng.standard_normal((2, 2))
-        proof = prove_in_band(plant, Feedback(K, Cy), 100 * P, Q, bound, low, high)
-        matrix = -lemma(plant.closed_loop(K @ Cy), 100 * P, Q, bound, low, high)
-        diagonal = np.real(np.diag(matrix))
-        if np.all(diagonal > 0):
-            told += 1
-            scale = np.exp2(-np.round(np.log2(diagonal) / 2))
-            smallest = np.linalg.eigvalsh(matrix * scale * scale[:, None])[0]
-            assert proof.negative.smallest == pytest.approx(smallest, rel=1e-9, abs=1e-11)  # rounding of entries of a thousand
-        else:
-            assert np.isnan(proof.negative.smallest)
-        assert proof.positive.proved == bool(np.linalg.eigvalsh(Q)[0] > 0)
-    assert told > 20
-
-
-def test_a_witness_says_nothing_of_stability():
-    """An unstable loop has a witness in a band as well, with a P that is not positive."""
-    plant = system(1.0, 1.0, -1.0)
-    proof = band_witness(plant, np.zeros((1, 1)), 1.0, 3.0)
-    assert proof.holds
-    assert proof.bound == pytest.approx(0.5**0.5, rel=1e-3)
-    assert not norm_in_band(plant, 1.0, 3.0).stability.stable
-
-
-def test_what_has_no_witness(designer):
-    """Without a finite norm above zero there is nothing to prove, and a discrete plant or what is no band are refused."""
-    with pytest.raises(DesignError, match="there is no bound to prove: the norm within the band is inf"):
-        band_witness(system([[0, 1], [-1, 0]], [[1], [0]], [[0, 1]]), np.zeros((1, 2)), 0.5, 2.0)
-    G = np.zeros((1, 4))
-    with pytest.raises(InputError, match="is done for continuous ones alone"):
-        band_witness(dataclasses.replace(designer.plant, dt=0.1), G, 0.5, 2.0)
-    with pytest.raises(InputError, match="is no band"):
-        band_witness(designer.plant, G, 2.0, 0.5)
-    with pytest.raises(InputError, match="is no band"):
-        prove_in_band(designer.plant, G, np.eye(4), np.eye(4), 1.0, 2.0, 0.5)
-    with pytest.raises(InputError, match=r"the bound 1e\+250 with P and Q of sizes 1 and 1 is out of range"):
-        prove_in_band(designer.plant, G, np.eye(4), np.eye(4), 1e250, 0.5, 2.0)
-    with pytest.raises(InputError, match="out of range"):
-        prove_in_band(designer.plant, G, np.nan * np.eye(4), np.eye(4), 1.0, 0.5, 2.0)
