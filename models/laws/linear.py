@@ -1,4 +1,4 @@
-"""A linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is one without a state."""
+"""Linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is a law without states."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from models.common.errors import InputError
 MATRICES = ("A", "B", "C", "D")
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
 LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
-SINGULAR = 1e-12  # relative: a loop through the measurements that is so nearly singular has no digit left
+SINGULAR = 1e-12  # smallest relative singular value of a loop through the measurements; below it no digit is left
 
 
 @dataclass(frozen=True, eq=False)
 class LinearLaw:
-    """A linear law with k states, from q measurements to m forces.
+    """Linear law with k states, from q measurements to m forces.
 
     Attributes:
         A: shape (k, k).
         B: shape (k, q).
         C: shape (m, k).
-        D: shape (m, q), the static gain K where there are no states [N per measured unit].
+        D: shape (m, q), the static gain K if there are no states [N per measured unit].
         sample_period: of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None of a continuous one.
 
     Raises:
-        InputError: a matrix is not one of real finite numbers, has an entry beyond `LARGEST` or the wrong shape, or there are too
+        InputError: a matrix has entries that are not real and finite or beyond `LARGEST`, or the wrong shape, or there are too
             many states; the message names it.
     """
 
@@ -47,10 +47,10 @@ class LinearLaw:
         if k > MOST_STATES:
             raise InputError(f"a controller of {k} states is too large; at most {MOST_STATES}: reduce its order")
         for name, shape in {"A": (k, k), "B": (k, q), "C": (m, k)}.items():
-            found = getattr(self, name).shape
-            if found != shape:
+            given = getattr(self, name).shape
+            if given != shape:
                 raise InputError(
-                    f"{name} has shape {found}; expected {shape}, as A has {k} row(s) and D, of shape {(m, q)}, a row per force "
+                    f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D, of shape {(m, q)}, a row per force "
                     "and a column per measured signal"
                 )
         period = self.sample_period
@@ -59,12 +59,12 @@ class LinearLaw:
 
     @property
     def states(self) -> int:
-        """How many states it has; 0 of a static gain."""
+        """Number of states; 0 for a static gain."""
         return len(self.A)
 
     @property
     def record(self) -> dict[str, Any]:
-        """It as JSON and TOML hold it: the gain of a static law; else its matrices, and the sample period of a discrete one."""
+        """The law as JSON and TOML hold it: the gain of a static law; else matrices, and the sample period of a discrete one."""
         if not self.states:
             return {"gain": self.D.tolist()}
         period = {} if self.sample_period is None else {"sample_period": self.sample_period}
@@ -72,22 +72,22 @@ class LinearLaw:
 
     @property
     def acts(self) -> bool:
-        """Whether any measurement ever makes a force."""
+        """True if some measurement ever makes a force."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
 
     def response(self, omega: float) -> Array:
-        """From the measurements to the forces at a frequency [rad/s], complex, shape (m, q); discrete, below pi / period."""
+        """Returns the transfer matrix at a frequency [rad/s], complex, shape (m, q); for a discrete law below pi / period."""
         at = 1j * omega if self.sample_period is None else np.exp(1j * omega * self.sample_period)
         return self.C @ np.linalg.solve(at * np.eye(self.states) - self.A, self.B) + self.D
 
     def of_state(self, period: float | None) -> float:
-        """What makes the law's own states of those of `sampled(period)`, or of `continuous()` where there is no period."""
+        """Returns the factor from the states of `sampled(period)`, or of `continuous()` without a period, to the law's own."""
         if self.sample_period is None or (period is not None and self._at(period)):
             return 1.0
         return 1 / np.sqrt(self.sample_period)
 
     def scaled(self, factors: Array | float) -> "LinearLaw":
-        """The law whose forces are so many times as large.
+        """Returns the law with its forces multiplied by factors.
 
         Args:
             factors: one for all forces, or one for each, shape (m,).
@@ -96,7 +96,7 @@ class LinearLaw:
         return LinearLaw(self.A, self.B, rows * self.C, rows * self.D, self.sample_period)
 
     def read_as(self, factors: Array | float) -> "LinearLaw":
-        """The law whose readings are so many times as large as what is measured.
+        """Returns the law with its readings multiplied by factors.
 
         Args:
             factors: one for all readings, or one for each, shape (q,).
@@ -105,22 +105,22 @@ class LinearLaw:
         return LinearLaw(self.A, self.B * columns, self.C, self.D * columns, self.sample_period)
 
     def only(self, forces: Array) -> "LinearLaw":
-        """The law of some of its forces; the others are zero. With `scaled` it is what cutting a loop at actuators takes.
+        """Returns the law with all but some forces zero. With `scaled` it cuts a loop at actuators.
 
         Args:
-            forces: whether each is kept, shape (m,).
+            forces: True for the forces that remain, shape (m,).
         """
         rows = np.asarray(forces, dtype=bool)[:, None]
         return LinearLaw(self.A, self.B, np.where(rows, self.C, 0.0), np.where(rows, self.D, 0.0), self.sample_period)
 
     def fed_back(self, through: Array) -> "LinearLaw":
-        """The law on y with y = y0 + `through` u, as a law on y0: the loop through the measurements is solved.
+        """Returns the law on y0 for the law on y = y0 + `through` u: solves the loop through the measurements.
 
         Args:
-            through: what the forces do to the measurements at once, shape (q, m).
+            through: feedthrough from the forces to the measurements, shape (q, m).
 
         Raises:
-            InputError: I - D `through` is singular: the force asks for itself.
+            InputError: I - D `through` is singular.
         """
         if not np.any(through):
             return self
@@ -136,10 +136,10 @@ class LinearLaw:
         return LinearLaw(self.A + B @ C, self.B + B @ D, C, D, self.sample_period)
 
     def continuous(self) -> "LinearLaw":
-        """The law in continuous time: of a discrete one that whose bilinear transform (Tustin) it is.
+        """Returns the law in continuous time; for a discrete law, the one whose bilinear transform (Tustin) it is.
 
         Raises:
-            InputError: it has none, as there is a pole at -1, or one that has entries beyond `LARGEST`.
+            InputError: the law has a pole at -1, or the result has entries beyond `LARGEST`.
         """
         if self.sample_period is None:
             return self
@@ -163,7 +163,7 @@ class LinearLaw:
 
     @property
     def text(self) -> str:
-        """It on one line."""
+        """The law on one line."""
         if not self.states:
             return f"gain {gain_text(self.D)}"
         if self.sample_period is None:
@@ -171,12 +171,12 @@ class LinearLaw:
         return f"x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i], of {states_text(self)}"
 
     def sampled(self, period: float) -> "LinearLaw":
-        """The law as a computer runs it, every so many seconds.
+        """Returns the law as a computer runs it, at a sample period.
 
         A continuous law's states are exact for measurements that go straight from sample to sample (ramp-invariant, or
-        first-order hold: Franklin, Powell, Workman 1998, section 6.3): that takes no time, as a held measurement would, and a
-        state that is fast against the period is none, instead of ringing as by Tustin's rule. A discrete law at its own period
-        is run as it is.
+        first-order hold: Franklin, Powell, Workman 1998, section 6.3). This adds no delay, as a held measurement would, and a
+        state that is fast against the period settles at once instead of ringing as by Tustin's rule. A discrete law at its own
+        period stays as it is.
 
         Args:
             period: [s].
@@ -193,12 +193,12 @@ class LinearLaw:
         return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period)
 
     def _at(self, period: float) -> bool:
-        """Whether this is the sample period of its own."""
+        """Returns True if the period is the law's own sample period."""
         return self.sample_period is not None and bool(np.isclose(self.sample_period, period, rtol=1e-9, atol=0))
 
 
 def static_law(gain: Array) -> LinearLaw:
-    """u = K y.
+    """Returns the law u = K y.
 
     Args:
         gain: K, shape (m, q) [N per measured unit].
@@ -208,10 +208,10 @@ def static_law(gain: Array) -> LinearLaw:
 
 
 def law_of(record: Mapping[str, Any]) -> LinearLaw:
-    """The law of a `LinearLaw.record`, in which other keys may stand, too.
+    """Returns the law of a `LinearLaw.record`, which may have further keys.
 
     Raises:
-        KeyError: it is none.
+        KeyError: a matrix is missing.
         InputError: see `LinearLaw`.
     """
     if "gain" in record:
@@ -220,7 +220,7 @@ def law_of(record: Mapping[str, Any]) -> LinearLaw:
 
 
 def states_text(law: LinearLaw) -> str:
-    """How many states a law has, and where its poles lie."""
+    """Describes the number of states of a law, and its poles."""
     poles = np.linalg.eigvals(law.A)
     count = f"{law.states} states" if law.states > 1 else "1 state"
     if law.sample_period is not None:
@@ -233,5 +233,5 @@ def states_text(law: LinearLaw) -> str:
 
 
 def gain_text(gain: Array) -> str:
-    """A gain matrix on one line, as a vehicle file has it."""
+    """Returns a gain matrix on one line, as a vehicle file has it."""
     return "[" + ", ".join("[" + ", ".join(f"{entry:.6g}" for entry in row) + "]" for row in gain) + "]"

@@ -1,7 +1,7 @@
-"""A controller as Python of the user's own: `law = "my_law.py:step"` in `[controllers.NAME]`. Here it is only named, and read.
+"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`. They are read here, not run.
 
-No claim of linear analysis is made of it. Its file lies in the folder of the vehicle file, or below: no log, result or text of a
-vehicle file can name another one.
+Linear analysis makes no claim about them. Their files lie in the folder of the vehicle file, or below: no log, result or text of
+a vehicle file can name another one.
 """
 
 import hashlib
@@ -23,12 +23,12 @@ FURTHEST = 60.0  # s of the road ahead
 
 @dataclass(frozen=True)
 class PythonLaw:
-    """A law in Python, as a vehicle file names it.
+    """Law in Python, as a vehicle file names it.
 
     Attributes:
         law: `FILE.py:FUNCTION`.
-        preview: how far ahead it is told the road [s]; None where it is told nothing of it.
-        folder: of the vehicle file; None of a vehicle file that is text alone, whose laws cannot be run.
+        preview: how far ahead it gets the road [s]; None if it does not get it.
+        folder: of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
     """
 
     law: str
@@ -37,34 +37,34 @@ class PythonLaw:
 
     @property
     def file(self) -> str:
-        """Its file, relative to the folder."""
+        """File of the law, relative to the folder."""
         return self.law.rpartition(":")[0]
 
     @property
     def function(self) -> str:
-        """Its function."""
+        """Name of the function."""
         return self.law.rpartition(":")[2]
 
     @property
     def record(self) -> dict[str, Any]:
-        """It as JSON and TOML hold it."""
+        """The law as JSON and TOML hold it."""
         return {"law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
 
     @property
     def path(self) -> Path | None:
-        """Where its file lies; None of a vehicle file that is text alone."""
+        """Path of the law's file; None for a vehicle file from text."""
         return None if self.folder is None else self.folder / self.file
 
     def source(self) -> str:
-        """The text of its file. It is not run.
+        """Reads the text of the law's file without running it.
 
         Raises:
-            InputError: there is no such file, it lies elsewhere, is too large, or no text.
+            InputError: there is no such file, it lies outside the folder, is too large, or no text.
         """
         path = self.path
         if self.folder is None or path is None:
             raise InputError(f"law {self.law}: the vehicle file was read from text alone, and no code comes with that")
-        where, folder = (Path(os.path.realpath(one)) for one in (path, self.folder))  # of a loop of links it says nothing
+        where, folder = (Path(os.path.realpath(name)) for name in (path, self.folder))  # raises nothing for a loop of links
         if not where.is_relative_to(folder):
             raise InputError(f"law {self.law}: is a link out of the folder of the vehicle file; {GIVE}")
         return read_text(path, "law", MOST_TEXT, GIVE)
@@ -72,13 +72,13 @@ class PythonLaw:
 
 @dataclass(frozen=True, eq=False)
 class Programmed:
-    """A controller that is a law in Python, with the text that is run; no claim is made of it.
+    """Controller with a law in Python, and the text that is run; no claim is made about it.
 
     Attributes:
-        name: as asked for.
+        name: its name in the vehicle file.
         measured: the signals y, q of them.
-        law: as the vehicle file names it.
-        source: of its file.
+        law: the law as the vehicle file names it.
+        source: text of the law's file.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Programmed:
 
     @property
     def states(self) -> int:
-        """None: its law is not linear."""
+        """Zero: the law is not linear."""
         return 0
 
     @property
@@ -112,12 +112,12 @@ class Programmed:
 
 
 def sha256(text: str) -> str:
-    """Checksum of the text of a law, in UTF-8."""
+    """Returns the checksum of the text of a law, in UTF-8."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> PythonLaw | None:
-    """The law in Python that an entry of `[controllers]` names; None where it names none. No file is opened.
+    """Returns the law in Python that an entry of `[controllers]` names, or None if it names no such law. Opens no file.
 
     Args:
         where: the entry, for messages.
@@ -125,7 +125,7 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
         folder: of the vehicle file.
 
     Raises:
-        InputError: `law` or `preview` is not what it may be, or something else gives the law too.
+        InputError: `law` or `preview` is not allowed, or another key gives a law too.
     """
     if "law" not in entry:
         if "preview" in entry:
@@ -135,8 +135,8 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
     if others:
         raise InputError(f"{where} has a law in Python and {others[0]}, which is of a linear one; take one of them out")
     law = entry["law"]
-    found = LAW.fullmatch(law) if isinstance(law, str) else None
-    if found is None or Path(found["file"]).is_absolute() or ".." in Path(found["file"]).parts:
+    match = LAW.fullmatch(law) if isinstance(law, str) else None
+    if match is None or Path(match["file"]).is_absolute() or ".." in Path(match["file"]).parts:
         raise InputError(f"{where} law = {quoted(law)} is no law in Python; {GIVE}")
     preview = entry.get("preview")
     real = isinstance(preview, (int, float)) and not isinstance(preview, bool)

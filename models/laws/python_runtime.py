@@ -1,15 +1,15 @@
-"""A law in Python, run: called once a sample of the controller, guarded and timed. `Sample` is what it is given.
+"""Running of laws in Python: one call per sample of the controller, guarded and timed. A call gets a `Sample`.
 
-Every run executes the file anew, so that what the file keeps in names of its own is the run's, as its state is: runs do not
-depend on those beside them. A vectorised law is executed once for all the runs that it is given together.
+Every run executes the file anew, so that the file's global names, as its state, belong to one run: runs do not depend on each
+other. A vectorised law is executed once for all the runs that it gets together.
 
 A watchdog ends a call that takes too long by an exception in its thread. Python raises that between two instructions of its own:
 a call that waits within code that is not Python (a sleep, a read, one huge product) cannot be ended so. A command is then left
-as it is, by `os._exit`; a library goes on waiting, unless `leave_by` says how it is left. A call that goes on though the command
-was told to end has taken too long from then on.
+as it is, by `os._exit`; a library goes on waiting, unless `leave_by` was given a way out. Once the command is told to end, every
+running call counts as too long.
 
-Over a run a law has a limit, too, which goes with what it does: `SLOWEST` times the time on the road. Else 0.9 of the limit of a
-call, ten thousand times, would be hours.
+All calls of a run together have a limit, too: `SLOWEST` times the time on the road. Else ten thousand calls just below the limit
+of one call would take hours.
 """
 
 import ctypes
@@ -31,29 +31,29 @@ from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
 from models.laws.user_code import compiled, run_own
 
-LONGEST = 10.0  # s of a call; the law of a car has milliseconds
-SLOWEST = 100.0  # times as long as the vehicle is on the road its law may take over a run, and `LONGEST` beyond
-LONGEST_START = 60.0  # s that its file may take to run: it may import what is large
-GRACE = 5.0  # s from being told to end until a command that waits for it is left
+LONGEST = 10.0  # s, limit of a call; the law of a car has milliseconds
+SLOWEST = 100.0  # limit of all calls of a run, over the time on the road; `LONGEST` is added to it
+LONGEST_START = 60.0  # s, limit of executing the file: it may import large packages
+GRACE = 5.0  # s from the exception in a call that is too long until the command exits without it
 SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
 PLAIN = "write it as def step(sample, state), with return force, state at its end"
 TICK = 0.05  # s between two looks of the watchdog
-JUMPS = 1000  # back in a loop; at the first of them Python raises what waits to be raised
+JUMPS = 1000  # backward jumps in a loop; at the first of them Python raises a pending exception
 
 
 class Sample:
-    """What a law is given at a sample.
+    """Arguments of a law at a sample.
 
     Attributes:
         y: the measurements, in the order of `measured`, shape (q,); `sample["sprung_velocity"]` is one by name.
         time: since the start [s].
         period: until the next sample [s].
         preview: heights of the road [m], a row per wheel: under it now, and at each of the next samples, as far as `preview`
-            says, shape (r, P); None where the vehicle file declares none.
+            says, shape (r, P); None if the vehicle file declares no preview.
         parameters: of the vehicle, by name, in SI units.
 
-    Of a vectorised law N runs are side by side: y is of shape (N, q), `sample["sprung_velocity"]` (N,), preview (N, r, P), and
-    every one of the parameters (N,).
+    A vectorised law gets N runs side by side: y has shape (N, q), `sample["sprung_velocity"]` (N,), preview (N, r, P), and
+    every parameter (N,).
     """
 
     __slots__ = ("_index", "parameters", "period", "preview", "time", "y")
@@ -74,14 +74,14 @@ class OwnLaw:
     """One execution of a law: its state, and its file's own names.
 
     Attributes:
-        vectorised: whether it is called for many runs at once, as its function says by an attribute of that name.
+        vectorised: True if one call serves many runs, as an attribute of that name of its function says.
     """
 
     def __init__(self, controller: Programmed, forces: int) -> None:
         """Executes its file.
 
         Raises:
-            InputError: that fails, takes too long, or there is no such function.
+            InputError: the file fails, takes too long, or has no such function.
         """
         law = controller.law
         self._path, self._forces = law.path or law.folder, forces
@@ -94,14 +94,14 @@ class OwnLaw:
         module.__file__ = str(self._path)
         code = compiled(self._what, self._path, controller.source)
         self._run("the file", LONGEST_START, lambda: exec(code, vars(module)))
-        found = vars(module).get(law.function)
-        if not callable(found):
+        step = vars(module).get(law.function)
+        if not callable(step):
             raise InputError(
                 f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
             )
-        self._step: Callable[[Sample, Any], Any] = found
+        self._step: Callable[[Sample, Any], Any] = step
         name = f"{law.function}.vectorised"
-        vectorised, returns = self._run(name, LONGEST, lambda: (_flag(getattr(found, "vectorised", False)), _returns(found)))
+        vectorised, returns = self._run(name, LONGEST, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step)))
         if not returns:
             raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
         if vectorised is None:
@@ -109,13 +109,13 @@ class OwnLaw:
         self.vectorised = vectorised
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
-        """The forces that it asks for [N], shape (m,) or, of a vectorised one, (N, m).
+        """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
 
         Args:
             y, time, period, preview, parameters: as for `Sample`.
 
         Raises:
-            InputError: it fails, takes too long, or gives something else than forces and a state.
+            InputError: the law fails, takes too long, or returns something else than forces and a state.
         """
         sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
         shape = (*y.shape[:-1], self._forces)
@@ -129,32 +129,32 @@ class OwnLaw:
             self._left -= clock() - began
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
-        """One call; whatever it gives has code of theirs as well, so it is looked at here."""
+        """Calls the law once and checks its result, whose methods may be user code as well."""
         given = self._step(sample, self._state)
         if inspect.iscoroutine(given):
             given.close()  # else Python complains that nobody has awaited it
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
         force, self._state = given
-        found = np.asarray(force)
-        if found.dtype.kind not in "bifu" and found.dtype.kind != "O":
+        forces = np.asarray(force)
+        if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
             raise InputError(f"its force is {_short(force)}, which is no real number; give newtons")
         try:
-            found = np.array(found, dtype=float)
+            forces = np.array(forces, dtype=float)
         except (TypeError, ValueError):
             raise InputError(f"its force is {_short(force)}, which is no real number; give newtons") from None
-        scalar = shape[-1] == 1 and found.shape == shape[:-1]  # one actuator: a number is enough
-        if found.shape != shape and not scalar:
-            raise InputError(f"its force has shape {found.shape}; expected {shape}, a number per actuator")
-        if not np.all(np.isfinite(found)):
+        scalar = shape[-1] == 1 and forces.shape == shape[:-1]  # one actuator: a number is enough
+        if forces.shape != shape and not scalar:
+            raise InputError(f"its force has shape {forces.shape}; expected {shape}, a number per actuator")
+        if not np.all(np.isfinite(forces)):
             raise InputError("its force is not finite")
-        return found.reshape(shape)
+        return forces.reshape(shape)
 
     def _run(self, name: str, longest: float, code: Callable[[], Any]) -> Any:
-        """Runs code of theirs, watched.
+        """Runs user code with a time limit.
 
         Raises:
-            InputError: it fails, or takes too long.
+            InputError: the code fails, or takes too long.
         """
         assert self._path is not None, "code comes from files only"
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
@@ -175,11 +175,11 @@ class OwnLaw:
 
 
 class _TooLong(BaseException):
-    """Ends a call that takes too long. Not an Exception, so that `except Exception` does not swallow it."""
+    """Exception that ends a call that takes too long. Not an Exception, so that `except Exception` does not swallow it."""
 
 
 class _Watched:
-    """One call that is watched, in the thread that makes it."""
+    """One watched call, in the thread that makes it."""
 
     def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
         self.said, self.thread = said, threading.get_ident()
@@ -195,7 +195,7 @@ class _Watched:
             try:
                 with self._watchdog.lock:
                     self._watchdog.calls.pop(self.thread, None)
-                if self.late:  # the call may have ended by itself a moment ago: what is still to be raised in it is raised here
+                if self.late:  # the call may have ended by itself a moment ago: its pending exception is raised here
                     # Not taken back by PyThreadState_SetAsyncExc(id, NULL): CPython 3.11 then stays on the look-out for it for
                     # ever, and a function that is profiled never gets beyond its first instruction.
                     for _ in range(JUMPS):
@@ -206,7 +206,7 @@ class _Watched:
 
 
 class _Watchdog:
-    """Ends calls that take too long, whatever thread they are in."""
+    """Watchdog that ends calls that take too long, in any thread."""
 
     def __init__(self) -> None:
         self.calls: dict[int, _Watched] = {}
@@ -215,7 +215,7 @@ class _Watchdog:
         self._thread: threading.Thread | None = None
 
     def watching(self, said: str, longest: float) -> _Watched:
-        """Watches what is done within it."""
+        """Returns a context manager that watches its block."""
         if self._thread is None or not self._thread.is_alive():
             with self.lock:
                 if self._thread is None or not self._thread.is_alive():
@@ -248,7 +248,7 @@ _watchdog = _Watchdog()
 
 
 def leave_by(leave: Callable[[str], None]) -> None:
-    """Where a call cannot be ended this process is left by a function, which gets what there is to say, and does not return."""
+    """Sets the function that leaves this process if a call cannot be ended; it gets the message and does not return."""
     _watchdog.leave = leave
 
 
@@ -259,16 +259,16 @@ def _leave_command(said: str) -> None:
 
 
 def _flag(value: Any) -> bool | None:
-    """A value of theirs that should be true or false; None for anything else."""
+    """Returns a user's value as a bool, or None if it is not true or false."""
     return bool(value) if isinstance(value, (bool, np.bool_)) else None
 
 
 def _returns(function: Any) -> bool:
-    """Whether a call of a function of theirs is done when it comes back."""
+    """Returns True if a call of a user's function is complete when it returns: it is not async, and no generator."""
     kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
-    return not any(kind(one) for one in (function, type(function).__call__) for kind in kinds)
+    return not any(kind(code) for code in (function, type(function).__call__) for kind in kinds)
 
 
 def _short(value: Any) -> str:
-    """A value of theirs, as a message has it."""
+    """Returns a user's value as a message has it."""
     return quoted(value) if isinstance(value, (str, int, float, bool, type(None), list)) else f"a {type(value).__name__}"

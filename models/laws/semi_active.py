@@ -1,12 +1,12 @@
-"""The semi-active laws that ship: what coefficient an adjustable damper is to have, from what its suspension does.
+"""Semi-active laws that ship: the coefficient of an adjustable damper, from the motion of its suspension.
 
-With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u', at which it is stretched, a damper gives
--c v. What a law asks for is c; the damper gives what it can of it, until the next sample. Of laws that ask for a force F of the
-whole damper, as of a damper between body and sky, that is c = -F / v. Everything is of N runs side by side, and of m suspensions;
-or of one suspension of a run alone, in plain numbers: between two steps of that a single call of numpy costs a tenth of a step.
+With z_s' and z_u' the velocities of body and wheel at a suspension, and v = z_s' - z_u' its extension rate, a damper gives -c v.
+A law requests c; the damper clips it to its limits and holds it until the next sample. If a law requests a force F of the whole
+damper, as of a damper between body and sky, then c = -F / v. All functions take N runs side by side with m suspensions, or one
+suspension of one run in plain numbers: there, a single call of numpy costs a tenth of a time step.
 
-Source of the names, and of the laws where none is said: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard, Semi-Active Suspension
-Control Design for Vehicles (2010), chapters 3 and 6.
+Source of the names, and of the laws without a source of their own: Savaresi, Poussot-Vassal, Spelta, Sename, Dugard,
+Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 
-STILL = 1e-150  # m/s; a velocity of 0 counts as this one, inwards
+STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
 DEFLECTION = "suspension_deflection"
 MODES = ("heave_velocity", "pitch_rate", "roll_rate")
@@ -31,16 +31,16 @@ Quantity = Any  # an array of many, or a number of one
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What a law knows of N vehicles with m adjustable dampers each, or, in plain numbers, of one damper of one of them.
+    """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
 
     Attributes:
-        c_min, c_max: of the dampers [N s/m], shape (N, m); of measured curves, force over velocity at the velocities there are.
+        c_min, c_max: of the dampers [N s/m], shape (N, m); for measured curves, force over velocity at the present velocities.
         sky, ground: coefficients of the dampers between body and sky, and wheel and ground [N s/m], shape (N, m).
         stiffness: of the suspensions' springs [N/m], shape (N, m).
-        modes: velocities of the body at the suspensions from those of its b modes, each as damped to the sky as it is to be over
-            `sky`, and as they are, shapes (b, N, m).
+        modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping
+            over `sky`, then alone, shapes (b, N, m).
         mix: of hybrid: 1 is skyhook alone, 0 groundhook.
-        crossover: of the mixed law: slower than that it is skyhook, faster ADD [rad/s].
+        crossover: frequency of the mixed law, skyhook below and ADD above [rad/s].
     """
 
     c_min: Quantity
@@ -53,16 +53,16 @@ class Numbers:
     crossover: float
 
     def some(self, which: Array | slice) -> "Numbers":
-        """Of some of the vehicles."""
+        """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
 
     def alone(self, j: int) -> "Numbers":
-        """Of damper j of the first vehicle, in plain numbers."""
+        """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
         return self._of_each(lambda quantity: float(quantity[0, j]))
 
     def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "Numbers":
-        """With something taken of each quantity."""
-        damped, moved = ([taken(one) for one in each] for each in self.modes)
+        """Returns the coefficients with a function applied to each quantity."""
+        damped, moved = ([taken(factor) for factor in factors] for factors in self.modes)
         return Numbers(
             taken(self.c_min),
             taken(self.c_max),
@@ -75,18 +75,18 @@ class Numbers:
         )
 
 
-Law = Callable[..., Quantity]  # of the numbers, and of what is measured, shape (N, m) each, of a body's mode (N, 1)
+Law = Callable[..., Quantity]  # (Numbers, measurements of shape (N, m), or (N, 1) for a mode of the body) -> coefficients
 
 
 def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
-    """`np.where`, of plain numbers, too."""
+    """Returns `np.where` for arrays and plain numbers."""
     if isinstance(condition, np.ndarray):
         return np.where(condition, this, that)
     return this if condition else that
 
 
 def _over(force: Quantity, v: Quantity) -> Quantity:
-    """The coefficient of a damper that gives a force [N] at a velocity, or next to it where that is 0."""
+    """Returns the coefficient of a damper that gives a force [N] at a velocity, or next to it if that is 0."""
     return -force / _choose(v == 0, STILL, v)
 
 
@@ -128,8 +128,8 @@ def power_driven(of: Numbers, body: Quantity, wheel: Quantity, travel: Quantity)
     v = body - wheel
     spring = of.stiffness * travel
     soft, hard = spring * v + of.c_min * (v * v) >= 0, spring * v + of.c_max * (v * v) < 0
-    found = _choose(soft, of.c_min, _choose(hard, of.c_max, _over(spring, v)))
-    return _choose((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, found)
+    coefficient = _choose(soft, of.c_min, _choose(hard, of.c_max, _over(spring, v)))
+    return _choose((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, coefficient)
 
 
 def skyhook_add(of: Numbers, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
@@ -149,7 +149,7 @@ def skyhook_modal(of: Numbers, *modes_and_wheel: Quantity) -> Quantity:
 
 
 BOTH = (SPRUNG, UNSPRUNG)
-# By name: the law, what it measures at every suspension, and the keys that it has beside its name.
+# By name: the law, its measurements at every suspension, and its further keys.
 LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook": (skyhook, BOTH, ()),
     "skyhook_linear": (skyhook_linear, BOTH, ("sky_damping",)),
@@ -167,13 +167,13 @@ MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": M
 
 @dataclass(frozen=True)
 class SemiActiveLaw:
-    """A law that ships, as a vehicle file asks for it.
+    """Shipped law, as a vehicle file names it.
 
     Attributes:
-        name: of `LAWS`.
-        numbers: its keys that the file gives.
-        endings: of the names at the suspensions, in the order of the forces.
-        modes: of the body that it measures; empty of laws that work corner by corner.
+        name: key of `LAWS`.
+        numbers: the keys that the file gives, with their values.
+        endings: suffixes of the names at the suspensions, in the order of the forces.
+        modes: measured modes of the body; empty for laws that work corner by corner.
     """
 
     name: str
@@ -183,25 +183,25 @@ class SemiActiveLaw:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The signals that it measures."""
+        """The measured signals."""
         return (*self.modes, *(f"{quantity}{ending}" for quantity in LAWS[self.name][1] for ending in self.endings))
 
     @property
     def record(self) -> dict[str, Any]:
-        """It as JSON and TOML hold it."""
+        """The law as JSON and TOML hold it."""
         return {"semi_active": self.name, **dict(self.numbers)}
 
     @property
     def text(self) -> str:
-        """It on one line."""
+        """The law on one line."""
         about = (LAWS[self.name][0].__doc__ or "").splitlines()[0].rstrip(".")
         return ", ".join([f"semi-active law {self.name}", *(f"{key} {value:g}" for key, value in self.numbers)]) + f" ({about})"
 
     def coefficients(self, y: Array, of: Numbers) -> Array:
-        """What it asks for [N s/m], shape (..., N, m).
+        """Returns the requested coefficients [N s/m], shape (..., N, m).
 
         Args:
-            y: what it measures, shape (..., N, q).
+            y: measurements, shape (..., N, q).
             of: the vehicles.
         """
         first, m = len(self.modes), len(self.endings)
@@ -210,11 +210,11 @@ class SemiActiveLaw:
         return LAWS[self.name][0](of, *modes, *corners)
 
     def alone(self, of: Numbers, places: Sequence[int]) -> Callable[[Sequence[float]], list[float]]:
-        """The same of the first of the vehicles, in plain numbers: m of them from a list of numbers.
+        """Returns a function from a list of numbers to the m requested coefficients of the first vehicle, in plain numbers.
 
         Args:
             of: the vehicles.
-            places: where in that list stands what it measures, q of them.
+            places: indices of the q measurements in that list.
         """
         law, first, m = LAWS[self.name][0], len(self.modes), len(self.endings)
         corners = [(itemgetter(*places[:first], *places[first + j :: m]), of.alone(j)) for j in range(m)]
@@ -227,11 +227,11 @@ class SemiActiveLaw:
 
 @dataclass(frozen=True, eq=False)
 class SemiActive:
-    """A controller that is a law that ships; no linear claim is made of it.
+    """Controller with a shipped semi-active law; no linear claim is made about it.
 
     Attributes:
-        name: as asked for.
-        law: which.
+        name: its name in the vehicle file.
+        law: the law.
     """
 
     name: str
@@ -240,7 +240,7 @@ class SemiActive:
 
     @property
     def states(self) -> int:
-        """None: its law is not linear."""
+        """Zero: the law is not linear."""
         return 0
 
     @property
@@ -262,17 +262,17 @@ class SemiActive:
 def read_semi_active(
     where: str, entry: Mapping[str, Any], outputs: Sequence[str], inputs: Sequence[str], endings: Mapping[str, str]
 ) -> SemiActiveLaw | None:
-    """The law that an entry of `[controllers]` asks for by name; None where it asks for none.
+    """Returns the semi-active law that an entry of `[controllers]` names, or None if it names no such law.
 
     Args:
         where: the entry, for messages.
         entry: as it was read.
         outputs: signals of the vehicle.
         inputs: its forces.
-        endings: of the names at every suspension that has an adjustable damper, by force.
+        endings: suffix of the names at every suspension with an adjustable damper, by force.
 
     Raises:
-        InputError: something of it is unknown or not allowed, or the vehicle is none for it.
+        InputError: a key or value is unknown or not allowed, or the vehicle lacks a signal or damper of the law.
     """
     name = entry.get("semi_active")
     others = [key for key in entry if key in KEYS[1:]]
@@ -299,10 +299,10 @@ def read_semi_active(
     for key, mode in MODAL.items():
         if key in entry and mode not in modes:
             raise InputError(f"{where} {key}: this vehicle has no {mode}; leave it out")
-    found = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
-    if lacking := [signal for signal in found.measured if signal not in outputs]:
+    read = SemiActiveLaw(name, numbers, tuple(endings[force] for force in inputs), modes)
+    if lacking := [signal for signal in read.measured if signal not in outputs]:
         raise InputError(f"{where} semi_active = {quoted(name)} measures {lacking[0]!r}, which this kind of vehicle has not")
-    return found
+    return read
 
 
 def _number(where: str, key: str, value: Any) -> float:

@@ -1,6 +1,6 @@
-"""Python of the user's own, run: whatever is wrong with it is one line that names its file, and what it prints goes to stderr.
+"""Running of the user's own Python: every failure is one line that names its file, and its output goes to stderr.
 
-It has no second way back: a child that it forks ends where it would return, and being told to end is heard though it caught that.
+A child process that it forks ends where it would return. An interrupt is obeyed even if the user's code caught it.
 """
 
 import os
@@ -22,7 +22,7 @@ _lock, _users, _stdout = threading.Lock(), [0], list[TextIO]()
 
 
 def compiled(what: str, path: Path, text: str) -> CodeType:
-    """The code of a file.
+    """Returns the compiled code of a file.
 
     Args:
         what: what a message calls the file.
@@ -40,23 +40,23 @@ def compiled(what: str, path: Path, text: str) -> CodeType:
 
 
 def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: bool = False) -> Any:
-    """Runs code of the user's; what it gives. What it prints goes to stderr: stdout is the command's, and may be JSON.
+    """Runs code of the user's and returns its result. Its output goes to stderr: stdout is the command's, and may be JSON.
 
     Args:
         what: what a message calls the file.
         path: of the file.
         name: what a message calls the code.
         code: calls it.
-        refuses: whether an InputError of its own is what it is there for.
+        refuses: True if the code's purpose is to raise InputError.
 
     Raises:
-        InputError: it failed. The message has the last line of theirs that ran.
-        KeyboardInterrupt: the command was told to end, whatever their code made of it.
+        InputError: the code failed. The message has the last line of the user's file that ran.
+        KeyboardInterrupt: the command was told to end, even if the code caught that.
     """
-    before, failed, found = interrupt.raised(), "", None
+    before, failed, result = interrupt.raised(), "", None
     try:
         with np.errstate(all="ignore"), _PrintingToStderr():  # what is not finite is found in the result
-            found = _without_children(code)
+            result = _without_children(code)
     except BaseException as error:  # SystemExit too, and what a user derives from BaseException
         if isinstance(error, KeyboardInterrupt) and interrupt.came() is None:  # nobody counts: it may be the user's
             raise
@@ -67,11 +67,11 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
         raise KeyboardInterrupt
     if failed:
         raise InputError(failed)  # outside, so that a KeyboardInterrupt of theirs does not look as if it were the user's
-    return found
+    return result
 
 
 def _without_children(code: Callable[[], Any]) -> Any:
-    """Runs code; a child that it forks ends here, where it would go on as a second command, with the first one's files."""
+    """Runs code and ends each child that it forks, which would else go on as a second command with the first one's files."""
     process = os.getpid()
     try:
         return code()
@@ -81,7 +81,7 @@ def _without_children(code: Callable[[], Any]) -> Any:
 
 
 def _reason(error: BaseException, path: Path) -> str:
-    """What was raised, what it says, and the last line of the file that ran."""
+    """Describes an error: its type, its text, and the last line of the file that ran."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == str(path)]
     where = f", line {lines[-1]}" if lines else ""
@@ -94,7 +94,7 @@ def _reason(error: BaseException, path: Path) -> str:
 
 
 class _PrintingToStderr:
-    """What is printed goes to stderr, from whatever thread, until the last of these has ended. Entered at every call."""
+    """Redirects output of all threads to stderr until the last such block has ended. Entered at every call."""
 
     def __enter__(self) -> None:
         with _lock:
