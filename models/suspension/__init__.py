@@ -1,5 +1,5 @@
-"""What is not linear in a suspension: curves of dampers and springs, adjustable dampers, bump stops."""
+"""Non-linear elements of a suspension: curves of dampers and springs, adjustable dampers, bump stops."""
 
-STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # what is said of bump stops
+STOP_KEYS = ("suspension_stroke", "stop_stiffness")  # keys of bump stops
 
-LEAVES = 0.1  # of a curve's largest force either way: by that it has left its line
+LEAVES = 0.1  # deviation from its line at which a curve has left it, over its largest force

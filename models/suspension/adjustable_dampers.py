@@ -1,14 +1,14 @@
-"""Adjustable dampers in their vehicle, and what stands beside them there.
+"""Adjustable dampers in their vehicle, and the curves that act in parallel.
 
-A curve of `[curves]` for the damper of a suspension that is adjustable stands beside it: what it has beyond its line at rest acts
-whatever is set, as the friction of a strut does. The adjustable damper itself is in the place of the line.
+A curve of `[curves]` for an adjustable damper acts in parallel: its deviation from its line at rest acts at every setting, as
+the friction of a strut does. The adjustable damper itself replaces the line.
 
-With c_s the nominal coefficient and d that which is set beyond it, all of it pulls with
+With c_s the nominal coefficient and c_s + d the set one, both together pull with
 
     c_s v + g(v) + d h(v),
 
-where h is v but for a damper of two curves (`models.suspension.damper`), and g what its nominal setting has beyond its line,
-and what stands beside it.
+where h is v except for a damper of two curves (`models.suspension.damper`), and g is the deviation of its nominal setting from
+its line, plus that of the parallel curve.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,20 +23,20 @@ from models.suspension.curve import Curve
 from models.suspension.damper import Damper
 from models.suspension.fitted_curves import Fitted
 
-COEFFICIENT, MISSING = "damping", "missing_force"  # begin the names of a damper's signals
-ROUNDING = 1e-9  # of what curve and line pull with
+COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
+ROUNDING = 1e-9  # relative to the force of curve and line
 
 
 @dataclass(frozen=True)
 class Adjustable:
-    """An adjustable damper in its vehicle.
+    """Adjustable damper in its vehicle.
 
     Attributes:
-        force: the input that it stands for, what it gives beyond the nominal damper.
-        ending: of the names of what lies at its suspension.
-        damper: itself.
+        force: the input that it replaces, its force beyond the nominal damper's.
+        ending: suffix of the names at its suspension.
+        damper: its limits.
         nominal: the coefficient of the linear model [N s/m].
-        standing: the curve c_s v + g(v); None where g is 0.
+        standing: the curve c_s v + g(v); None if g is 0.
     """
 
     force: str
@@ -47,12 +47,12 @@ class Adjustable:
 
     @property
     def coefficient(self) -> str:
-        """The signal of the coefficient that acts."""
+        """The signal of the acting coefficient."""
         return f"{COEFFICIENT}{self.ending}"
 
     @property
     def missing(self) -> str:
-        """The signal of the force that was asked for and that it does not give."""
+        """The signal of the requested force that it does not give."""
         return f"{MISSING}{self.ending}"
 
     @property
@@ -62,29 +62,29 @@ class Adjustable:
 
     @property
     def high(self) -> float:
-        """The largest."""
+        """The largest coefficient beyond the nominal one [N s/m]."""
         return self.damper.c_max - self.nominal
 
     @property
     def steepest(self) -> float:
-        """The steepest slope of the damper at any setting [N s/m], without what stands beside it."""
+        """The steepest slope of the damper at any setting [N s/m], without the parallel curve."""
         pair = self.damper.pair
         return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
 
     def shape(self, v: Array) -> Array:
-        """h [m/s] at velocities [m/s], shape (...)."""
+        """Returns h [m/s] at velocities [m/s], shape (...)."""
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
     def pull(self, v: Array, beyond: Array | float) -> Array:
-        """What it pulls with at velocities and coefficients beyond the nominal one [N], shape (...)."""
+        """Returns its force at velocities and coefficients beyond the nominal one [N], shape (...)."""
         still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
         return still + beyond * self.shape(v)
 
     @property
     def base(self) -> Curve | None:
-        """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being its line at rest.
+        """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being h's line at rest.
 
-        None for none.
+        None if nothing but these acts.
         """
         if self.standing is None or self.damper.pair is None:
             return self.standing
@@ -93,70 +93,70 @@ class Adjustable:
         return replace(self.standing, x=x, force=self.nominal * x + bent)
 
 
-class Suspension(Protocol):
-    """What is asked of a suspension here; see `models.kinds.kind.Suspension`."""
+class ForceSuspension(Protocol):
+    """Suspension with a force and a damper; see `models.kinds.kind.Suspension`."""
 
     @property
     def force(self) -> str:
-        """The input that pushes along it; empty where none does."""
+        """The input that pushes along it; empty for a passive one."""
         ...
 
     @property
     def ending(self) -> str:
-        """Of the names of what lies at its corner."""
+        """Suffix of the names at its corner."""
         ...
 
     @property
     def damping(self) -> str:
-        """The parameter of its damper; empty where there is none."""
+        """The parameter of its damper; empty if it has no damper."""
         ...
 
 
 def adjustable(
     dampers: Mapping[str, Damper],
-    suspensions: Sequence[Suspension],
+    suspensions: Sequence[ForceSuspension],
     parameters: Mapping[str, float],
     curves: Mapping[str, Curve],
 ) -> tuple[Adjustable, ...]:
-    """Adjustable dampers in their vehicle.
+    """Returns the adjustable dampers of a vehicle.
 
     Args:
         dampers: by force.
         suspensions: of the vehicle, in the order of its forces.
         parameters: of the vehicle, by name.
-        curves: that stand in for some of these.
+        curves: by the parameter that each replaces.
 
     Raises:
-        InputError: a suspension has no nominal damper, or none that its adjustable one can be, or its curve feeds energy in.
+        InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
     """
-    found = []
-    for one in suspensions:
-        if one.force not in dampers:
+    placed = []
+    for part in suspensions:
+        if part.force not in dampers:
             continue
-        damper = dampers[one.force]
-        if not one.damping:
+        damper = dampers[part.force]
+        if not part.damping:
             raise InputError(
-                f"[actuators] the kind does not say which parameter is the damper at {one.force}; let its Suspension say it"
+                f"[actuators] the kind does not say which parameter is the damper at {part.force}; let its Suspension say it"
             )
-        nominal = parameters[one.damping]
+        nominal = parameters[part.damping]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{one.damping} = {nominal:g} N s/m, which acts where no force is asked for, is not among the "
+                f"{part.damping} = {nominal:g} N s/m, which acts where no force is asked for, is not among the "
                 f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
             )
-        found.append(Adjustable(one.force, one.ending, damper, nominal, _standing(damper, nominal, curves.get(one.damping))))
-        _check_takes(one.damping, found[-1])
-        pairs = [dampers[other.force].pair for other in suspensions if other.damping == one.damping and other.force in dampers]
+        placed.append(Adjustable(part.force, part.ending, damper, nominal, _standing(damper, nominal, curves.get(part.damping))))
+        _check_takes(part.damping, placed[-1])
+        pairs = [dampers[other.force].pair for other in suspensions if other.damping == part.damping and other.force in dampers]
         if damper.pair is not None and not all(damper.pair.same(pair) for pair in pairs):
             raise InputError(
-                f"[actuators] suspensions that share {one.damping} have dampers of other curves; give one pair of c_min and "
+                f"[actuators] suspensions that share {part.damping} have dampers of other curves; give one pair of c_min and "
                 "c_max to all of them"
             )
-    return tuple(found)
+    return tuple(placed)
 
 
 def _standing(damper: Damper, nominal: float, beside: Curve | None) -> Curve | None:
-    """See `Adjustable.standing`; of what lies beside, a curve of `[curves]`, the pieces count, whatever its line."""
+    """Returns `Adjustable.standing`; a parallel curve counts with its pieces, whatever its line."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
         share, pair = (nominal - damper.c_min) / (damper.c_max - damper.c_min), damper.pair
@@ -169,10 +169,10 @@ def _standing(damper: Damper, nominal: float, beside: Curve | None) -> Curve | N
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
-    """Whether a damper at its softest takes energy with what stands beside it, at every velocity; at others it takes more.
+    """Checks that the softest setting with its parallel curve takes energy at every velocity; firmer ones take more.
 
     Raises:
-        InputError: it does not.
+        InputError: it feeds energy in somewhere.
     """
     if one.standing is None:
         return
@@ -191,10 +191,11 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
 
 
 def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Damper]) -> None:
-    """Whether a controller measures no force of a damper with curves: in MuJoCo that is of several actuators, and none's.
+    """Checks that a controller measures no force of a damper with curves: MuJoCo has several actuators for it, but no sensor of
+    their sum.
 
     Raises:
-        InputError: it does.
+        InputError: the controller measures such a force.
     """
     for force in measured:
         if force in dampers and dampers[force].pair is not None:
@@ -205,16 +206,16 @@ def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Dam
 
 
 def softest(curves: Sequence[Fitted], dampers: Sequence[Adjustable], pushed: Callable[[str], str]) -> tuple[Fitted, ...]:
-    """Curves of suspensions with what acts at every setting (`Adjustable.base`) for the dampers that are adjustable.
+    """Returns the curves of suspensions, with `Adjustable.base` for the adjustable dampers.
 
     Args:
-        curves: as fitted.
+        curves: curves on the vehicle.
         dampers: of the vehicle.
-        pushed: from a force to the deflection of its suspension.
+        pushed: force -> deflection of its suspension.
     """
-    bases = {pushed(one.force): one.base for one in dampers}
-    found = []
-    for one in curves:
-        base = bases.get(one.deflection) if one.damps else None
-        found.append(one if base is None else replace(one, curve=base))
-    return tuple(found)
+    bases = {pushed(damper.force): damper.base for damper in dampers}
+    replaced = []
+    for curve in curves:
+        base = bases.get(curve.deflection) if curve.damps else None
+        replaced.append(curve if base is None else replace(curve, curve=base))
+    return tuple(replaced)

@@ -1,10 +1,10 @@
-"""Bump stops, as `[limits]` of a vehicle file says: equal or unequal in bump and rebound, linear or progressive, and where.
+"""Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
-A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) where it is squeezed by x: a rubber stop's
-stiffness grows. One number is a linear stop; a list of up to three a progressive one; {bump, rebound} what differs both ways.
+A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if squeezed by x: a rubber stop's stiffness
+grows. One number is a linear stop; a list of up to three a progressive one; {bump, rebound} gives each side its own.
 
-A section is named as corners are, or as all whose names begin so: `rear` is of rear_left and rear_right. What it leaves out is
-what is said of more corners, so that `[limits.rear]` may have a stroke of its own and the stiffness of all.
+A section is named as a corner, or as the common beginning of several: `rear` is rear_left and rear_right. Keys that it leaves out
+are those of the section with more corners, so that `[limits.rear]` may have its own stroke and the common stiffness.
 """
 
 import math
@@ -25,7 +25,7 @@ Stiffness = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Sides:
-    """What differs between bump and rebound, each as it would be given for both."""
+    """Different values for bump and rebound."""
 
     bump: Any
     rebound: Any
@@ -33,10 +33,10 @@ class Sides:
 
 @dataclass(frozen=True)
 class Stop:
-    """A bump stop of one side.
+    """Bump stop of one side.
 
     Attributes:
-        stroke: travel from rest to where it begins [m].
+        stroke: travel from rest to its beginning [m].
         stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3].
     """
 
@@ -46,23 +46,23 @@ class Stop:
 
 @dataclass(frozen=True)
 class Stops:
-    """The stops of a suspension, one to each side."""
+    """Bump stops of a suspension, one for each side."""
 
     bump: Stop
     rebound: Stop
 
     @property
     def push(self) -> bool:
-        """Whether they push back at all."""
-        return any(any(one.stiffness) for one in (self.bump, self.rebound))
+        """True if they push back at all."""
+        return any(any(stop.stiffness) for stop in (self.bump, self.rebound))
 
     @property
     def alike(self) -> bool:
-        """Whether one spring with a dead band is both: its force is odd, so has no x^2 in it."""
+        """True if one spring with a dead band replaces both: its force is odd, without x^2."""
         return self.bump.stiffness == self.rebound.stiffness and not self.bump.stiffness[1]
 
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
-        """The springs that they are, by name: where each is slack, from and to, and its coefficients, f = -(a x + b x^2 + c x^3).
+        """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).
 
         Args:
             rest: length of the suspension at rest [m].
@@ -76,35 +76,35 @@ class Stops:
 
     @property
     def words(self) -> str:
-        """Both strokes and what the stops are like."""
+        """Both strokes and the type of the stops."""
         if self.bump.stroke == self.rebound.stroke:
             where = f"±{self.bump.stroke:g} m"
         else:
             where = f"-{self.bump.stroke:g} m in bump and +{self.rebound.stroke:g} m in rebound"
-        progressive = any(one.stiffness[1:] != (0.0, 0.0) for one in (self.bump, self.rebound))
+        progressive = any(stop.stiffness[1:] != (0.0, 0.0) for stop in (self.bump, self.rebound))
         return f"{'progressive ' * progressive}bump stops at {where}"
 
 
 def read_stroke(where: str, value: Any) -> float | Sides:
-    """A stroke, or one for each side [m].
+    """Reads a stroke, or one for each side [m].
 
     Raises:
-        InputError: it is none.
+        InputError: the value is not allowed.
     """
-    return _of_sides(where, value, lambda where, one: _number(where, one, "m", SMALLEST))
+    return _of_sides(where, value, lambda where, stroke: _number(where, stroke, "m", SMALLEST))
 
 
 def read_stiffness(where: str, value: Any) -> Stiffness | Sides:
-    """A stiffness [N/m], up to three coefficients, or these for each side.
+    """Reads a stiffness [N/m], up to three coefficients, or these for each side.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is not allowed.
     """
     return _of_sides(where, value, _stiffness)
 
 
 def stops(stroke: float | Sides, stiffness: Stiffness | Sides) -> Stops:
-    """The stops of a suspension, from what `read_stroke` and `read_stiffness` give."""
+    """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`."""
     lengths = [getattr(stroke, side) if isinstance(stroke, Sides) else stroke for side in SIDES]
     springs = [getattr(stiffness, side) if isinstance(stiffness, Sides) else stiffness for side in SIDES]
     return Stops(*(Stop(length, _coefficients(spring)) for length, spring in zip(lengths, springs, strict=True)))
@@ -134,10 +134,10 @@ def _stiffness(where: str, value: Any) -> Stiffness:
             "back with k_1 x + k_2 x^2 + k_3 x^3"
         )
     units = ("N/m", "N/m2", "N/m3")
-    found = tuple(_number(f"{where}[{i}]", one, unit, 0.0) for i, (one, unit) in enumerate(zip(value, units, strict=False)))
-    if not found[0] >= SMALLEST:
-        raise InputError(f"{where}[0] = {found[0]:g} is not allowed; give a number from {SMALLEST:g} to {LARGEST:g} N/m")
-    return found
+    coefficients = tuple(_number(f"{where}[{i}]", k, unit, 0.0) for i, (k, unit) in enumerate(zip(value, units, strict=False)))
+    if not coefficients[0] >= SMALLEST:
+        raise InputError(f"{where}[0] = {coefficients[0]:g} is not allowed; give a number from {SMALLEST:g} to {LARGEST:g} N/m")
+    return coefficients
 
 
 def _number(where: str, value: Any, unit: str, smallest: float) -> float:
@@ -154,10 +154,10 @@ READERS: Mapping[str, Callable[[str, Any], Any]] = dict(zip(STOP_KEYS, (read_str
 
 @dataclass(frozen=True)
 class Place:
-    """What is said of the stops of an axle, or of a corner.
+    """Keys of the stops of a corner, an axle, or all corners.
 
     Attributes:
-        name: of it.
+        name: of the corner or axle; empty for all.
         suspension_stroke: travel either way before the bump stop [m], or one for each side; None: that of more corners.
         stop_stiffness: stiffness of the stop [N/m], or the coefficients of a progressive one, or these for each side; likewise.
     """
@@ -167,25 +167,24 @@ class Place:
     stop_stiffness: Stiffness | Sides | None = None
 
     def holds(self, corner: str) -> bool:
-        """Whether a corner is of it; every one is of the place without a name."""
+        """Returns True if a corner belongs to the place."""
         return not self.name or f"{corner}_".startswith(f"{self.name}_")
 
 
 def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Place, ...]:
-    """The stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
+    """Returns the stops of `[limits]`: first those of all suspensions, without a name, then those of sections of their own.
 
     Args:
         section: as it was read, of stops alone.
-        corners: names of the suspensions' corners; empty for one that is alone.
+        corners: names of the suspensions' corners; empty for a single suspension.
 
     Raises:
-        InputError: a section or key that is unknown, a value that is not allowed, a corner with a stroke and no stiffness or the
-            other way round.
+        InputError: a section or key is unknown, a value is not allowed, or a corner has only one of stroke and stiffness.
     """
     if section and not corners:
         raise InputError(f"[limits] {next(iter(section))}: this kind of vehicle has no suspension to stop; leave it out")
     common, known = {name: value for name, value in section.items() if name in STOP_KEYS}, places_of(corners)
-    found = [_place("[limits]", "", common)]
+    places = [_place("[limits]", "", common)]
     for name, value in section.items():
         if name in STOP_KEYS:
             continue
@@ -197,46 +196,46 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
                 raise InputError(
                     f"[limits.{name}] unknown key {key!r}; known: {listing(STOP_KEYS)}; the rest is of all suspensions"
                 )
-        found.append(_place(f"[limits.{name}]", name, value))
+        places.append(_place(f"[limits.{name}]", name, value))
     for corner in corners:
-        stroke, stiffness = (_said(found, corner, key) for key in STOP_KEYS)
+        stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
         if (stroke is None) != (stiffness is None):
-            where = f" of {corner}" if corner and len(found) > 1 else ""
+            where = f" of {corner}" if corner and len(places) > 1 else ""
             raise InputError(
                 f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
             )
-    return tuple(found)
+    return tuple(places)
 
 
 def places_of(corners: Sequence[str]) -> tuple[str, ...]:
-    """The names that sections may have: of corners, and of all that begin alike."""
+    """Returns the possible names of sections: corners, and common beginnings of their names."""
     parts = [corner.split("_") for corner in corners if corner]
     return tuple(dict.fromkeys("_".join(part[:k]) for part in parts for k in range(1, len(part) + 1)))
 
 
 def stops_at(places: Sequence[Place], corner: str) -> Stops | None:
-    """The stops of a corner; None where it has none. Those of a stroke alone, of which nothing is run, push back with nothing."""
+    """Returns the stops of a corner, or None if it has no stroke. Without a stiffness they push back with nothing."""
     stroke, stiffness = (_said(places, corner, key) for key in STOP_KEYS)
     return None if stroke is None else stops(stroke, stiffness or 0.0)
 
 
-def stop_words(found: Mapping[str, Stops | None]) -> list[str]:
-    """Stops in words, by corner, a phrase for all that are alike."""
+def stop_words(by_corner: Mapping[str, Stops | None]) -> list[str]:
+    """Describes stops by corner, with one phrase for all corners with equal stops."""
     alike: dict[Stops, list[str]] = {}
-    for corner, one in found.items():
-        if one is not None:
-            alike.setdefault(one, []).append(corner)
-    return [one.words + _where(corners, list(found)) for one, corners in alike.items()]
+    for corner, stops in by_corner.items():
+        if stops is not None:
+            alike.setdefault(stops, []).append(corner)
+    return [stops.words + _where(corners, list(by_corner)) for stops, corners in alike.items()]
 
 
-def _where(corners: Sequence[str], every: Sequence[str]) -> str:
-    """Some corners in words: the shortest names that are theirs alone."""
-    if len(corners) == len(every):
+def _where(corners: Sequence[str], corners_of_vehicle: Sequence[str]) -> str:
+    """Names some corners by the shortest names that fit them alone."""
+    if len(corners) == len(corners_of_vehicle):
         return ""
     names = []
-    for name in places_of(every):
-        held = [corner for corner in every if Place(name).holds(corner)]
-        if {*held} <= {*corners} and not any(Place(other).holds(name) for other in names):
+    for name in places_of(corners_of_vehicle):
+        members = [corner for corner in corners_of_vehicle if Place(name).holds(corner)]
+        if {*members} <= {*corners} and not any(Place(other).holds(name) for other in names):
             names.append(name)
     return f" ({', '.join(names)})"
 
@@ -247,6 +246,6 @@ def _place(where: str, name: str, section: Mapping[str, Any]) -> Place:
 
 
 def _said(places: Sequence[Place], corner: str, key: str) -> Any:
-    """What is said of a corner, by the section of fewest corners that says it; None where none does."""
-    said = [one for one in places if one.holds(corner) and getattr(one, key) is not None]
-    return getattr(max(said, key=lambda one: len(one.name)), key) if said else None
+    """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
+    said = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
+    return getattr(max(said, key=lambda place: len(place.name)), key) if said else None

@@ -1,15 +1,15 @@
 """A damper's force over velocity, or a spring's over deflection, as straight lines from point to point.
 
-Both arguments are positive where the suspension stretches, and a force is positive where it pulls body and wheel together: so a
-damper takes energy where force and velocity have the same sign. Beyond its last points a curve goes on as straight as it ends.
+Both arguments are positive if the suspension stretches, and a force is positive if it pulls body and wheel together: so a damper
+takes energy if force and velocity have the same sign. Beyond its last points a curve goes on as straight as it ends.
 
-Linear analysis knows one number of it, the slope s at rest; where there is a kink at rest, the mean of both sides. What the curve
-F has beyond that line is a sum of straight pieces, each between its bounds,
+Linear analysis uses the slope s at rest; at a kink there, the mean of both sides. The deviation of the curve F from that line is
+a sum of straight pieces, each between its bounds,
 
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i),
 
-one for every segment whose slope is not s, measured from its end nearer to rest. So a curve that is straight has none, and one
-that falls again on its way is a sum of such pieces as well.
+one for every segment whose slope is not s, measured from its end nearer to rest. A straight curve has no pieces. A curve that
+falls again on its way is such a sum as well.
 """
 
 from dataclasses import dataclass, replace
@@ -20,17 +20,17 @@ import numpy as np
 from models.common.arrays import Array
 from models.suspension import LEAVES
 
-STRAIGHT = 1e-12  # of the steepest slope: what slopes of one line differ by, to rounding
+STRAIGHT = 1e-12  # difference of slopes that are equal but for rounding, over the steepest slope
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The straight pieces, P of them, that make a curve of a line.
+    """Straight pieces, P of them, of a curve's deviation from its line.
 
     Attributes:
         slope: a [N per unit of the argument], shape (P,).
-        start: k, from where each acts [the argument's unit], shape (P,).
-        low, high: between which forces each acts [N], shape (P,); infinite where it has no end.
+        start: k, the end nearer to rest [the argument's unit], shape (P,).
+        low, high: bounds of each force [N], shape (P,); infinite for a piece without end.
     """
 
     slope: Array
@@ -39,7 +39,7 @@ class Pieces:
     high: Array
 
     def force(self, x: Array) -> Array:
-        """Their sum at some arguments [N], shape (...)."""
+        """Returns the sum of the pieces at some arguments [N], shape (...)."""
         return np.clip(self.slope * (np.asarray(x)[..., None] - self.start), self.low, self.high).sum(axis=-1)
 
 
@@ -49,9 +49,9 @@ class Curve:
 
     Attributes:
         x: its points [m/s or m], ascending, rest, 0, among them and neither first nor last, shape (n,).
-        force: at those [N], 0 at rest, shape (n,).
-        slope: of the line that linear analysis takes for it [N s/m or N/m].
-        words: what it is, in a phrase.
+        force: at the points [N], 0 at rest, shape (n,).
+        slope: of its line in linear analysis [N s/m or N/m].
+        words: its description, a phrase.
     """
 
     x: Array
@@ -60,22 +60,22 @@ class Curve:
     words: str
 
     def __call__(self, x: Array) -> Array:
-        """The force at some arguments [N], shape (...)."""
+        """Returns the force at some arguments [N], shape (...)."""
         return self.slope * np.asarray(x) + self.pieces.force(x)
 
     def scaled(self, factor: float) -> "Curve":
-        """The same with all forces so many times as large."""
+        """Returns the curve with all forces multiplied by a factor."""
         return self if factor == 1 else replace(self, force=factor * self.force, slope=factor * self.slope)
 
     @cached_property
     def slopes(self) -> Array:
-        """Below its first point, from point to point, and above the last, shape (n + 1,)."""
+        """Slopes of all segments, the two extrapolating ones included, shape (n + 1,)."""
         within = np.diff(self.force) / np.diff(self.x)
         return np.concatenate([within[:1], within, within[-1:]])
 
     @cached_property
     def pieces(self) -> Pieces:
-        """What it has beyond its line."""
+        """Pieces of the deviation from its line."""
         edges, rows = np.concatenate([[-np.inf], self.x, [np.inf]]), []
         for left, right, slope in zip(edges[:-1], edges[1:], self.slopes - self.slope, strict=True):
             if abs(slope) > STRAIGHT * np.abs(self.slopes).max():
@@ -85,7 +85,7 @@ class Curve:
         return Pieces(*np.array(rows).reshape(-1, 4).T)
 
     def work(self, x: Array) -> Array:
-        """What it has beyond its line, summed up from rest to some arguments, shape (...)."""
+        """Returns the deviation from its line, integrated from rest to some arguments, shape (...)."""
         edges = np.concatenate([[-np.inf], self.x, [np.inf]])
         knots, x = self.pieces.force(self.x), np.asarray(x)
         to_knots = np.concatenate([[0.0], np.cumsum((knots[1:] + knots[:-1]) / 2 * np.diff(self.x))])
@@ -100,18 +100,18 @@ class Curve:
 
     @cached_property
     def left_at(self) -> tuple[float, float]:
-        """Where, below rest and above it, it has first left its line by `LEAVES` of its range; infinite where it never does."""
-        limit, found = LEAVES * self.range, []
+        """Arguments below and above rest where it first leaves its line by `LEAVES` of its range; infinite if it never does."""
+        limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
-            some = np.flatnonzero(side * self.x >= 0)[:: int(side)]
+            points = np.flatnonzero(side * self.x >= 0)[:: int(side)]
             beyond = 2 * max(abs(self.x[0]), abs(self.x[-1])) * 1e3  # as good as never
-            x = np.append(self.x[some], side * beyond)
+            x = np.append(self.x[points], side * beyond)
             apart = self.pieces.force(x)
             hit = np.flatnonzero(np.abs(apart) >= limit)
             if not len(hit):
-                found.append(side * np.inf)
+                arguments.append(side * np.inf)
                 continue
             i = int(hit[0])
             share = (np.sign(apart[i]) * limit - apart[i - 1]) / (apart[i] - apart[i - 1])
-            found.append(float(x[i - 1] + share * (x[i] - x[i - 1])))
-        return found[0], found[1]
+            arguments.append(float(x[i - 1] + share * (x[i] - x[i - 1])))
+        return arguments[0], arguments[1]

@@ -1,9 +1,8 @@
-"""Curves and adjustable dampers in MuJoCo: its own actuators, on the suspension's tendon, within every stage of RK4.
+"""Curves and adjustable dampers in MuJoCo: actuators on the suspension's tendon, evaluated in every stage of RK4.
 
-An actuator that is asked for nothing, whose bias is affine in length and speed and which its `forcerange` clips, is one straight
-piece of a curve. (Its gain stays 1: where that is minus the bias's slope over length, MuJoCo takes a slope over speed that is
-above 0 for a damping ratio.) The suspension's own spring and damper stay, with the curve's slope at rest, and the pieces are what
-it has beyond.
+An actuator with zero control, a bias that is affine in length and speed, and a `forcerange` that clips it, is one straight piece
+of a curve. (Its gain stays 1: with the negative of the bias's slope over length, MuJoCo would read a positive slope over speed as
+a damping ratio.) The suspension's own spring and damper stay, with the curve's slope at rest; the pieces add the deviation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,12 +19,12 @@ from models.suspension.fitted_curves import Fitted
 # MuJoCo's bindings carry no type stubs.
 
 
-UNBOUNDED = 1e9  # N; more than any suspension's, and less than MuJoCo takes for a mistake
-SAME = 1e-9  # relative; what a kind's own code makes of a parameter
+UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which MuJoCo reports a mistake
+SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 
 
 def fit_curves(spec: Any, curves: Sequence[Fitted], prefix: str, rest: Mapping[str, float]) -> None:
-    """Adds what curves have beyond their lines to an `MjSpec`.
+    """Adds the deviations of curves from their lines to an `MjSpec`.
 
     Args:
         spec: the model, its parameters written into it.
@@ -34,39 +33,39 @@ def fit_curves(spec: Any, curves: Sequence[Fitted], prefix: str, rest: Mapping[s
         rest: the length at rest of every tendon [m].
 
     Raises:
-        InputError: it has not the tendons, or not with their parameters.
+        InputError: a tendon is missing, or has another stiffness or damping than its parameter.
     """
     tendons = {tendon.name: tendon for tendon in spec.tendons}
-    for one in curves:
-        if one.tendon not in tendons:
-            raise InputError(f"has no tendon {one.tendon!r}, whose suspension has a curve in [curves]; add it, or leave that out")
-        tendon, curve = tendons[one.tendon], one.curve
-        own = float((tendon.damping if one.damps else tendon.stiffness)[0])
+    for fit in curves:
+        if fit.tendon not in tendons:
+            raise InputError(f"has no tendon {fit.tendon!r}, whose suspension has a curve in [curves]; add it, or leave that out")
+        tendon, curve = tendons[fit.tendon], fit.curve
+        own = float((tendon.damping if fit.damps else tendon.stiffness)[0])
         if not abs(own - curve.slope) <= SAME * max(abs(own), abs(curve.slope)):
             raise InputError(
-                f"its tendon {one.tendon!r} has {own:g} where {one.parameter} is {curve.slope:g}, so no curve can stand in for "
+                f"its tendon {fit.tendon!r} has {own:g} where {fit.parameter} is {curve.slope:g}, so no curve can stand in for "
                 "it; have write_mjcf write the parameter, or leave the curve out"
             )
-        length = 0.0 if one.damps else rest[one.tendon]
+        length = 0.0 if fit.damps else rest[fit.tendon]
         pieces = curve.pieces
         for i in range(len(pieces.slope)):
-            actuator = spec.add_actuator(name=f"{prefix}{one.over.name}_{one.tendon}_{i + 1}", target=one.tendon)
+            actuator = spec.add_actuator(name=f"{prefix}{fit.over.name}_{fit.tendon}_{i + 1}", target=fit.tendon)
             actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
             actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             slope, start = float(pieces.slope[i]), float(pieces.start[i])
             # A curve pulls together where it is positive, and an actuator's force stretches its tendon.
-            along = [0.0, -slope] if one.damps else [-slope, 0.0]
+            along = [0.0, -slope] if fit.damps else [-slope, 0.0]
             actuator.biasprm[:3] = [slope * (start + length), *along]
             actuator.forcelimited = True
             actuator.forcerange = np.clip([-pieces.high[i], -pieces.low[i]], -UNBOUNDED, UNBOUNDED)
 
 
 def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
-    """Adds sensors of how fast lengths change that have sensors themselves.
+    """Adds velocity sensors for lengths that have sensors.
 
     Args:
         spec: the model.
-        deflections: the signal of the velocity, and that of the length.
+        deflections: pairs of signals, velocity and length.
 
     Raises:
         InputError: a length is read by another sensor than one of a tendon or a joint.
@@ -74,11 +73,11 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
     kind, sensors = mujoco.mjtSensor, {sensor.name: sensor for sensor in spec.sensors}
     speeds = {kind.mjSENS_TENDONPOS: kind.mjSENS_TENDONVEL, kind.mjSENS_JOINTPOS: kind.mjSENS_JOINTVEL}
     for velocity, deflection in deflections:
-        of = sensors.get(deflection)
-        if of is None or of.type not in speeds:
+        length = sensors.get(deflection)
+        if length is None or length.type not in speeds:
             raise InputError(f"has no sensor {deflection!r} of a tendon's or joint's length, whose speed {velocity!r} would be")
-        sensor = spec.add_sensor(name=velocity, type=speeds[of.type], objtype=of.objtype, objname=of.objname)
-        sensor.userdata = list(of.userdata)
+        sensor = spec.add_sensor(name=velocity, type=speeds[length.type], objtype=length.objtype, objname=length.objname)
+        sensor.userdata = list(length.userdata)
 
 
 # pyright: reportAttributeAccessIssue=false
@@ -86,43 +85,43 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
 
 
 def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: Mapping[str, str], mjcf: str, prefix: str) -> None:
-    """Adjustable dampers in place of actuators that push: what is asked of one is c - c_s, and it gives -(c - c_s) v.
+    """Replaces actuators that push by adjustable dampers: the control is c - c_s, the force -(c - c_s) v.
 
-    With curves, a h(v) that is not v is a line and ramps that begin at its knots, an actuator each, asked for the same. A ramp
-    gives (c - c_min) a (v - k), which has one sign beyond its knot k, and is clipped to none on the other side.
+    With curves, h(v) is a line and ramps that begin at its knots, one actuator each, with the same control. A ramp gives
+    (c - c_min) a (v - k), which has one sign beyond its knot k, and is clipped to zero on the other side.
 
     Args:
-        spec: takes them.
+        spec: the model.
         dampers: of a vehicle.
         tendons: of its suspensions, by force.
-        mjcf: where the spec is from, for messages.
-        prefix: how the names of ramps begin.
+        mjcf: source of the spec, for messages.
+        prefix: prefix of the names of ramps.
 
     Raises:
-        InputError: the actuator of one is no motor of gear 1 on the tendon of its suspension.
+        InputError: the actuator of a damper is no motor of gear 1 on the tendon of its suspension.
     """
     actuators = {actuator.name: actuator for actuator in spec.actuators}
-    for one in dampers:
-        actuator, tendon = actuators.get(one.force), tendons[one.force]
+    for placed in dampers:
+        actuator, tendon = actuators.get(placed.force), tendons[placed.force]
         if actuator is None or (actuator.target, float(actuator.gear[0])) != (tendon, 1.0):
             raise InputError(
-                f"MJCF {mjcf}: the actuator {one.force!r} is no motor of gear 1 on the tendon {tendon!r}, and cannot be the "
+                f"MJCF {mjcf}: the actuator {placed.force!r} is no motor of gear 1 on the tendon {tendon!r}, and cannot be the "
                 "damper of [actuators]; make it one, or leave that section out"
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
-        line, ramps = (1.0, ()) if one.damper.pair is None else (one.damper.pair.line, one.damper.pair.ramps)
+        line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)
         actuator.gainprm[:3] = [0.0, 0.0, -line]
         parts = [actuator]
         for number, (knot, slope, side) in enumerate(ramps, 1):
-            ramp = spec.add_actuator(name=f"{prefix}{one.force}_{number}", target=tendon)
+            ramp = spec.add_actuator(name=f"{prefix}{placed.force}_{number}", target=tendon)
             ramp.trntype = mujoco.mjtTrn.mjTRN_TENDON
             ramp.gaintype, ramp.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
             ramp.gainprm[:3] = [slope * knot, 0.0, -slope]
-            ramp.biasprm[:3] = [-one.low * slope * knot, 0.0, one.low * slope]
+            ramp.biasprm[:3] = [-placed.low * slope * knot, 0.0, placed.low * slope]
             ramp.forcelimited = True
             ramp.forcerange = [-UNBOUNDED, 0.0] if slope * side > 0 else [0.0, UNBOUNDED]
             parts.append(ramp)
-        if one.damper.bandwidth is not None:
+        if placed.damper.bandwidth is not None:
             for part in parts:
                 part.dyntype = mujoco.mjtDyn.mjDYN_FILTER  # integrated with the rest by RK4
-                part.dynprm[0] = 1 / one.damper.bandwidth
+                part.dynprm[0] = 1 / placed.damper.bandwidth

@@ -1,7 +1,7 @@
-"""A curve in a file of its own, `file = "damper.csv"` in `[curves]` or `[actuators]`: its table in place of its name.
+"""Curve files, `file = "damper.csv"` in `[curves]` or `[actuators]`: a vehicle file holds the table in place of the name.
 
-So a vehicle file is whole once it is read, as with laws and families. Two formats are known: CSV, whose header says what each
-column is and in which unit, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the TeimOrbit
+So a vehicle file is whole once it is read, as with laws and families. Two formats are known: CSV, whose header names quantity
+and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the TeimOrbit
 format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the table in
 `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
 """
@@ -33,14 +33,14 @@ BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
 
 
 def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """A vehicle file's text with tables in place of the files that it names for them, and those files.
+    """Returns a vehicle file's text with tables in place of its curve files, and those files.
 
     Args:
         text: TOML.
-        folder: where the vehicle file lies, from which its paths go.
+        folder: folder of the vehicle file, to which its paths are relative.
 
     Raises:
-        InputError: it is not TOML, or a file is not there, or holds no curve; the message names it.
+        InputError: the text is not TOML, or a file is missing, or holds no curve; the message names it.
     """
     files = []
     for path, entry in _asked(parse_toml(text)):
@@ -56,34 +56,34 @@ def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def _asked(data: Mapping[str, Any]) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """The entries that name files, each with the keys that lead to it: curves, and limits of all dampers, or of single ones."""
-    found: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
+    """Returns the entries that name files, each with its keys: curves, and limits of all dampers, or of single ones."""
+    file_entries: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
     for section in ("curves", "actuators"):
         entries = data.get(section)
-        for name, one in entries.items() if isinstance(entries, dict) else ():
-            if not isinstance(one, dict):
+        for name, entry in entries.items() if isinstance(entries, dict) else ():
+            if not isinstance(entry, dict):
                 continue
-            if "file" in one:
-                found.append(((section, name), one))
+            if "file" in entry:
+                file_entries.append(((section, name), entry))
             elif section == "actuators":
-                inner = {key: value for key, value in one.items() if isinstance(value, dict) and "file" in value}
-                found += [((section, name, key), value) for key, value in inner.items()]
-    return found
+                inner = {key: value for key, value in entry.items() if isinstance(value, dict) and "file" in value}
+                file_entries += [((section, name, key), value) for key, value in inner.items()]
+    return file_entries
 
 
 def _words(path: tuple[str, ...]) -> str:
-    """Where an entry stands, for messages."""
+    """Names an entry, for messages."""
     return f"[{'.'.join(path[:-1])}] {path[-1]}"
 
 
 def _changed(data: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
-    """The same with another value where some keys lead."""
+    """Returns a copy of nested tables with another value at a path of keys."""
     first, *rest = path
     return {**data, first: _changed(data[first], tuple(rest), value) if rest else value}
 
 
 def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table: Mapping[str, Any], comment: str) -> str:
-    """The text with a table in place of a file, wherever that is said on a line of its own."""
+    """Returns the text with a table in place of a file, which a line of its own must name."""
     name, before = path[-1], parse_toml(text)
     whole = {key: value for key, value in entry.items() if key != "file"} | dict(table)
     after = _changed(before, path, whole)
@@ -91,8 +91,8 @@ def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table:
     others = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "file"]
     inline, own = f"{comment}\n{name} = {{ {', '.join([*lines, *others])} }}", "\n".join([comment, *lines])
     for key, instead in ((name, inline), ("file", own)):
-        for found in re.finditer(rf"^[ \t]*{re.escape(key)}[ \t]*=[^\n]*$", text, re.M):
-            changed = text[: found.start()] + instead + text[found.end() :]
+        for line in re.finditer(rf"^[ \t]*{re.escape(key)}[ \t]*=[^\n]*$", text, re.M):
+            changed = text[: line.start()] + instead + text[line.end() :]
             try:
                 if parse_toml(changed) == after:
                     return changed
@@ -102,7 +102,7 @@ def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table:
 
 
 def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
-    """The table of a file, as TOML has it; a comment that says where it is from; and the file."""
+    """Returns the table of a file, as TOML has it; a comment with its source; and the file."""
     file = entry["file"]
     if not isinstance(file, str) or not file:
         raise InputError(f"file = {quoted(file)} is no file's name; {GIVE}")
@@ -114,26 +114,26 @@ def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, 
 
 
 def _of_csv(text: str) -> dict[str, list[float]]:
-    """Columns by their header, in SI."""
+    """Returns columns by their header, in SI units."""
     rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if len(rows) < 2:
         raise InputError(f"has {len(rows)} row(s), and no table below a header; {GIVE}")
-    delimiter = next((one for one in (";", "\t") if one in rows[0]), ",")
+    delimiter = next((mark for mark in (";", "\t") if mark in rows[0]), ",")
     cells = list(csv.reader(io.StringIO("\n".join(rows)), delimiter=delimiter, skipinitialspace=True))
     columns, units = [], []
     for cell in cells[0]:
-        found = HEADING.match(cell)
-        name = found[1].lower() if found else ""
-        if found is None or name not in UNITS:
+        heading = HEADING.match(cell)
+        name = heading[1].lower() if heading else ""
+        if heading is None or name not in UNITS:
             raise InputError(f"has a column {quoted(cell)}; give velocity or deflection, and force, each with its unit: {GIVE}")
-        if found[2] is None:
+        if heading[2] is None:
             raise InputError(
                 f"says no unit of {name}; give one of {listing(UNITS[name])}, as in {name} [{next(iter(UNITS[name]))}]"
             )
-        if found[2] not in UNITS[name]:
-            raise InputError(f"has {name} in {quoted(found[2])}; give one of {listing(UNITS[name])}")
+        if heading[2] not in UNITS[name]:
+            raise InputError(f"has {name} in {quoted(heading[2])}; give one of {listing(UNITS[name])}")
         columns.append(name)
-        units.append(UNITS[name][found[2]])
+        units.append(UNITS[name][heading[2]])
     if len(columns) != 2 or "force" not in columns or columns[0] == columns[1]:
         raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
     values = _numbers(cells[1:], len(columns))
@@ -141,8 +141,8 @@ def _of_csv(text: str) -> dict[str, list[float]]:
 
 
 def _numbers(rows: list[list[str]], count: int) -> list[list[float]]:
-    """Rows of so many finite numbers."""
-    found = []
+    """Returns rows of `count` finite numbers."""
+    points = []
     for number, row in enumerate(rows, 1):
         try:
             values = [float(cell) for cell in row]
@@ -150,18 +150,18 @@ def _numbers(rows: list[list[str]], count: int) -> list[list[float]]:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
             raise InputError(f"point {number} is {quoted(row)}; give {count} finite numbers")
-        found.append(values)
-    return found
+        points.append(values)
+    return points
 
 
 def _of_dpr(text: str) -> dict[str, list[float]]:
-    """The table of a damper property file, in SI."""
+    """Returns the table of a damper property file, in SI units."""
     blocks: dict[str, list[str]] = {}
     inside: list[str] = []
     for line in text.splitlines():
         line = re.split(r"[$!]", line, maxsplit=1)[0].strip()
-        if found := BLOCK.match(line):
-            inside = blocks.setdefault(found[1].upper(), [])
+        if block := BLOCK.match(line):
+            inside = blocks.setdefault(block[1].upper(), [])
         elif line:
             inside.append(line)
     for name in ("UNITS", "CURVE"):
@@ -180,7 +180,7 @@ def _of_dpr(text: str) -> dict[str, list[float]]:
 
 
 def _units(lines: list[str]) -> dict[str, str]:
-    """What a block of units says, as `KEY = 'unit'`, or as a table."""
+    """Returns the units of a block, given as `KEY = 'unit'`, or as a table."""
     said = {key.strip().upper(): value.strip(" '\"") for key, _, value in (line.partition("=") for line in lines) if value}
     for head, row in itertools.pairwise(lines):
         if head.startswith("{"):

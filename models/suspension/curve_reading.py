@@ -15,18 +15,19 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.suspension.curve import Curve
 
-FRICTION_ERROR = 0.02  # of a friction's force: how far its lines may be from the smooth curve
-FRICTION_ENDS = 3.0  # times its velocity, from where it is flat, with its full force
-FRICTION_POINTS = 601  # of the smooth curve, from which the lines are taken; what lies between them adds 1e-5
+FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
+FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
+FRICTION_POINTS = 601  # points of the smooth curve, of which the lines take some; the error between points is 1e-5
 
 
 def thinned(x: Array, force: Array, error: float) -> Array:
-    """Which points of a curve remain, as indices, shape (k,): the first, the last, rest, and as few as will do between.
+    """Returns the indices of the remaining points of a curve, shape (k,): the first, the last, rest, and as few as will do
+    between.
 
     Args:
         x: ascending, with rest, 0, among them, shape (n,).
         force: shape (n,).
-        error: that is allowed, in the force's unit.
+        error: largest allowed error, in the force's unit.
     """
     rest = int(np.searchsorted(x, 0.0))
     kept, first = [], 0
@@ -38,7 +39,9 @@ def thinned(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """The last point that a straight line from the first reaches while it misses none between by more than the error."""
+    """Returns the last point that a straight line from the first can reach without missing a point between by more than the
+    error.
+    """
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
     # A line's slope has to lie between what every point on the way leaves open.
     steepest = np.minimum.accumulate((rise + error) / run)
@@ -50,7 +53,7 @@ def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> in
 
 
 def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
-    """Points of a friction F tanh(v / v0) that are no farther from it than `FRICTION_ERROR` of F, shapes (k,).
+    """Returns points of a friction F tanh(v / v0), with an error of at most `FRICTION_ERROR` F, shapes (k,).
 
     Args:
         force: F [N].
@@ -58,15 +61,15 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
-    some = thinned(v, smooth, FRICTION_ERROR - 1e-4)
-    half = np.append(v[some], 2 * FRICTION_ENDS), np.append(smooth[some], 1.0)
+    kept = thinned(v, smooth, FRICTION_ERROR - 1e-4)
+    half = np.append(v[kept], 2 * FRICTION_ENDS), np.append(smooth[kept], 1.0)
     v, smooth = (np.concatenate([-part[:0:-1], part]) for part in half)
     return velocity * v, force * smooth
 
 
 MOST_POINTS = 20_000  # of a table
-MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs physics 2 % of a quarter-car's step
-USUAL_ERROR = 0.005  # of a curve's range, where a table has more points than that
+MOST_LINES = 24  # of a curve without its friction; each is an actuator, and costs 2 % of a quarter-car's time step
+USUAL_ERROR = 0.005  # over a curve's largest force, if its table has more lines than that
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
 SMALLEST_FRICTION, LARGEST_FRICTION = 1e-3, 1e5  # N
@@ -75,13 +78,13 @@ SMALLEST_CREEP, LARGEST_CREEP = 1e-4, 1.0  # m/s
 
 @dataclass(frozen=True)
 class Argument:
-    """What a curve's force is over.
+    """Argument of a curve.
 
     Attributes:
         name: its key.
         unit: SI unit.
-        largest: of its values; what is larger is in another unit.
-        small: the unit that it is mistaken for.
+        largest: largest allowed value; larger ones are in another unit.
+        small: the likely wrong unit.
     """
 
     name: str
@@ -96,33 +99,33 @@ FRICTION = ("friction", "friction_velocity")
 
 
 def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, Curve]:
-    """The curves of a vehicle, by the parameter that each stands in for.
+    """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
         section: as read, tables in place of files.
-        parameters: that a curve can stand in for, with what its force is over.
+        parameters: parameters that a curve can replace, each with the curve's argument.
 
     Raises:
-        InputError: one is none, or none that a suspension can have.
+        InputError: an entry is no curve, or one that no suspension can have.
     """
-    found = {}
+    curves = {}
     for name, entry in section.items():
         if name not in parameters:
             raise InputError(
                 f"[curves] {name!r} is no stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         try:
-            found[name] = curve_of(entry, parameters[name])
+            curves[name] = curve_of(entry, parameters[name])
         except InputError as error:
             raise InputError(f"[curves] {name}: {error}") from error
-    return found
+    return curves
 
 
 def curve_of(entry: Any, over: Argument) -> Curve:
-    """A curve from its table.
+    """Returns a curve from its table.
 
     Raises:
-        InputError: it is none, or none that a suspension can have.
+        InputError: the entry is no curve, or one that no suspension can have.
     """
     what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
     if not isinstance(entry, Mapping):
@@ -147,7 +150,7 @@ def curve_of(entry: Any, over: Argument) -> Curve:
 
 
 def _points(given: Any, name: str) -> Array:
-    """A list of finite numbers."""
+    """Returns a list of finite numbers as an array."""
     if not isinstance(given, list) or len(given) < 2:
         count = f"{len(given)} point(s)" if isinstance(given, list) else quoted(given)
         raise InputError(
@@ -182,7 +185,7 @@ def _check_argument(x: Array, over: Argument) -> None:
 
 
 def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
-    """The points with rest among them, and forces from there: a spring's is what it has beyond the weight that it carries."""
+    """Returns the points with rest among them, and the forces relative to rest: a spring's without the weight that it carries."""
     at_rest, largest = float(np.interp(0.0, x, force)), float(np.abs(force).max())
     if over is VELOCITY and abs(at_rest) > ROUNDING * largest:
         raise InputError(
@@ -198,42 +201,42 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
     return x, np.where(x == 0, 0.0, force)
 
 
-def _as_lines(x: Array, force: Array, asked: Any) -> tuple[Array, Array, str]:
-    """The curve in as few straight lines as will do, and in words."""
-    if asked is not None and (
-        isinstance(asked, bool) or not isinstance(asked, (int, float)) or not SMALLEST_ERROR <= asked <= LARGEST_ERROR
+def _as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str]:
+    """Returns the curve in as few straight lines as will do, and its description."""
+    if fit_error is not None and (
+        isinstance(fit_error, bool) or not isinstance(fit_error, (int, float)) or not SMALLEST_ERROR <= fit_error <= LARGEST_ERROR
     ):
         raise InputError(
-            f"fit_error = {quoted(asked)} is not allowed; give a share of its largest force, from {SMALLEST_ERROR:g} to "
+            f"fit_error = {quoted(fit_error)} is not allowed; give a share of its largest force, from {SMALLEST_ERROR:g} to "
             f"{LARGEST_ERROR:g}"
         )
     largest = float(np.abs(force).max())
-    some = thinned(x, force, ROUNDING * largest / 1e3)
+    kept = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
-    if asked is not None or len(some) > MOST_LINES + 1:
-        error = USUAL_ERROR if asked is None else float(asked)
-        some = thinned(x, force, error * largest)
-        words = f"{len(x)} points as {len(some) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
-        if len(some) > MOST_LINES + 1:
+    if fit_error is not None or len(kept) > MOST_LINES + 1:
+        error = USUAL_ERROR if fit_error is None else float(fit_error)
+        kept = thinned(x, force, error * largest)
+        words = f"{len(x)} points as {len(kept) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
+        if len(kept) > MOST_LINES + 1:
             raise InputError(
-                f"needs {len(some) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
+                f"needs {len(kept) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
                 f"{MOST_LINES} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
             )
-    return x[some], force[some], words
+    return x[kept], force[kept], words
 
 
 def _slope_at_rest(x: Array, force: Array) -> float:
-    """The mean of the slopes on both sides of rest."""
+    """Returns the mean of the slopes on both sides of rest."""
     i = int(np.searchsorted(x, 0.0))
     slopes = np.diff(force[i - 1 : i + 2]) / np.diff(x[i - 1 : i + 2])
     return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())
 
 
 def _checked(curve: Curve, over: Argument) -> Curve:
-    """A curve that a suspension can have.
+    """Returns the curve if a suspension can have it.
 
     Raises:
-        InputError: it is a damper's that feeds energy in somewhere, or a spring's that does not hold the vehicle up.
+        InputError: a damper feeds energy in somewhere, or a spring does not hold the vehicle up.
     """
     if over is VELOCITY:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
@@ -257,7 +260,7 @@ def _checked(curve: Curve, over: Argument) -> Curve:
 
 
 def _with_friction(curve: Curve, entry: Mapping[str, Any]) -> Curve:
-    """The curve with a friction F tanh(v / v0) beside it, which is no part of what linear analysis takes for the damper."""
+    """Returns the curve with a friction F tanh(v / v0) added, which leaves the slope of linear analysis unchanged."""
     limits = {"friction": (SMALLEST_FRICTION, LARGEST_FRICTION), "friction_velocity": (SMALLEST_CREEP, LARGEST_CREEP)}
     for key, (low, high) in limits.items():
         if key not in entry:

@@ -1,4 +1,4 @@
-"""`[actuators]` of a vehicle file: what sits in every suspension, an actuator that pushes or an adjustable damper.
+"""`[actuators]` of a vehicle file: in every suspension an actuator that pushes, or an adjustable damper.
 
 An adjustable damper has a coefficient c from c_min to c_max that a valve sets, and gives -c v, with v the velocity at which its
 suspension is stretched. The linear model (28) has the nominal coefficient c_s in it, so what such a damper gives beyond that is
@@ -9,9 +9,9 @@ A controller that asks for a force u* beyond the nominal damper's gets the coeff
 
     c = clip(c_s - u* / v, c_min, c_max),
 
-with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set
-at the controller's sample from the velocity then, and held until the next. Where v is 0 and u* is not, v is taken for one that is
-about to be below it; where both are 0 the damper is the nominal one.
+with curves in place of c_min and c_max: c = clip(c_s - u* / h(v), c_min, c_max), see below. It is set at the controller's sample
+from the velocity then, and held until the next. If v is 0 and u* is not, v counts as slightly negative; if both are 0 the damper
+is the nominal one.
 
 Such a damper may be measured, as its force over velocity at its softest and at its firmest setting. With F_min and F_max these
 curves (`models.suspension`), and s the setting that a valve holds, from 0 to 1, the damper pulls with
@@ -34,12 +34,12 @@ from models.common.errors import InputError, listing, quoted
 from models.suspension.curve import STRAIGHT, Curve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
-TOUCHING = 1e-9  # of the largest force: curves that are no further apart are as one
+TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The curves of an adjustable damper.
+    """Curves of an adjustable damper.
 
     Attributes:
         soft, hard: at its softest and at its firmest setting.
@@ -62,30 +62,30 @@ class Pair:
 
     @property
     def line(self) -> float:
-        """Slope of h at rest, of both sides that of the flatter one."""
+        """Slope of h at rest, the smaller of both sides."""
         rest = int(np.searchsorted(self.knots, 0.0))
         return float(self.shape.slopes[rest : rest + 2].min())
 
     @property
     def ramps(self) -> tuple[tuple[float, float, int], ...]:
-        """What h has beyond that line: knots [m/s], beyond which it is steeper by so much, and to which side, 1 or -1, of each.
+        """The deviation of h from that line: knots [m/s], the increase of slope beyond each, and its side, 1 or -1.
 
-        One from rest is never flatter: as an actuator that would have a bias in which MuJoCo sees a damping ratio.
+        A ramp from rest never has a negative increase: MuJoCo would read that actuator's bias as a damping ratio.
         """
         x, slopes = self.knots, self.shape.slopes
         rest = int(np.searchsorted(x, 0.0))
-        found = [(0.0, float(slopes[rest + 1]) - self.line, 1), (0.0, float(slopes[rest]) - self.line, -1)]
-        found += [(float(x[i]), float(slopes[i + 1] - slopes[i]), 1) for i in range(rest + 1, len(x))]
-        found += [(float(x[i]), float(slopes[i] - slopes[i + 1]), -1) for i in range(rest)]
-        return tuple(one for one in found if abs(one[1]) > STRAIGHT * np.abs(slopes).max())
+        ramps = [(0.0, float(slopes[rest + 1]) - self.line, 1), (0.0, float(slopes[rest]) - self.line, -1)]
+        ramps += [(float(x[i]), float(slopes[i + 1] - slopes[i]), 1) for i in range(rest + 1, len(x))]
+        ramps += [(float(x[i]), float(slopes[i] - slopes[i + 1]), -1) for i in range(rest)]
+        return tuple(ramp for ramp in ramps if abs(ramp[1]) > STRAIGHT * np.abs(slopes).max())
 
     @property
     def straight(self) -> bool:
-        """Whether neither bends."""
+        """True if neither curve bends."""
         return not len(self.soft.pieces.slope) and not len(self.hard.pieces.slope)
 
     def same(self, other: "Pair | None") -> bool:
-        """Whether another has the same curves."""
+        """Returns True if another pair has the same curves."""
         if other is None:
             return False
         pairs = ((self.soft, other.soft), (self.hard, other.hard))
@@ -93,13 +93,13 @@ class Pair:
 
 
 def pair_of(soft: Curve, hard: Curve) -> Pair:
-    """Two curves as limits.
+    """Returns two curves as limits.
 
     Raises:
         InputError: the firmer one is not above the softer one at every velocity.
     """
-    found = Pair(soft, hard)
-    x, largest = found.knots, max(soft.range, hard.range)
+    pair = Pair(soft, hard)
+    x, largest = pair.knots, max(soft.range, hard.range)
     low, high = (curve.slope * x + curve.pieces.force(x) for curve in (soft, hard))
     for i in np.flatnonzero((x != 0) & ((high - low) * np.sign(x) <= TOUCHING * largest))[:1].tolist():
         raise InputError(
@@ -117,24 +117,24 @@ def pair_of(soft: Curve, hard: Curve) -> Pair:
                 f"{side} c_min and c_max go on with {soft.slopes[end]:g} and {hard.slopes[end]:g} N s/m, and meet there; give "
                 "last points from which they do not"
             )
-    return found
+    return pair
 
 
 KINDS = ("force", "damper")
 CURVED = ("c_min", "c_max")  # that may be tables
 KEYS = ("kind", *CURVED, "bandwidth")
-SMALLEST, LARGEST = 1e-6, 1e12  # SI; beyond these a number is a slip of the pen
+SMALLEST, LARGEST = 1e-6, 1e12  # SI; numbers beyond these are mistakes
 
 
 @dataclass(frozen=True)
 class Damper:
-    """An adjustable damper.
+    """Adjustable damper.
 
     Attributes:
-        c_min, c_max: its smallest and its largest coefficient [N s/m]; at rest, where it has curves.
-        bandwidth: corner frequency of its valve, a first-order lag from the coefficient that is set to the one that acts [rad/s];
-            None for one that acts at once.
-        pair: its curves; None where they are straight.
+        c_min, c_max: its smallest and its largest coefficient [N s/m]; with curves, at rest.
+        bandwidth: corner frequency of its valve, a first-order lag from the set coefficient to the acting one [rad/s]; None for
+            a valve without lag.
+        pair: its curves; None if they are straight.
     """
 
     c_min: float
@@ -144,22 +144,22 @@ class Damper:
 
     @property
     def words(self) -> str:
-        """It in a phrase."""
+        """The damper in a phrase."""
         lag = "" if self.bandwidth is None else f", whose valve lags from {self.bandwidth:g} rad/s on"
         between = "" if self.pair is None else " at rest, between two curves"
         return f"an adjustable damper of {self.c_min:g} to {self.c_max:g} N s/m{between}{lag}"
 
 
 def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limited: Sequence[str]) -> dict[str, Damper]:
-    """`[actuators]`, checked: the adjustable dampers, by the force that each stands for.
+    """Reads `[actuators]`: the adjustable dampers, by the force that each replaces.
 
     Args:
-        section: as it was read: keys of all of them, and sections of single ones by the ending of their force's name.
-        corners: of every force of a suspension, that ending, with its underscore.
-        limited: what `[limits]` says of actuators.
+        section: as it was read: keys of all dampers, and sections of single ones, named by the suffix of their force.
+        corners: that suffix, with its underscore, by force.
+        limited: keys of `[limits]` for actuators.
 
     Raises:
-        InputError: a key that is unknown, a value that is not allowed, or something that goes with actuators that push alone.
+        InputError: a key is unknown, a value is not allowed, or `[limits]` limits actuators that push.
     """
     endings = {ending.removeprefix("_"): force for force, ending in corners.items() if ending}
     single = {name: value for name, value in section.items() if isinstance(value, Mapping) and name not in CURVED}
@@ -175,20 +175,20 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
         for name in value:
             if name not in KEYS:
                 raise InputError(f"{where} unknown key {name!r}; known: {listing(KEYS)}")
-    made = {force: _damper(*_merged(common, own.get(force))) for force in corners}
-    if not made and section:
+    by_force = {force: _damper(*_merged(common, own.get(force))) for force in corners}
+    if not by_force and section:
         raise InputError("[actuators]: this kind of vehicle has no suspension with a force; leave the section out")
-    found = {force: damper for force, damper in made.items() if damper is not None}
-    if found and limited:
+    dampers = {force: damper for force, damper in by_force.items() if damper is not None}
+    if dampers and limited:
         raise InputError(
             f"[limits] {limited[0]} is of actuators that push, and [actuators] has adjustable dampers, which c_min, c_max and "
             "bandwidth limit; leave it out"
         )
-    return found
+    return dampers
 
 
 def _merged(common: Mapping[str, Any], own: tuple[str, Mapping[str, Any]] | None) -> tuple[str, dict[str, Any]]:
-    """Where one actuator is spoken of, for messages, and all that is said of it."""
+    """Returns the name of an actuator's section, for messages, and all its keys."""
     if own is None:
         return "[actuators]", dict(common)
     where, section = own
@@ -230,7 +230,7 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
 
 
 def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
-    """The curves of both limits; None where they are numbers."""
+    """Returns the curves of both limits, or None if the limits are numbers."""
     tables = [name for name in CURVED if isinstance(given[name], Mapping)]
     if len(tables) == 1:
         (other,) = {*CURVED} - {*tables}

@@ -1,4 +1,4 @@
-"""How far adjustable dampers can be set, and what of what is asked for that leaves out."""
+"""Setting range of adjustable dampers, and the requested force that it leaves out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from models.suspension.curve import Pieces
 
 @dataclass(frozen=True, eq=False)
 class Bent:
-    """What curves of N runs with m actuators each have beyond their lines, as pieces (`models.suspension`), P of each.
+    """Deviations of the curves of N runs with m actuators each from their lines, as P pieces (`models.suspension.curve`).
 
     Attributes:
-        shape: of h, see `models.suspension.damper`, their slopes, starts, lower and upper bounds, shape (4, N, m, P).
+        shape: of h, see `models.suspension.damper`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
         soft: of the softest settings, likewise.
     """
 
@@ -26,15 +26,14 @@ class Bent:
 
 @dataclass(frozen=True, eq=False)
 class Range:
-    """How far coefficients can be from their nominal ones, of N runs with m actuators each.
+    """Limits of the coefficients relative to the nominal ones, for N runs with m actuators each.
 
-    An actuator that pushes counts among them: its suspension closes at 1, and it has no ends, so that what it is to be is its
-    force.
+    An actuator that pushes is included with infinite limits. Its closing velocity counts as 1, so its coefficient is its force.
 
     Attributes:
         low, high: the smallest and the largest coefficient beyond the nominal one [N s/m], shape (N, m).
-        adjustable: which of the actuators are adjustable dampers, of every run the same, shape (m,).
-        bent: what their curves have; None where all are straight.
+        adjustable: True for adjustable dampers, the same in every run, shape (m,).
+        bent: deviations of their curves; None if all are straight.
     """
 
     low: Array
@@ -43,16 +42,16 @@ class Range:
     bent: Bent | None = None
 
     def felt(self, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """What a coefficient is times, to be a force: how fast each suspension closes, bent as the curves are, shape (..., N, m).
+        """Returns the factor from coefficient to force: the closing velocity, bent as the curves are, shape (..., N, m).
 
         Args:
-            closing: [m/s], shape (..., N, m).
+            closing: velocity [m/s], shape (..., N, m).
             which: of the N.
         """
         return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
 
     def seen(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice = slice(None)) -> tuple[Array, Array]:
-        """The least and the largest coefficient at a velocity, as force over velocity, from those at rest, shapes (N, m).
+        """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
 
         Args:
             c_min, c_max: at rest [N s/m], shapes (N, m).
@@ -65,13 +64,13 @@ class Range:
         return least, least + (c_max - c_min) * self.felt(closing, which) / closing
 
     def commands(self, asked: Array, which: Array | slice = slice(None)) -> Array:
-        """What is asked of every actuator, and which forces that leaves out, shape (..., N, 2 m).
+        """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
 
-        The first half are coefficients beyond the nominal ones [N s/m], and forces of actuators that push [N]; the second half
-        what is missing of the forces that were asked for [N].
+        The first half are coefficients beyond the nominal ones [N s/m], and forces of actuators that push [N]. The second half
+        are the requested forces [N] minus the ones at these settings.
 
         Args:
-            asked: those forces, and how fast each suspension closes, see `closing`, shape (..., N, 2 m).
+            asked: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
             which: of the N.
         """
         m = self.low.shape[1]
@@ -80,7 +79,7 @@ class Range:
         return np.concatenate([beyond, forces - beyond * closing], axis=-1)
 
     def set_to(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """The same where coefficients are asked for, as force over velocity, shape (..., N, 2 m).
+        """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
 
         Args:
             asked: coefficients beyond the nominal ones [N s/m], shape (..., N, m).
@@ -92,7 +91,7 @@ class Range:
         return np.concatenate([beyond, (asked - beyond) * self.felt(closing, which)], axis=-1)
 
     def setting(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """What has the force over velocity that is asked for, whether there is such a setting or not; see `set_to`."""
+        """Returns the coefficient whose force over velocity is `asked`, not clipped to the limits."""
         if self.bent is None:
             return asked
         low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)
@@ -100,48 +99,48 @@ class Range:
 
     @property
     def at_rest(self) -> Array:
-        """What to add to -v, so that there is no 0 among what `commands` takes, shape (m,)."""
+        """Offsets that keep the closing velocities of `commands` from being 0, shape (m,)."""
         return np.where(self.adjustable, STILL, 1.0)
 
 
 def _pieces(pieces: Array, v: Array) -> Array:
-    """The sum of pieces, shape (4, ..., P), at velocities, shape (...)."""
+    """Returns the sum of pieces, shape (4, ..., P), at velocities, shape (...)."""
     slope, start, low, high = pieces
     # As `Pieces.force`; between two steps, where every call counts, without numpy's dearer ones.
     return np.add.reduce(np.minimum(np.maximum(slope * (v[..., None] - start), low), high), axis=-1)
 
 
 def range_of(vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str]) -> Range:
-    """What the actuators of N vehicles can be.
+    """Returns the range of the actuators of N vehicles.
 
     Args:
         vehicles: the adjustable dampers of each.
         forces: of each, m of them.
     """
     low, high = np.full((len(vehicles), len(forces)), -np.inf), np.full((len(vehicles), len(forces)), np.inf)
-    for i, some in enumerate(vehicles):
-        for one in some:
-            j = forces.index(one.force)
-            low[i, j], high[i, j] = one.low, one.high
+    for i, dampers in enumerate(vehicles):
+        for damper in dampers:
+            j = forces.index(damper.force)
+            low[i, j], high[i, j] = damper.low, damper.high
     adjustable = np.isfinite(low)
     assert np.all(adjustable == adjustable[0]), "vehicles side by side have their dampers at the same places"
-    if all(one.damper.pair is None for some in vehicles for one in some):
+    if all(damper.damper.pair is None for dampers in vehicles for damper in dampers):
         return Range(low, high, adjustable[0])
     shapes, softs = [], []
-    for some in vehicles:
-        pairs = {one.force: one.damper.pair for one in some}
+    for dampers in vehicles:
+        pairs = {damper.force: damper.damper.pair for damper in dampers}
         curves = [pairs.get(force) for force in forces]
-        shapes.append([None if one is None else one.shape.pieces for one in curves])
-        softs.append([None if one is None else one.soft.pieces for one in curves])
+        shapes.append([None if damper is None else damper.shape.pieces for damper in curves])
+        softs.append([None if damper is None else damper.soft.pieces for damper in curves])
     return Range(low, high, adjustable[0], Bent(_stacked(shapes), _stacked(softs)))
 
 
 def _stacked(pieces: Sequence[Sequence[Pieces | None]]) -> Array:
-    """Pieces of N runs with m actuators, all of one width, shape (4, N, m, P)."""
-    most = max(len(one.slope) for some in pieces for one in some if one is not None)
-    found = np.zeros((4, len(pieces), len(pieces[0]), most))
-    for i, some in enumerate(pieces):
-        for j, one in enumerate(some):
-            if one is not None:
-                found[:, i, j, : len(one.slope)] = one.slope, one.start, one.low, one.high
-    return found
+    """Stacks the pieces of N runs with m actuators, padded to one width, shape (4, N, m, P)."""
+    most = max(len(part.slope) for row in pieces for part in row if part is not None)
+    stacked = np.zeros((4, len(pieces), len(pieces[0]), most))
+    for i, row in enumerate(pieces):
+        for j, part in enumerate(row):
+            if part is not None:
+                stacked[:, i, j, : len(part.slope)] = part.slope, part.start, part.low, part.high
+    return stacked

@@ -1,4 +1,4 @@
-"""Which suspension has which curve."""
+"""Curves on the suspensions of a vehicle."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 
 
 class Suspended(Protocol):
-    """A suspension that can have curves, see `models.kinds.kind.Suspension`."""
+    """Suspension that can have curves, see `models.kinds.kind.Suspension`."""
 
     @property
     def deflection(self) -> str:
-        """Its signal."""
+        """Signal of its extension."""
         ...
 
     @property
     def tendon(self) -> str:
-        """That it is in the MJCF."""
+        """Its tendon in the MJCF."""
         ...
 
     @property
@@ -35,14 +35,14 @@ class Suspended(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The curve of one suspension's damper or spring.
+    """Curve of one suspension's damper or spring.
 
     Attributes:
         deflection: signal of the suspension.
-        tendon: that it acts along in the MJCF.
-        parameter: that it stands in for.
-        over: what its force is over.
-        curve: it, its slope being the parameter.
+        tendon: its tendon in the MJCF.
+        parameter: the parameter that it replaces.
+        over: its argument.
+        curve: the curve; its slope is the parameter's value.
     """
 
     deflection: str
@@ -53,19 +53,19 @@ class Fitted:
 
     @property
     def damps(self) -> bool:
-        """Whether it is of a damper, and so over a velocity."""
+        """True for a damper's curve, over velocity."""
         return self.over is VELOCITY
 
 
 def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
-    """The parameters that a curve can stand in for, with what its force is over."""
-    damping = {one.damping: VELOCITY for one in suspensions if one.damping}
-    return {one.stiffness: DEFLECTION for one in suspensions if one.stiffness} | damping
+    """Returns the parameters that a curve can replace, each with the curve's argument."""
+    damping = {suspension.damping: VELOCITY for suspension in suspensions if suspension.damping}
+    return {suspension.stiffness: DEFLECTION for suspension in suspensions if suspension.stiffness} | damping
 
 
 def lines_at_rest(curves: Sequence[Fitted]) -> str:
-    """What linear analysis takes for curves, in words: slope at rest, and from where to where it goes; empty where all are."""
-    bent = {one.parameter: one.curve for one in curves if len(one.curve.pieces.slope)}
+    """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
+    bent = {placed.parameter: placed.curve for placed in curves if len(placed.curve.pieces.slope)}
     return ", ".join(
         f"{name} {curve.slope:.4g} (elsewhere {curve.slopes.min():.4g} to {curve.slopes.max():.4g})"
         for name, curve in bent.items()
@@ -73,10 +73,10 @@ def lines_at_rest(curves: Sequence[Fitted]) -> str:
 
 
 def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, Curve]) -> dict[str, Any]:
-    """`[parameters]` with the slopes at rest of the curves that stand in for some.
+    """Returns `[parameters]` with the slopes at rest of the curves that replace some.
 
     Raises:
-        InputError: one is given as a number as well.
+        InputError: a parameter is given both ways.
     """
     for name in curves:
         if name in parameters:
@@ -90,22 +90,22 @@ def fitted(
     parameters: Mapping[str, float],
     dampers: Mapping[str, Curve | None],
 ) -> tuple[Fitted, ...]:
-    """Every suspension's curves, scaled to parameters that are others than theirs.
+    """Returns every suspension's curves, scaled to the vehicle's parameters.
 
     Args:
         suspensions: of a vehicle.
         curves: by parameter.
         parameters: of the vehicle.
-        dampers: the curves of suspensions whose dampers are adjustable, by deflection; None for a straight one.
+        dampers: the curves of adjustable dampers, by the suspension's deflection; None for a straight one.
     """
-    found = []
-    for one in suspensions:
-        for name, over in ((one.stiffness, DEFLECTION), (one.damping, VELOCITY)):
-            if over is VELOCITY and one.deflection in dampers:
-                curve = dampers[one.deflection]
+    placed = []
+    for suspension in suspensions:
+        for name, over in ((suspension.stiffness, DEFLECTION), (suspension.damping, VELOCITY)):
+            if over is VELOCITY and suspension.deflection in dampers:
+                curve = dampers[suspension.deflection]
             else:
                 curve = curves.get(name)
                 curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
             if curve is not None:
-                found.append(Fitted(one.deflection, one.tendon, name, over, curve))
-    return tuple(found)
+                placed.append(Fitted(suspension.deflection, suspension.tendon, name, over, curve))
+    return tuple(placed)
