@@ -17,7 +17,7 @@ from models.roads.iso8608 import CLASSES, Iso8608, long_enough, roughness
 from models.roads.obstacles import OBSTACLES, Pothole, Step, WattsHump
 from models.roads.profile import Profile
 from models.roads.profile_file import read_profile
-from models.roads.road import Bump, Scaled, track_width, under_wheels
+from models.roads.road import Bump, ScaledRoad, track_width, under_wheels
 from models.roads.sinusoids import SineSweep, random_road, sinusoid
 from models.roads.spectrum import coherency
 from models.vehicle.vehicle import read_vehicle
@@ -597,14 +597,14 @@ def test_roads_that_cannot_be_driven():
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
-        (quarter, Scaled(Pothole(track="left"), 2.0), "lies under the left side, and a quarter_car has only one track"),
+        (quarter, ScaledRoad(Pothole(track="left"), 2.0), "lies under the left side, and a quarter_car has only one track"),
         (full, Bump(height=0.9e-5), "moves by only 9e-06 m in the 0.999 s of the run, and less than 1e-05 m is lost"),
     ):
         with pytest.raises(InputError, match=words):
             road.check(vehicle, time)
     for vehicle, road in ((quarter, Bump(length=0.0251)), (full, Pothole(track="left")), (full, Bump(height=1.1e-5))):
         road.check(vehicle, time)
-        Scaled(road, 0.0).check(vehicle, time)
+        ScaledRoad(road, 0.0).check(vehicle, time)
 
 
 def test_roads_that_cost_too_much():

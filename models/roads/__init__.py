@@ -1,1 +1,1 @@
-"""What lies under the wheels, and its exact derivative."""
+"""Roads and loads: excitation of a vehicle, with exact derivatives."""

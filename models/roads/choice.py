@@ -1,4 +1,4 @@
-"""Roads by name: the text `KIND[:NAME=VALUE...]`, as on a command line or in a campaign file, becomes a road."""
+"""Roads by name: converts the text `KIND[:NAME=VALUE...]` of a command line or a campaign file to a road."""
 
 import math
 from collections.abc import Mapping
@@ -28,12 +28,12 @@ RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported 
 
 @dataclass(frozen=True, eq=False)
 class RoadChoice:
-    """A road that was asked for, without the speed, seed and vehicle that make it one.
+    """Chosen road, before speed, seed and vehicle are known.
 
     Attributes:
-        text: as it was asked for.
+        text: text of the choice.
         kind: one of `ROAD_KINDS`, or "profile".
-        values: what was given for it.
+        values: the given numbers and names.
         profile: of a CSV file.
         surface: of an OpenCRG file.
         rig: of a drive file.
@@ -50,22 +50,22 @@ class RoadChoice:
 
     @property
     def random(self) -> bool:
-        """Whether its seed matters."""
+        """True if the road depends on the seed."""
         return self.kind == "iso8608"
 
     @property
     def stationary(self) -> bool:
-        """Whether a vehicle on it forgets its start, and is measured from then on."""
+        """True if the response becomes stationary, so that measurement starts once a vehicle has forgotten its start."""
         return self.random and not self.loads
 
     def build(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
-        """The road.
+        """Returns the road.
 
         Args:
             vehicle: its track width counts.
             speed: [m/s].
             seed: of a random road.
-            distance: how far it is driven [m]; a random road does not repeat on it.
+            distance: driven distance [m], over which a random road does not repeat.
 
         Raises:
             InputError: a number that is not allowed.
@@ -86,11 +86,11 @@ class RoadChoice:
 
 
 def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
-    """A road from its text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
+    """Returns a road from its text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
 
     Args:
         text: the text.
-        folder: where a relative file name begins.
+        folder: base of relative file names.
 
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no profile.
@@ -103,11 +103,11 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     """
     road, loads = split_off(text)
     choice = _choose(road, folder)
-    return replace(choice, text=text, loads=tuple(choose_load(one, folder) for one in loads)) if loads else choice
+    return replace(choice, text=text, loads=tuple(choose_load(load, folder) for load in loads)) if loads else choice
 
 
 def _choose(text: str, folder: Path) -> RoadChoice:
-    """A road without loads, as `choose_road`."""
+    """Returns a road without loads, as `choose_road`."""
     if text.partition(":")[0] == "rig":
         return _rig(text, folder)
     file = FILE.fullmatch(text)
@@ -142,7 +142,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
 
 
 def _rig(text: str, folder: Path) -> RoadChoice:
-    """A rig's posts, of a drive file."""
+    """Returns the posts of a rig from a drive file."""
     file = RIG.fullmatch(text)
     if file is None:
         raise InputError(
@@ -158,12 +158,12 @@ def _rig(text: str, folder: Path) -> RoadChoice:
 
 
 def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:
-    """A random road, as rough as was asked for: of class C, unless another or an IRI was."""
+    """Returns a random road of a class or an IRI; class C by default."""
     return Iso8608(values.get("class", "" if "iri" in values else "C"), *rest, iri=values.get("iri"))
 
 
 def _defaults(road: type) -> dict[str, Any]:
-    """What can be given for an obstacle, with its default: all but the speed."""
+    """Returns the settings of an obstacle with their defaults: all but the speed."""
     return {field.name: field.default for field in fields(road) if field.name != "speed"}
 
 

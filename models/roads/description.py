@@ -1,4 +1,4 @@
-"""A road from its description: the reverse of `Road.describe`, by the name under `type`."""
+"""Roads from their descriptions, the reverse of `Road.describe`."""
 
 import math
 from collections.abc import Mapping
@@ -12,26 +12,26 @@ from models.roads.loaded import Loaded
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv
-from models.roads.road import Road, Scaled
+from models.roads.road import Road, ScaledRoad
 from models.roads.sinusoids import MULTISINES, Multisine
 from models.vehicle.names import PLUS
 
 KINDS = ("iso8608", "profile", "rig", *OBSTACLES, *MULTISINES)
 MOST_LOADS = 8_000_000  # characters
 MOST_LINES = 1000  # of a sum of sinusoids
-SAME = 1e-12  # relative; numbers that follow from others, as they were written down
+SAME = 1e-12  # relative rounding of numbers that follow from others
 SIDES = ("left", "right", "both")
 
 
 def described_road(description: Mapping[str, Any], points: bytes | None = None) -> Road:
-    """The road that was described.
+    """Returns the road of a description.
 
     Args:
-        description: what `Road.describe` gave, through JSON or not.
-        points: of a profile or a rig, what its `points` gave; a description has not room for them.
+        description: result of `Road.describe`, through JSON or not.
+        points: `points` of a profile or a rig; None for other roads.
 
     Raises:
-        InputError: it describes no road, or not all of one.
+        InputError: the description is no road's, or not complete.
     """
     if "loads" in description:
         loads = description["loads"]
@@ -61,7 +61,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
             raise InputError(f"road {kind}: it has no {quoted(name)}; known: {listing(allowed)}")
     values = {name: _side(description) if name == "track" else _number(description, name) for name in allowed}
     road = OBSTACLES[kind](**values)
-    return Scaled(road, _number(description, "factor")) if "factor" in description else road
+    return ScaledRoad(road, _number(description, "factor")) if "factor" in description else road
 
 
 def _random(description: Mapping[str, Any]) -> Iso8608:

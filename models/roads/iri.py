@@ -1,21 +1,21 @@
-"""The International Roughness Index (IRI) of any road: what the golden car finds where it drives, or in the mean.
+"""International Roughness Index (IRI) of any road: response of the golden car over a distance, or in the mean.
 
 M. W. Sayers (1995), "On the calculation of International Roughness Index from longitudinal road profile", Transportation Research
 Record 1501, 1-12; ASTM E1926: a quarter-car of fixed numbers drives at 80 km/h over the heights h_i of one track, sampled every
-`step`. Of them its tyre meets the moving average over 250 mm, so a slope that is constant from sample to sample:
+`step`. Its tyre follows the moving average over 250 mm, so a slope that is constant from sample to sample:
 
     s_i = (h_(i+b) - h_i) / (b step),    b step = 250 mm, b at least 1.
 
 It starts in motion along the mean slope of the first 11 m. IRI is the mean rectified slope of its suspension, |z_s' - z_u'| / V.
 Held slopes are a state transition from sample to sample, which is exact. Here it is summed by the car's modes.
 
-A road that was measured at even distances is taken as it was measured; any other is read every 25 mm. A vehicle with two tracks
-has one IRI for each, `left` and `right`; `mean` is the mean of the two (MRI), `half_car` that of the mean of the two profiles
+A profile with evenly spaced points is used as it is; any other road is sampled every 25 mm. A vehicle with two tracks has one
+IRI for each, `left` and `right`; `mean` is the mean of the two (MRI), `half_car` that of the mean of the two profiles
 (HRI), in which a road's twist is missing. Names: M. W. Sayers and S. M. Karamihas (1998), "The little book of profiling", UMTRI.
 
 The car's answer y to a random road is Gaussian, of variance s^2, so E|y| = sqrt(2/pi) s; and with the correlation rho(x) of two
-places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1), from which follows how far the mean over a distance is
-from that, from road to road.
+places, cov(|y|, |y'|) = (2/pi) s^2 (sqrt(1 - rho^2) + rho asin rho - 1). From this follows the standard deviation of the mean
+over a distance, from road to road.
 """
 
 import math
@@ -32,10 +32,10 @@ from models.vehicle.vehicle import Vehicle
 
 SPEED = 80 / 3.6  # m/s
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
-BASE = 0.25  # m, of the moving average
-START = 11.0  # m, whose mean slope the car starts with
-SETTLED = 100.0  # m, behind which 1e-5 is left of a start
-FORGOTTEN = 1e-18  # of what was, relative; less is below rounding
+BASE = 0.25  # m, length of the moving average
+START = 11.0  # m, over which the car's initial slope is the mean
+SETTLED = 100.0  # m, after which 1e-5 is left of the start
+FORGOTTEN = 1e-18  # relative decay at which a response is cut off, below rounding
 
 # States are z_s, z_s', z_u, z_u', each over the distance as the profile's slope is, of which they are the response.
 A = np.array(
@@ -51,7 +51,7 @@ C = np.array([1.0, 0.0, -1.0, 0.0])
 
 
 def roughness_index(heights: Array, step: float) -> float:
-    """The IRI of a profile [m/km].
+    """Returns the IRI of a profile [m/km].
 
     Args:
         heights: of one track [m], shape (P,), of 11 m at least.
@@ -61,7 +61,7 @@ def roughness_index(heights: Array, step: float) -> float:
 
 
 def suspension_slopes(heights: Array, step: float) -> Array:
-    """(z_s' - z_u') / V behind every sample [-], shape (P - b,).
+    """Returns (z_s' - z_u') / V after every sample [-], shape (P - b,).
 
     Args:
         heights: of one track [m], shape (P,).
@@ -71,13 +71,13 @@ def suspension_slopes(heights: Array, step: float) -> Array:
     slopes = (heights[base:] - heights[:-base]) / (base * step)
     start = (heights[first - 1] - heights[0]) / (step * first)  # as the listing of 1995 has it
     answer, settling, size = _answers(step, len(slopes))
-    found = np.fft.irfft(np.fft.rfft(slopes, size) * answer, size)[: len(slopes)]
-    found[: len(settling)] += start * settling
-    return found
+    travel_slopes = np.fft.irfft(np.fft.rfft(slopes, size) * answer, size)[: len(slopes)]
+    travel_slopes[: len(settling)] += start * settling
+    return travel_slopes
 
 
 def slope_response(n: Array, step: float) -> Array:
-    """Of `suspension_slopes` to a profile's slope at spatial frequencies [cycle/m], shape like n, complex.
+    """Returns the response of `suspension_slopes` to a profile's slope at spatial frequencies [cycle/m], shape like n, complex.
 
     Args:
         n: spatial frequencies, none of them 0.
@@ -90,7 +90,8 @@ def slope_response(n: Array, step: float) -> Array:
 
 
 def missing(n: Array, variances: Array, step: float) -> Array:
-    """How much of its final rms `suspension_slopes` lack as the car starts, added up over the way [m], every 250 mm.
+    """Returns the cumulated deficit of the rms of `suspension_slopes` after the start, relative to its final value [m], every 250
+    mm.
 
     Args:
         n: spatial frequencies of a random road's lines [cycle/m], none of them 0, shape (F,).
@@ -111,13 +112,15 @@ def missing(n: Array, variances: Array, step: float) -> Array:
 
 
 def _samples(step: float) -> int:
-    """That the moving average goes over."""
+    """Returns the number of samples in the moving average."""
     return max(round(BASE / step), 1)
 
 
 @lru_cache(maxsize=16)
 def _modes(step: float) -> tuple[Array, Array, Array]:
-    """Of the car from sample to sample: rates of its modes, and their shares of the answer to a slope, and of the start's."""
+    """Returns the car's modes from sample to sample: rates, shares of the response to a slope, and shares of the response to the
+    start.
+    """
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
     shapes, start = C @ vectors, np.array([1.0, 0.0, 1.0, 0.0])
@@ -127,9 +130,9 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
 
 @lru_cache(maxsize=4)
 def _answers(step: float, count: int) -> tuple[Array, Array, int]:
-    """Returns the transform of the answer to a slope, what is seen of a start, as far as it remembers, and the transform's size.
+    """Returns the transform of the response to a slope, the response to the start up to `FORGOTTEN`, and the transform's size.
 
-    A campaign asks for them at every road. What the car starts with is behind the first sample, too.
+    Cached, as a campaign needs them for every road. The start acts before the first sample.
     """
     rates, of_slopes, of_start = _modes(step)
     remembered = min(count, math.ceil(math.log(FORGOTTEN) / np.real(rates).max()))
@@ -138,25 +141,25 @@ def _answers(step: float, count: int) -> tuple[Array, Array, int]:
     return np.fft.rfft(np.real(powers[:-1] @ of_slopes), size), np.real(powers[1:] @ of_start), size
 
 
-TRACKS = ("left", "right", "mean", "half_car")  # what there is an IRI of, of two tracks
+TRACKS = ("left", "right", "mean", "half_car")  # names of the IRIs of two tracks
 STEP = 0.025  # m, from sample to sample; a tenth of the moving average
-COARSEST = 0.3  # m; ASTM E1926 has no IRI of what was measured further apart
-EVEN = 1e-6  # of the spacing: how far distances are off by the digits of a file
-SHORTEST = START + BASE  # m; less has no IRI
-LONGEST = 1e5  # m that are looked at
-COUNTED = 512.0  # lines per cycle/m, of a start: it is over in a fifth of 512 m
-GRAIN = 4096.0  # lines per cycle/m of a spectrum that is looked at: a car forgets within a tenth of 4096 m
-LINES = 8192  # per cycle/m, of integrals over a spectrum: its resonances are a hundred times as wide
+COARSEST = 0.3  # m; ASTM E1926 defines no IRI for coarser points
+EVEN = 1e-6  # rounding of the distances in a file, over the spacing
+SHORTEST = START + BASE  # m; a shorter profile has no IRI
+LONGEST = 1e5  # m, evaluated at most
+COUNTED = 512.0  # lines per cycle/m for the start, which is over in a fifth of 512 m
+GRAIN = 4096.0  # lines per cycle/m of a spectrum: a car forgets within a tenth of 4096 m
+LINES = 8192  # per cycle/m, of integrals over a spectrum, whose resonances are a hundred times as wide
 
 
 @dataclass(frozen=True)
 class Roughness:
-    """One IRI of a road.
+    """An IRI of a road.
 
     Attributes:
         name: of the track, `left` or `right`, or `mean` or `half_car` of both.
         iri: of this road [m/km].
-        expected: over all roads of its kind [m/km]; None where it has no spectrum.
+        expected: mean over all roads of its kind [m/km]; None if it has no spectrum.
         spread: its standard deviation from road to road [m/km]; None likewise.
     """
 
@@ -167,12 +170,12 @@ class Roughness:
 
 
 def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughness, ...]:
-    """Every IRI of a road as far as a vehicle drives on it; none of a road too short, or measured too coarsely, or of a rig.
+    """Returns every IRI of a road over a distance; empty for a road that is too short, a profile that is too coarse, or a rig.
 
     Args:
-        road: of which a profile ends with its last point.
-        vehicle: its track width counts.
-        distance: how far it drives [m].
+        road: the road; a profile ends with its last point.
+        vehicle: gives the track width.
+        distance: driven distance [m].
     """
     if not road.laid:
         return ()
@@ -180,36 +183,36 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
     step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
     if step > COARSEST * (1 + EVEN) or len(tracks) * step <= SHORTEST:
         return ()
-    found = {"left": roughness_index(tracks[:, 0], step)}
+    values = {"left": roughness_index(tracks[:, 0], step)}
     if width:
-        found["right"] = roughness_index(tracks[:, 1], step)
-        found |= {"mean": (found["left"] + found["right"]) / 2, "half_car": roughness_index(tracks.mean(axis=1), step)}
+        values["right"] = roughness_index(tracks[:, 1], step)
+        values |= {"mean": (values["left"] + values["right"]) / 2, "half_car": roughness_index(tracks.mean(axis=1), step)}
     if (spectrum := road.spectrum) is None:
-        return tuple(Roughness(name, iri) for name, iri in found.items())
+        return tuple(Roughness(name, iri) for name, iri in values.items())
     expected = _expected(spectrum, len(tracks) * step)
-    return tuple(Roughness(name, iri, *expected[name]) for name, iri in found.items())
+    return tuple(Roughness(name, iri, *expected[name]) for name, iri in values.items())
 
 
 def white_slope(iri: float, low: float, high: float) -> float:
-    """One-sided density of the slope [m/cycle] of a random road that has this IRI in the mean [m/km], and white slope in a band.
+    """Returns the one-sided density [m/cycle] of a white slope in a band, for a random road with this mean IRI [m/km].
 
     Args:
         iri: [m/km].
-        low, high: spatial frequencies from which and to which there is any [cycle/m].
+        low, high: ends of the band [cycle/m].
     """
     return math.pi / 2 * (iri / 1e3) ** 2 / _unit_variance(low, high)
 
 
 @lru_cache(maxsize=16)
 def _unit_variance(low: float, high: float) -> float:
-    """Of the car's answer to a white slope of density 1 [cycle/m]."""
+    """Returns the variance of the car's response to a white slope of density 1 [cycle/m]."""
     count = math.ceil((high - low) * LINES)
     n = low + (np.arange(count) + 0.5) * (high - low) / count
     return float(np.sum(np.abs(slope_response(n, STEP)) ** 2)) * (high - low) / count
 
 
 def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float, Array]:
-    """How far samples are apart [m], and heights under the tracks of a road [m], shape (P, tracks)."""
+    """Returns the spacing of samples [m], and the heights under the tracks of a road [m], shape (P, tracks)."""
     if isinstance(road, Profile):
         spacing = np.diff(road.distance)
         step = float(np.median(spacing))
@@ -223,12 +226,11 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
 
 @lru_cache(maxsize=16)
 def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of every IRI over roads of a spectrum, driven so far [m].
+    """Returns mean and standard deviation of every IRI over roads of a spectrum, for a driven distance [m].
 
-    A road's lines have fixed amplitudes, where a Gaussian signal's are free: over all of its length its mean square is known.
-    What is left of their variance there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. That takes
-    away from the part of cov(|y|, |y'|) that goes with rho^2, which y^2 alone makes; what goes with its higher powers, of which
-    whole roads differ, stays.
+    A road's lines have fixed amplitudes, unlike those of a Gaussian signal: over its whole length its mean square is known. The
+    variance left there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. This reduces the part of
+    cov(|y|, |y'|) in rho^2, which stems from y^2 alone. The part in higher powers, in which whole roads differ, stays.
     """
     low, high = (edge / (2 * math.pi * spectrum.speed) for edge in spectrum.band)
     length = min(spectrum.length, GRAIN)
@@ -243,11 +245,13 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
     weight[0] /= 2
 
     def moments(own: Array, other: Array, free: Array) -> tuple[float, float]:
-        """Of the mean of two |y| of that spectrum and that common one, where so much of their lines' squares is free."""
+        """Returns mean and standard deviation of the mean of two |y|, from own and common spectrum and the free share of each
+        line's square.
+        """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
-        for each in (own, other):
+        for part in (own, other):
             spread_out = np.zeros(lags // 2 + 1)
-            spread_out[first : last + 1] = each
+            spread_out[first : last + 1] = part
             rho = (np.fft.irfft(spread_out) * (lags / 2) / variance)[: len(x)].clip(-1.0, 1.0)
             of_squares += variance / math.pi * float(weight @ (rho**2 / 2))
             of_more += variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1 - rho**2 / 2))
@@ -266,7 +270,7 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
 
 
 def _lost(low: float, high: float, distance: float) -> float:
-    """Way that counts for nothing as the car has to forget its start [m]: of white slopes, and nearly so of two tracks' mean."""
+    """Returns the distance that the start takes off the mean [m]: for white slopes, and nearly so for two tracks' mean."""
     ways = _ways_lost(low, high)
     return float(ways[min(round(distance / BASE), len(ways)) - 1])
 

@@ -6,8 +6,8 @@ The vertical displacement of a road of a class has the one-sided power spectral 
 
 the geometric means of the classes; their limits are half and twice as much. A road is a sum of lines n_k = k / length, each with
 the amplitude sqrt(2 G_d(n_k) / length) and a phase of its own, from 0.01 to 10 cycles/m. The standard reports 0.011 to 2.83.
-Below the band there is nothing: no hills. Above it there is nothing either: waves shorter than a tyre's print do not reach the
-wheel. Within `length` nothing repeats. In place of a class a road's IRI may be given: that G_d(n0) of which it is the mean.
+The road has no lines below the band, which would be hills, nor above it: waves shorter than a tyre's print do not reach the
+wheel. It repeats after `length`. In place of a class its IRI may be given: G_d(n0) is then that of roads with this mean IRI.
 
 The standard leaves the coherence of two tracks to measurement. Here it is that of an isotropic surface, which the one spectrum
 determines (C. J. Dodds and J. D. Robson (1973), J. Sound Vib. 31, 175-183; K. M. A. Kamash and J. D. Robson (1978), J. Sound Vib.
@@ -40,15 +40,15 @@ LENGTH = 1024.0  # m
 MOST_SEED = 2**63 - 1
 IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
 LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6)}  # SI
-BLOCK = 1_000_000  # terms that are summed at once where times are not evenly spaced
-USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # more no run needs that this road does not repeat under
+BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
+USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # no run without repetition of the road needs more
 FEW = 10  # times; more, if evenly spaced, are faster by transform
 FAST = (2, 3, 5, 7, 11)  # factors of lengths for which numpy has transforms of their own
-MOST_KEPT = 200_000  # times of which a sum is kept, 1.6 MB
+MOST_KEPT = 200_000  # times whose sum is cached, 1.6 MB
 
 
 def roughness(road_class: str) -> float:
-    """G_d(n0) of a class [m3]: its geometric mean.
+    """Returns G_d(n0) of a class [m3]: its geometric mean.
 
     Raises:
         InputError: there is no such class.
@@ -59,7 +59,7 @@ def roughness(road_class: str) -> float:
 
 
 def roughness_by_iri(iri: float) -> float:
-    """G_d(n0) of roads that have this IRI in the mean [m/km], in m3: four times as much for twice the IRI.
+    """Returns G_d(n0) of roads with this mean IRI [m/km], in m3: four times as much for twice the IRI.
 
     Raises:
         InputError: no road has such an IRI.
@@ -70,7 +70,7 @@ def roughness_by_iri(iri: float) -> float:
 
 
 def check_seed(seed: Any) -> int:
-    """The seed, if it is one.
+    """Returns the seed if it is one.
 
     Raises:
         InputError: it is no whole number, or out of range.
@@ -82,20 +82,20 @@ def check_seed(seed: Any) -> int:
 
 @dataclass(frozen=True)
 class Iso8608(Road):
-    """A random road of a class.
+    """Random road of a class.
 
     The same seed and length are the same road on every machine, to the rounding of its sines: phases are the raw output of the
     Philox generator, which numpy keeps as it is. At time 0 the first wheel comes from flat ground onto the road at its own height
     there, so its vertical velocity jumps, as that of a vehicle from rest in front of white noise.
 
     Attributes:
-        road_class: "A" to "H"; empty where the IRI says how rough it is.
+        road_class: "A" to "H"; empty if the IRI is given.
         seed: of the phases.
         speed: V [m/s].
         track_width: from the right track to the left [m].
-        length: after this distance it repeats [m]; a longer one is another road.
+        length: distance after which it repeats [m]; another length is another road.
         factor: multiplies its heights.
-        iri: in place of a class, what such roads have in the mean [m/km], before the factor; None where there is a class.
+        iri: in place of a class, mean IRI of such roads [m/km], before the factor; None if a class is given.
 
     Raises:
         InputError: an unknown class, a class and an IRI, a seed that is no whole number, another number beyond `LIMITS`.
@@ -117,16 +117,16 @@ class Iso8608(Road):
         check_numbers("road", self, LIMITS)
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The sum of its lines, from its own height at the start. A vehicle with one track drives on the left one."""
+        """Sums the lines, from the road's own height at the start. A vehicle with one track drives on the left one."""
         return np.where(t >= 0, self._sum(side, False, t) - np.real(self._lines(side, False)).sum(), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its exact derivative, line by line."""
+        """Sums the exact derivatives of the lines."""
         return np.where(t >= 0, self._sum(side, True, t), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Where it begins."""
+        """The beginning."""
         return (0.0,)
 
     def describe(self) -> dict[str, float | str]:
@@ -145,7 +145,7 @@ class Iso8608(Road):
         }
 
     def scaled(self, factor: float) -> "Iso8608":
-        """The same road, higher or lower."""
+        """Returns the road higher or lower."""
         return replace(self, factor=self.factor * factor)
 
     @property
@@ -160,18 +160,18 @@ class Iso8608(Road):
 
     @property
     def band(self) -> tuple[float, float]:
-        """The spatial frequencies that its lines stand for [cycle/m]: half a line further out than the first and the last."""
+        """The spatial frequencies that the lines represent [cycle/m]: half a line further out than the first and the last."""
         return float(self.n[0]) - 0.5 / self.length, float(self.n[-1]) + 0.5 / self.length
 
     @property
     def spectrum(self) -> Spectrum:
-        """That of its class, or of its IRI."""
+        """The spectrum of its class, or of its IRI."""
         low, high = (2 * np.pi * self.speed * n for n in self.band)
         density = (2 * np.pi * N0) ** 2 * self.roughness * self.factor**2 * self.speed
         return Spectrum(density, (low, high), self.speed, self.length, self.track_width)
 
     def cost(self, samples: int) -> float:
-        """Its lines are held."""
+        """Returns the number of lines, which are kept in memory, over the largest that a run needs."""
         return len(self.n) / (USUAL_LINES + LINES_PER_SAMPLE * samples)
 
     @cached_property
@@ -181,7 +181,7 @@ class Iso8608(Road):
 
     @cached_property
     def _other(self) -> Array:
-        """The same of what the right track has for itself."""
+        """exp(i phase) of every line of the right track's own part, shape (K,)."""
         return self._phasors(1)
 
     def _phasors(self, track: int) -> Array:
@@ -191,7 +191,7 @@ class Iso8608(Road):
         return np.cos(phases) + 1j * np.sin(phases)
 
     def _lines(self, side: str, rate: bool) -> Array:
-        """Complex amplitude of every line [m], or of its derivative [m/s], shape (K,)."""
+        """Returns the complex amplitude of every line [m], or of its derivative [m/s], shape (K,)."""
         if rate:
             return self._lines(side, False) * (2j * np.pi * self.speed * self.n)
         amplitudes = self.factor * np.sqrt(2 * self.roughness * (self.n / N0) ** -2 / self.length)
@@ -201,7 +201,7 @@ class Iso8608(Road):
         return amplitudes * (alike * self._left + np.sqrt(1 - alike**2) * self._other)
 
     def _sum(self, side: str, rate: bool, t: Array) -> Array:
-        """Real part of the sum of lines exp(2 pi i n V t), or of its derivative, shape like t."""
+        """Returns the real part of the sum of lines exp(2 pi i n V t), or of its derivative, shape like t."""
         t = np.asarray(t, dtype=float)
         step = (t[-1] - t[0]) / (len(t) - 1) if t.ndim == 1 and len(t) > FEW else math.nan
         if math.isnan(step) or not np.allclose(np.diff(t), step, rtol=1e-6, atol=0.0):
@@ -218,7 +218,7 @@ class Iso8608(Road):
 
 
 def long_enough(distance: float) -> float:
-    """The length [m] of a road on which a run of this distance [m] meets no two like places."""
+    """Returns the length [m] of a road that does not repeat over a distance [m]."""
     return LENGTH * 2 ** max(0, math.ceil(math.log2(distance / LENGTH))) if distance > 0 else LENGTH
 
 
@@ -236,7 +236,7 @@ def _coherency_of_lines(length: float, width: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, count: int) -> Array:
-    """Returns the sum at evenly spaced times, shape (T,). Physics and analysis ask a dozen times for the same ones."""
+    """Returns the sum at evenly spaced times, shape (T,). Cached: physics and analysis need the same times a dozen times."""
     lines, turned = road._lines(side, rate), road._turn(np.array(first))
     turn = float(f"{road.speed * step / road.length:.14g}")
     angle = np.arange(count) * (round(road.n[0] * road.length) * turn)
@@ -247,7 +247,7 @@ def _evenly(road: Iso8608, side: str, rate: bool, first: float, step: float, cou
 
 @lru_cache(maxsize=8)
 def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], Array]:
-    """Returns what sums x_k exp(-2 pi i k turn j) over so many lines, shape (K,), for j = 0, ... of so many times, shape (T,).
+    """Returns a function that sums x_k exp(-2 pi i k turn j) over K lines, shape (K,), for j = 0, ..., T - 1, shape (T,).
 
     A chirp z-transform, K + T lines and times in the time of an FFT, by 2 k j = k^2 + j^2 - (j - k)^2: a convolution.
     `scipy.signal.ZoomFFT` gives the same to the last bit, and takes half a second to import.
@@ -266,7 +266,7 @@ def _chirp_transform(lines: int, times: int, turn: float) -> Callable[[Array], A
 
 
 def _fast_length(least: int) -> int:
-    """Returns the smallest number from this one on that has no prime factors but `FAST`."""
+    """Returns the smallest number, at least `least`, without prime factors other than `FAST`."""
     while True:
         rest = least
         for factor in FAST:

@@ -1,15 +1,15 @@
-"""Loads: forces and moments on the body, from outside, over time.
+"""Loads on the body over time: external forces and moments.
 
-A load is what a vehicle that goes straight ahead feels of braking, cornering, carrying and wind: a vertical force at the body's
-centre of mass, a pitch moment and a roll moment, signed as the body's motions are (up; nose down; right side down). They are
-d'Alembert's: with the sprung mass m_s, whose centre is h over the ground,
+Braking, cornering, payload and wind act on a vehicle that goes straight ahead as a vertical force at the body's centre of mass, a
+pitch moment and a roll moment, signed as the body's motions are (up; nose down; right side down). They are d'Alembert's: with the
+sprung mass m_s, whose centre is h over the ground,
 
     braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
     a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
 
 No anti-dive, no anti-squat, and roll centres on the ground: the links take no vertical force, so springs and tyres carry every
-moment. What brakes the wheels' own mass does not go through the springs, and is left out. A payload is its weight, laid on while
-the vehicle goes; for its inertia, which is that of another vehicle, raise `sprung_mass` and the inertias of the vehicle file.
+moment. The braking force of the wheels' own mass does not go through the springs, and is left out. A payload is its weight alone,
+added while the vehicle goes; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
 """
 
 import math
@@ -26,40 +26,40 @@ from models.kinds.kind import GRAVITY, Parameters
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
-AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; nothing is put on in no time, which no step could follow
+AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; a load takes time to rise, as no time step could follow a jump
 
 
 class Load(ABC):
-    """A load over time, on whatever vehicle."""
+    """Load over time, on any vehicle."""
 
     @property
     @abstractmethod
     def text(self) -> str:
-        """What it is, as it would be asked for, every digit."""
+        """The text that chooses it, with every digit."""
 
     @property
     def content(self) -> str:
-        """What it is, wherever that was read."""
+        """The text without the name of its file."""
         return self.text
 
     @property
     def label(self) -> str:
-        """The same for people: of a file the name alone."""
+        """The text for people: for a file its name alone."""
         return self.text
 
     @property
     @abstractmethod
     def kinks(self) -> tuple[float, ...]:
-        """Times [s] at which it or one of its derivatives jumps."""
+        """Times [s] at which the load or one of its derivatives jumps."""
 
     @property
     @abstractmethod
     def ways(self) -> tuple[str, ...]:
-        """The names of the body's loads that it is of."""
+        """Names of the body's loads that it acts on."""
 
     @abstractmethod
     def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
-        """Its force [N] and moments [N m] at times t [s], by the names of the body's loads; those that it has not are left out.
+        """Returns its force [N] and moments [N m] at times t [s], by the names of the body's loads that it acts on.
 
         Args:
             t: times [s].
@@ -68,17 +68,17 @@ class Load(ABC):
 
     @abstractmethod
     def scaled(self, factor: float) -> "Load":
-        """The same, so many times as large."""
+        """Returns the load multiplied by a factor."""
 
 
 @dataclass(frozen=True)
 class Ramped(Load):
-    """A load that comes, stays and goes: half periods of a cosine up and down.
+    """Load that rises, stays and falls: half periods of a cosine up and down.
 
     Attributes:
-        start: when it begins to come [s].
-        rise: how long it takes to come, and to go [s].
-        hold: how long it stays in between [s]; for ever where infinite.
+        start: begin of the rise [s].
+        rise: duration of the rise, and of the fall [s].
+        hold: time between them [s]; infinite for a load that stays.
 
     Raises:
         InputError: a number beyond its limits.
@@ -94,7 +94,7 @@ class Ramped(Load):
 
     @abstractmethod
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """What it comes to, by the names of the body's loads [N, N m]."""
+        """Returns its largest values, by the names of the body's loads [N, N m]."""
 
     def __post_init__(self) -> None:
         limits = {**self.limits, "start": BEFORE, "rise": AFTER, "hold": (0.0, math.inf)}
@@ -105,19 +105,19 @@ class Ramped(Load):
 
     @property
     def text(self) -> str:
-        """Its kind, and its numbers; one that stays for ever does not say so."""
+        """Kind and numbers; an infinite hold is left out."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return ":".join([self.kind, *(f"{name}={value!r}" for name, value in given.items() if value != math.inf)])
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """The ends of its ramps."""
+        """Ends of the ramps."""
         start, rise, hold = self._history
         going = start + rise + hold
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
     def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
-        """See `Load`."""
+        """Returns the amplitudes over time; see `Load`."""
         start, rise, hold = self._history
         share = (1 - np.cos(np.pi * np.clip((t - start) / rise, 0, 1))) / 2
         if math.isfinite(hold):
@@ -127,11 +127,11 @@ class Ramped(Load):
 
 G = (-2.0, 2.0)  # of a road vehicle's deceleration
 FORCE, PLACE = (-1e6, 1e6), (-20.0, 20.0)  # N, m
-NEEDED = ("sprung_mass", "centre_height")  # parameters that make a moment of an acceleration
+NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acceleration
 
 
 def _moment(kind: str, g: float, p: Parameters) -> float:
-    """m_s a h [N m].
+    """Returns m_s a h [N m].
 
     Raises:
         InputError: the vehicle has no such parameters.
@@ -145,7 +145,7 @@ def _moment(kind: str, g: float, p: Parameters) -> float:
 
 
 class _Inertial(Ramped):
-    """What the vehicle's own acceleration does: a moment of the body's weight times g at the height of its centre of mass."""
+    """Load by the vehicle's own acceleration: a moment of the body's weight times g at the height of its centre of mass."""
 
     way: ClassVar[str]
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {"g": G}
@@ -153,21 +153,21 @@ class _Inertial(Ramped):
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
+        """Name of its moment."""
         return (self.way,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """One moment."""
+        """Returns one moment."""
         return {self.way: _moment(self.kind, self.g, p)}
 
     def scaled(self, factor: float) -> Self:
-        """The same, harder or softer."""
+        """Returns the load harder or softer."""
         return replace(self, g=self.g * factor)
 
 
 @dataclass(frozen=True)
 class Brake(_Inertial):
-    """Braking; below 0 it is driving off, and the body squats.
+    """Braking; below 0 it is acceleration, and the body squats.
 
     Attributes:
         g: deceleration over that of gravity.
@@ -182,8 +182,8 @@ class Brake(_Inertial):
 
 
 @dataclass(frozen=True)
-class Corner(_Inertial):
-    """A curve to the left, which rolls the body to the right; below 0 one to the right.
+class Cornering(_Inertial):
+    """Curve to the left, which rolls the body to the right; below 0 to the right.
 
     Attributes:
         g: lateral acceleration over that of gravity.
@@ -198,17 +198,17 @@ class Corner(_Inertial):
 
 
 def _pushed(force: float, x: float, y: float) -> dict[str, float]:
-    """A vertical force [N] at a place [m]; a moment of no arm is none, which a vehicle need not be able to feel."""
+    """Returns a vertical force [N] at a place [m] with its moments; without zero ones, as some vehicles have no such motion."""
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
 
 @dataclass(frozen=True)
 class Payload(Ramped):
-    """A weight that is laid on.
+    """Added weight.
 
     Attributes:
-        mass: [kg]; below 0 it is taken off.
-        x, y: where, forward and to the left of the body's centre of mass [m].
+        mass: [kg]; below 0 it is removed.
+        x, y: place, forward and to the left of the body's centre of mass [m].
     """
 
     kind: ClassVar[str] = "payload"
@@ -222,25 +222,25 @@ class Payload(Ramped):
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
+        """Names of its force and moments."""
         return tuple(_pushed(1.0, self.x, self.y))
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """A force down, and its moments."""
+        """Returns a force down, and its moments."""
         return _pushed(-self.mass * GRAVITY, self.x, self.y)
 
     def scaled(self, factor: float) -> "Payload":
-        """The same, heavier or lighter."""
+        """Returns the payload heavier or lighter."""
         return replace(self, mass=self.mass * factor)
 
 
 @dataclass(frozen=True)
 class Lift(Ramped):
-    """An aerodynamic lift.
+    """Aerodynamic lift.
 
     Attributes:
         force: up [N]; below 0 it is downforce.
-        x, y: where, as of a payload [m].
+        x, y: place, as of a payload [m].
     """
 
     kind: ClassVar[str] = "lift"
@@ -254,21 +254,21 @@ class Lift(Ramped):
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
+        """Names of its force and moments."""
         return tuple(_pushed(1.0, self.x, self.y))
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """A force up, and its moments."""
+        """Returns a force up, and its moments."""
         return _pushed(self.force, self.x, self.y)
 
     def scaled(self, factor: float) -> "Lift":
-        """The same, stronger or weaker."""
+        """Returns the lift stronger or weaker."""
         return replace(self, force=self.force * factor)
 
 
 @dataclass(frozen=True)
 class Gust(Ramped):
-    """A gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
+    """Gust of wind from the left, one period of a cosine unless it stays: it rolls the body to the right.
 
     Attributes:
         force: to the right [N]; below 0 it is from the right.
@@ -285,16 +285,16 @@ class Gust(Ramped):
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """See `Load`."""
+        """Name of its moment."""
         return (ROLL,)
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
-        """A roll moment."""
+        """Returns a roll moment."""
         return {ROLL: self.force * self.height}
 
     def scaled(self, factor: float) -> "Gust":
-        """The same, stronger or weaker."""
+        """Returns the gust stronger or weaker."""
         return replace(self, force=self.force * factor)
 
 
-LOADS: Mapping[str, type[Ramped]] = {one.kind: one for one in (Brake, Corner, Payload, Lift, Gust)}
+LOADS: Mapping[str, type[Ramped]] = {load.kind: load for load in (Brake, Cornering, Payload, Lift, Gust)}

@@ -29,7 +29,8 @@ GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch
 
 @dataclass(frozen=True, eq=False)
 class History(Load):
-    """Points, and straight lines between them; before the first it is 0, or as there from 0 s on, and after the last it stays.
+    """Load with straight lines between points. Before the first point it is 0, or the first value from 0 s on; after the last it
+    stays.
 
     Attributes:
         source: the file's name.
@@ -60,39 +61,39 @@ class History(Load):
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Every point."""
+        """All points."""
         return tuple(self.time.tolist())
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """Those of its headings."""
+        """Names of its columns' loads."""
         return tuple(NAMES[name] for name in self.columns)
 
     def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
-        """See `Load`."""
+        """Returns the interpolated values; see `Load`."""
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 
     def scaled(self, factor: float) -> "History":
-        """The same, larger or smaller."""
+        """Returns the history larger or smaller."""
         return replace(self, columns={name: factor * column for name, column in self.columns.items()})
 
 
 def read_history(path: Path) -> History:
-    """A load from its file.
+    """Reads a load from its file.
 
     Raises:
-        InputError: it cannot be read, or is none; the message names the line.
+        InputError: the file cannot be read, or is no load file; the message names the line.
     """
     return parse_history(read_text(path, "load file", TEXT, GIVE), named(path))
 
 
 def named(path: Path | str) -> str:
-    """A file's name as a description has it, where `;` and ` + ` mean something."""
+    """Returns a file's name as a description has it, without `;` and ` + `, which separate parts there."""
     return str(path).replace(";", "_").replace(" + ", "_+_")
 
 
 def parse_history(text: str, source: str) -> History:
-    """A load from the text of a CSV file.
+    """Reads a load from the text of a CSV file.
 
     Raises:
         InputError: as `read_history`.
@@ -103,13 +104,13 @@ def parse_history(text: str, source: str) -> History:
         raise InputError(f"{where} is empty; {GIVE}")
     names, factors = [], []
     for heading in rows[0]:
-        found = HEADING.fullmatch(heading)
-        if not found or found[1] not in UNITS or found[1] in names:
+        match = HEADING.fullmatch(heading)
+        if not match or match[1] not in UNITS or match[1] in names:
             raise InputError(f"{where}: heading {quoted(heading.strip())} is none, or there twice; {GIVE}")
-        if found[2].strip() not in UNITS[found[1]]:
-            raise InputError(f"{where}: {found[1]} in {quoted(found[2])} is not known; give {listing(UNITS[found[1]])}")
-        names.append(found[1])
-        factors.append(UNITS[found[1]][found[2].strip()])
+        if match[2].strip() not in UNITS[match[1]]:
+            raise InputError(f"{where}: {match[1]} in {quoted(match[2])} is not known; give {listing(UNITS[match[1]])}")
+        names.append(match[1])
+        factors.append(UNITS[match[1]][match[2].strip()])
     if "time" not in names or len(names) < 2:
         raise InputError(f"{where}: its headings are {listing(names)}; {GIVE}")
     if not 2 <= len(rows) - 1 <= MOST_ROWS:
@@ -149,11 +150,11 @@ def _number(where: str, line: int, cell: str) -> float:
 
 
 def choose_load(text: str, folder: Path = Path()) -> Load:
-    """A load from its text.
+    """Returns a load from its text.
 
     Args:
         text: the text.
-        folder: where a relative file name begins.
+        folder: base of relative file names.
 
     Raises:
         InputError: an unknown kind or name, a value that is not allowed, a file that is no load.
@@ -163,32 +164,32 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     kind, colon, rest = text.strip().partition(":")
     if kind not in LOADS:
         raise InputError(f"unknown load {text!r}; {LOAD_SYNTAX}")
-    of = LOADS[kind]
+    load = LOADS[kind]
     try:
-        given = settings(colon + rest, [field.name for field in fields(of)])
-        return of(**{name: _setting(name, value) for name, value in given.items()})
+        given = settings(colon + rest, [field.name for field in fields(load)])
+        return load(**{name: _setting(name, value) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 
 
 def described_loads(texts: Sequence[str]) -> tuple[Load, ...]:
-    """Loads from their texts, as a log has them; no file is read.
+    """Returns loads from their texts in a log; reads no file.
 
     Raises:
-        InputError: one is none.
+        InputError: a text is no load's.
     """
-    found = []
+    loads = []
     for text in texts:
         source, semicolon, rows = text.partition(";")
-        found.append(parse_history(rows.replace(";", "\n"), source) if semicolon else choose_described(text))
-    return tuple(found)
+        loads.append(parse_history(rows.replace(";", "\n"), source) if semicolon else choose_described(text))
+    return tuple(loads)
 
 
 def choose_described(text: str) -> Load:
-    """A load from its text, which is no file's.
+    """Returns a load from a text that is no file's name.
 
     Raises:
-        InputError: it is none.
+        InputError: the text is no load's.
     """
     if text.partition(":")[0] not in LOADS:
         raise InputError(f"unknown load {text[:60]!r}; {LOAD_SYNTAX}")

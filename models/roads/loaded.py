@@ -1,4 +1,4 @@
-"""A road, and loads on the body of what drives on it. Both begin at the same time 0."""
+"""Roads with loads on the vehicle's body. Both begin at the same time 0."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ WAYS = {HEAVE_LOAD.name: "goes up and down", PITCH_LOAD.name: "pitches", ROLL_LO
 
 @dataclass(frozen=True, eq=False)
 class Loaded(Road):
-    """A road with loads. It has no spectrum: what the loads do is the same over every road of its class.
+    """Road with loads. It has no spectrum: the loads act alike over every road of its class.
 
     Attributes:
         road: the road.
@@ -31,59 +31,59 @@ class Loaded(Road):
 
     @property
     def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the road [m/s]."""
+        """Speed on the road [m/s]."""
         return self.road.speed
 
     @property
     def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the road."""
+        """Track of the road."""
         return self.road.track
 
     @property
     def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Whether the road is."""
+        """True if the road is laid."""
         return self.road.laid
 
     def met_by(self, wheel: Wheel) -> str:
-        """What it meets of the road."""
+        """Returns the track of the road under a wheel."""
         return self.road.met_by(wheel)
 
     def later(self, wheel: Wheel, parameters: Parameters) -> float:
-        """How much later it meets the road [s]."""
+        """Returns the delay of a wheel on the road [s]."""
         return self.road.later(wheel, parameters)
 
     @property
     def duration(self) -> float:
-        """That of the road [s]."""
+        """Duration of the road [s]."""
         return self.road.duration
 
     @property
     def points(self) -> bytes | None:
-        """Those of the road."""
+        """Points of the road."""
         return self.road.points
 
     @property
     def loaded(self) -> bool:
-        """It is."""
+        """True."""
         return True
 
     @property
     def load_kinks(self) -> tuple[float, ...]:
-        """Those of all its loads."""
+        """Kinks of all loads."""
         return tuple(sorted({kink for load in self.on_body for kink in load.kinks}))
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
-        """See `Road`.
+        """Returns the sum of the loads; see `Road`.
 
         Raises:
             InputError: the vehicle has no such motion.
         """
-        names = [one.name for one in vehicle.kind.loads]
+        names = [load.name for load in vehicle.kind.loads]
         total = np.zeros((len(t), len(names)))
         for load in self.on_body:
             for name in load.ways:
                 if name not in names:
-                    able = " and ".join(WAYS[one] for one in names) if names else "has no body that loads can push"
+                    able = " and ".join(WAYS[way] for way in names) if names else "has no body that loads can push"
                     raise InputError(
                         f"load {load.label!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
                         "take another load, or vehicle"
@@ -93,40 +93,40 @@ class Loaded(Road):
         return total
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """That of the road."""
+        """Returns the displacement of the road."""
         return self.road.displacement(t, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """That of the road."""
+        """Returns the velocity of the road."""
         return self.road.velocity(t, side)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Those of the road."""
+        """Kinks of the road."""
         return self.road.kinks
 
     def describe(self) -> dict[str, float | str]:
-        """The road, and its loads in words that make them again."""
+        """Returns the road's description, and its loads as texts that choose them again."""
         return {**self.road.describe(), "loads": PLUS.join(load.text for load in self.on_body)}
 
     @property
     def words(self) -> str:
-        """The same on a line for people."""
+        """Road and loads on a line for people."""
         return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
     def scaled(self, factor: float) -> "Loaded":
-        """The same road, higher or lower, with loads as much larger or smaller."""
+        """Returns road and loads multiplied by a factor."""
         return Loaded(self.road.scaled(factor), tuple(load.scaled(factor) for load in self.on_body))
 
     def cost(self, samples: int) -> float:
-        """That of the road."""
+        """Returns the cost of the road."""
         return self.road.cost(samples)
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Whether the vehicle can be driven over the road, and its body pushed so.
+        """Checks that the vehicle can be driven over the road, and that its body has the loads' motions.
 
         Raises:
-            InputError: it cannot.
+            InputError: the road or a load does not fit the vehicle.
         """
         self.road.check(vehicle, time)
         self.loads(vehicle, time[:1])

@@ -1,4 +1,4 @@
-"""Single obstacles: roads that are one formula long; and every road that is given by its name and a few numbers."""
+"""Single obstacles, roads of one formula each; and the table of all roads that are given by name and numbers."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.road import LIMITS, Bump, Road, Scaled, check_numbers
+from models.roads.road import LIMITS, Bump, Road, ScaledRoad, check_numbers
 from models.roads.sinusoids import SineSweep
 
 
 @dataclass(frozen=True)
 class WattsHump(Road):
-    """The speed hump of Watts: a circular arc. Its slope jumps at both ends.
+    """Speed hump of Watts: a circular arc. Its slope jumps at both ends.
 
     G. R. Watts (1973), "Road humps for the control of vehicle speeds", TRRL report LR 597: 3.7 m long, 25 to 100 mm high.
 
@@ -34,27 +34,27 @@ class WattsHump(Road):
 
     @property
     def radius(self) -> float:
-        """Of the arc [m]."""
+        """Radius of the arc [m]."""
         return (self.length**2 / 4 + self.height**2) / (2 * self.height)
 
     @property
     def duration(self) -> float:
-        """How long a wheel is on it [s]."""
+        """Time of a wheel on the hump [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The arc. Every side has the same."""
+        """Returns the arc, the same on both sides."""
         x, on = self._from_crown(t)
         return np.where(on, np.sqrt(self.radius**2 - x**2) - (self.radius - self.height), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its derivative."""
+        """Returns the derivative."""
         x, on = self._from_crown(t)
         return np.where(on, -self.speed * x / np.sqrt(self.radius**2 - x**2), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Its two ends."""
+        """Both ends."""
         return (0.0, self.duration)
 
     def describe(self) -> dict[str, float | str]:
@@ -62,8 +62,8 @@ class WattsHump(Road):
         return {"type": "watts_hump", **asdict(self)}
 
     def scaled(self, factor: float) -> Road:
-        """The same shape, higher or lower."""
-        return Scaled(self, factor)
+        """Returns the same shape, higher or lower."""
+        return ScaledRoad(self, factor)
 
     def _from_crown(self, t: Array) -> tuple[Array, Array]:
         on = (t >= 0) & (t <= self.duration)
@@ -72,10 +72,10 @@ class WattsHump(Road):
 
 @dataclass(frozen=True)
 class Step(Road):
-    """A kerb, up or down, rounded: half a period of a cosine. A vertical edge has no derivative, and no tyre follows one.
+    """Kerb, up or down, rounded: half a period of a cosine. A vertical edge has no derivative, and no tyre follows one.
 
     Attributes:
-        height: up, or down where negative [m].
+        height: height, negative for a step down [m].
         edge: length over which it rises [m].
         speed: V [m/s].
 
@@ -92,15 +92,15 @@ class Step(Road):
 
     @property
     def duration(self) -> float:
-        """How long a wheel is on its edge [s]."""
+        """Time of a wheel on the edge [s]."""
         return self.edge / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The edge, then the height. Every side has the same."""
+        """Returns the edge, then the height, the same on both sides."""
         return self.height / 2 * (1 - np.cos(np.pi * np.clip(t / self.duration, 0, 1)))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its derivative."""
+        """Returns the derivative."""
         return self.height * np.pi / (2 * self.duration) * np.sin(np.pi * np.clip(t / self.duration, 0, 1))
 
     @property
@@ -113,20 +113,20 @@ class Step(Road):
         return {"type": "step", **asdict(self)}
 
     def scaled(self, factor: float) -> "Step":
-        """The same step, higher or lower."""
+        """Returns the step higher or lower."""
         return replace(self, height=self.height * factor)
 
 
 @dataclass(frozen=True)
 class Pothole(Road):
-    """A step down, and another one up again, under one side or both.
+    """Step down, and another one up again, under one side or both.
 
     Attributes:
         depth: [m].
         length: from the beginning of the first edge to the end of the second [m].
         edge: length of each edge [m].
         speed: V [m/s].
-        track: the side that it lies under: "left", "right" or "both".
+        track: its side: "left", "right" or "both".
 
     Raises:
         InputError: a number beyond its limits; edges longer than the pothole.
@@ -144,16 +144,16 @@ class Pothole(Road):
 
     @property
     def duration(self) -> float:
-        """How long a wheel is in it [s]."""
+        """Time of a wheel in the pothole [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Down and up."""
+        """Returns the steps down and up."""
         down, up = self._edges
         return self._under(side) * (down.displacement(t) + up.displacement(t - self.duration + up.duration))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its derivative."""
+        """Returns the derivative."""
         down, up = self._edges
         return self._under(side) * (down.velocity(t) + up.velocity(t - self.duration + up.duration))
 
@@ -168,7 +168,7 @@ class Pothole(Road):
         return {"type": "pothole", **asdict(self)}
 
     def scaled(self, factor: float) -> "Pothole":
-        """The same pothole, deeper or shallower."""
+        """Returns the pothole deeper or shallower."""
         return replace(self, depth=self.depth * factor)
 
     @property
@@ -181,7 +181,7 @@ class Pothole(Road):
 
 @dataclass(frozen=True)
 class Flat(Road):
-    """No road at all: what a vehicle drives on that something else moves.
+    """Flat road, for a vehicle that is excited by loads alone.
 
     Attributes:
         speed: V [m/s].
@@ -196,28 +196,28 @@ class Flat(Road):
         check_numbers("flat", self, {"speed": LIMITS["speed"]})
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Zero."""
+        """Returns zero."""
         return np.zeros_like(t)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Zero."""
+        """Returns zero."""
         return np.zeros_like(t)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """None."""
+        """Empty."""
         return ()
 
     def describe(self) -> dict[str, float | str]:
-        """Its speed."""
+        """Returns the speed."""
         return {"type": "flat", **asdict(self)}
 
     def scaled(self, factor: float) -> "Flat":
-        """Itself."""
+        """Returns the road itself."""
         return self
 
 
-# By the name that a command line, a campaign file or a log has for them.
+# By their names on a command line, in a campaign file or in a log.
 OBSTACLES: Mapping[str, type] = {
     "bump": Bump,
     "watts_hump": WattsHump,

@@ -43,14 +43,14 @@ class Surface:
     source: str
 
     def profile(self, track_width: float, speed: float) -> Profile:
-        """What the wheels of a vehicle in its middle meet; between the grid's lines, straight across.
+        """Returns the profile under the wheels of a vehicle in the middle; between the grid's lines, straight across.
 
         Args:
             track_width: from the right wheels to the left ones [m].
             speed: [m/s].
 
         Raises:
-            InputError: the surface is narrower than that, or there is a hole in it.
+            InputError: the surface is too narrow, or has a hole.
         """
         middle, tracks = (self.v[0] + self.v[-1]) / 2, []
         for v in (middle + track_width / 2, middle - track_width / 2):
@@ -66,10 +66,10 @@ class Surface:
 
 
 def read_surface(path: Path) -> Surface:
-    """The surface of an OpenCRG file.
+    """Reads the surface of an OpenCRG file.
 
     Raises:
-        InputError: PyOpenCRG is not installed, or the file is none, too large, or one that names another.
+        InputError: PyOpenCRG is not installed, or the file is no OpenCRG file, too large, or refers to another one.
     """
     try:
         from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
@@ -105,7 +105,7 @@ def read_surface(path: Path) -> Surface:
 
 
 def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, float]:
-    """Whether a header's numbers can be a road's; PyOpenCRG would count with them, or take others in their place.
+    """Checks that a header's numbers can be a road's; PyOpenCRG would accept others, or replace them.
 
     Args:
         struct: lines of the blocks before the channels.
@@ -115,7 +115,7 @@ def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, f
         The numbers of the road, by keyword.
 
     Raises:
-        InputError: a number that is none; or the data are in another file, which would be read whatever it is.
+        InputError: a number is wrong, or the data are in another file, which would be read without any check.
     """
     block, numbers = "", {}
     for line in struct:
@@ -142,18 +142,18 @@ def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, f
 
 
 def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array) -> None:
-    """Whether there are as many cross-sections as the header promises; text that is cut between two of them looks whole.
+    """Checks the number of cross-sections against the header; text that is cut between two of them looks whole.
 
     Args:
         numbers: of the header.
-        defined: channels that are not data, of which one may be the distance: reference line u, m, start, increment.
-        u: along the road, one for each cross-section there is [m].
+        defined: channels that are not data; one may be the distance: reference line u, m, start, increment.
+        u: distance of each cross-section [m].
 
     Raises:
         InputError: there are fewer.
     """
     given = [channel.split(",") for channel in defined if channel.lower().startswith("reference line u,")]
-    step = numbers.get("reference_line_increment") or next((_number(one[3], 0.0) for one in given if len(one) > 3), 0.0)
+    step = numbers.get("reference_line_increment") or next((_number(parts[3], 0.0) for parts in given if len(parts) > 3), 0.0)
     if not step or "reference_line_end_u" not in numbers:
         return  # then nothing says how many there were
     promised = round((numbers["reference_line_end_u"] - u[0]) / step) + 1
@@ -165,10 +165,10 @@ def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array)
 
 
 def _check_end(path: Path, form: str, channels: int) -> None:
-    """Whether text ends with a whole line; where numbers of fixed width are cut off, there might be none, and it looks whole.
+    """Checks that text ends with a whole line; if numbers of fixed width are cut off, it may look whole.
 
     Raises:
-        InputError: it does not.
+        InputError: the last line is too short.
     """
     if form not in TEXT_WIDTHS:
         return
@@ -182,12 +182,12 @@ def _check_end(path: Path, form: str, channels: int) -> None:
 
 
 def _number(text: str, otherwise: float = math.nan) -> float:
-    found = NUMBER.match(text)
-    return float(found[0].lower().replace("d", "e")) if found else otherwise
+    match = NUMBER.match(text)
+    return float(match[0].lower().replace("d", "e")) if match else otherwise
 
 
 def _reason(error: Exception, path: Path) -> str:
-    """What PyOpenCRG says against a file, on one line; it may list many things below a first line that names none."""
+    """Returns PyOpenCRG's message on one line; it may list many mistakes below a first line without any."""
     report = getattr(error, "report", None)
     if report is not None:
         return some([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])

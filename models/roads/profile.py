@@ -1,4 +1,4 @@
-"""A measured road: heights over distance from a file, and the smooth curve through them."""
+"""Measured roads: heights over distance, and the smooth curve through them."""
 
 import io
 from collections.abc import Callable
@@ -15,14 +15,14 @@ from models.roads.road import LIMITS, Road, check_numbers
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # times the median spacing; more is a gap, and what a curve does there is invented
-HIGHEST = 100.0  # m, from where it begins
+GAP = 10.0  # largest spacing over the median one; in a wider gap the curve would be invented
+HIGHEST = 100.0  # m, largest height over the first point
 FEWEST = 4  # points
 
 
 @dataclass(frozen=True, eq=False)
 class Profile(Road):
-    """The cubic spline through measured heights: they are met exactly, and the derivative is that of the spline.
+    """Cubic spline through measured heights, with its exact derivative.
 
     The road begins at the first point, from its height there, and stays level after the last. Slopes are zero at both ends.
 
@@ -47,15 +47,15 @@ class Profile(Road):
 
     @property
     def duration(self) -> float:
-        """From the first point to the last [s]."""
+        """Time from the first point to the last [s]."""
         return float(self.distance[-1] - self.distance[0]) / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The spline, from its height at the first point."""
+        """Returns the spline, from its height at the first point."""
         return self._track(side)(np.clip(np.asarray(t) * self.speed, 0.0, self._end))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """The spline's own derivative."""
+        """Returns the spline's own derivative."""
         x = np.asarray(t) * self.speed
         on = (x >= 0) & (x <= self._end)
         return np.where(on, self.speed * self._track(side)(np.clip(x, 0.0, self._end), 1), 0.0)
@@ -67,7 +67,7 @@ class Profile(Road):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a file that is read again: distance, left, right [m]."""
+        """Its points to the last bit, as a CSV file: distance, left, right [m]."""
         rows = np.column_stack([self.distance, self.heights]).tolist()
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -84,7 +84,7 @@ class Profile(Road):
         }
 
     def scaled(self, factor: float) -> "Profile":
-        """The same profile, higher or lower."""
+        """Returns the profile higher or lower."""
         return replace(self, heights=factor * self.heights)
 
     @property
@@ -103,7 +103,7 @@ class Profile(Road):
 
 
 def check_points(distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
-    """Whether points make a profile.
+    """Checks that points make a profile.
 
     Args:
         distance: [m], shape (P,).
@@ -138,10 +138,10 @@ def check_points(distance: Array, heights: Array, where: Callable[[int], str] = 
 
 
 def from_csv(content: bytes, speed: float, source: str) -> Profile:
-    """A profile from what `Profile.points` wrote, to the last bit.
+    """Returns a profile from `Profile.points`, to the last bit.
 
     Raises:
-        InputError: it is not that.
+        InputError: the content is wrong.
     """
     if content.count(b"\n") <= FEWEST:
         raise InputError("no points of a road")

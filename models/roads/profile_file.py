@@ -1,4 +1,4 @@
-"""A measured road from a text file: distance and height in whatever columns, separators, headings and units people have."""
+"""Measured roads from text files: distance and height in any columns, separators, headings and units."""
 
 import re
 from array import array
@@ -13,7 +13,7 @@ from models.common.files import TABLE, read_text
 from models.roads.profile import Profile, check_points
 
 UNITS: Mapping[str, float] = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-WORDS: Mapping[str, str] = {  # what units are called besides
+WORDS: Mapping[str, str] = {  # other names of units
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
     **dict.fromkeys(("inch", "inches", '"'), "in"),
     **dict.fromkeys(("foot", "feet", "'"), "ft"),
@@ -37,12 +37,12 @@ A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the f
 
 @dataclass(frozen=True)
 class Heading:
-    """What is written above a column.
+    """Heading of a column.
 
     Attributes:
-        text: as it stands there.
-        meaning: one of `MEANT`, or "" where nobody knows.
-        unit: one of `UNITS`, another that is written in brackets, or "".
+        text: text of the heading.
+        meaning: one of `MEANT`, or "" if unknown.
+        unit: one of `UNITS`, another one in brackets, or "".
     """
 
     text: str
@@ -51,7 +51,7 @@ class Heading:
 
 
 def read_heading(text: str) -> Heading:
-    """What one heading says: `right [mm]`, `height_cm`, `Distance (ft)`, `[m]`."""
+    """Reads a heading: `right [mm]`, `height_cm`, `Distance (ft)`, `[m]`."""
     text = text.strip(" \t\"'#")
     rest, unit = text.lower(), ""
     bracket = IN_BRACKETS.search(rest)
@@ -79,7 +79,7 @@ def read_heading(text: str) -> Heading:
 
 
 def headings_of(lines: Sequence[Sequence[str]], count: int) -> list[Heading]:
-    """The headings of each column, from the lines above the numbers; nothing where these are prose.
+    """Returns the heading of each column, from the lines above the numbers; empty headings if these lines are prose.
 
     Args:
         lines: cells of those lines, in their order.
@@ -88,35 +88,35 @@ def headings_of(lines: Sequence[Sequence[str]], count: int) -> list[Heading]:
     Raises:
         InputError: two lines give a column two units, or two meanings.
     """
-    found = [Heading("")] * count
+    headings = [Heading("")] * count
     for cells in lines:
         row = [read_heading(cell) for cell in cells]
-        says = [one for one in row if one.meaning or one.unit in UNITS]
+        says = [heading for heading in row if heading.meaning or heading.unit in UNITS]
         if len(row) != count or len(says) < min(2, count):
             continue
-        for i, (old, new) in enumerate(zip(found, row, strict=True)):
+        for i, (old, new) in enumerate(zip(headings, row, strict=True)):
             for what in ("meaning", "unit"):
-                one, other = getattr(old, what), getattr(new, what)
-                if one and other and one != other:
+                first, second = getattr(old, what), getattr(new, what)
+                if first and second and first != second:
                     raise InputError(
                         f"the headings {old.text!r} and {new.text!r} of column {i + 1} contradict each other; mend them"
                     )
             text = " ".join(part for part in (old.text, new.text) if part)
-            found[i] = Heading(text, old.meaning or new.meaning, old.unit or new.unit)
-    return found
+            headings[i] = Heading(text, old.meaning or new.meaning, old.unit or new.unit)
+    return headings
 
 
 def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple[int, ...]:
-    """The columns of distance and height, or distance, left and right, counted from 0: by their headings, else by their order.
+    """Returns the columns of distance and height, or distance, left and right, from 0: by their headings, else by their order.
 
     Args:
         headings: of all columns.
-        columns: as they were asked for, from 1; empty where they were not.
+        columns: the requested columns, from 1; empty for none.
 
     Raises:
-        InputError: headings that contradict the columns asked for, or their order, or leave open which are meant.
+        InputError: headings contradict the requested columns, or their order, or are ambiguous.
     """
-    at = {meaning: [i for i, one in enumerate(headings) if one.meaning == meaning] for meaning in MEANT}
+    at = {meaning: [i for i, heading in enumerate(headings) if heading.meaning == meaning] for meaning in MEANT}
     if not columns and len(at["distance"]) == 1:
         if len(at["left"]) == len(at["right"]) == 1:
             return (*at["distance"], *at["left"], *at["right"])
@@ -136,15 +136,15 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
 
 
 def unit_of(heading: Heading, asked: str, option: str) -> float:
-    """How many metres one of a column's unit is: by what was asked for, by its heading, else one.
+    """Returns a column's unit in metres: the requested one, or its heading's, or a metre.
 
     Args:
         heading: of the column.
-        asked: one of `UNITS`, or "".
-        option: by which it is asked for.
+        asked: requested unit, one of `UNITS`, or "".
+        option: name of the setting that requests it.
 
     Raises:
-        InputError: they contradict each other, or the heading has a unit that nobody knows.
+        InputError: request and heading contradict each other, or the heading's unit is unknown.
     """
     if asked and heading.unit in UNITS and asked != heading.unit:
         raise InputError(
@@ -157,22 +157,22 @@ def unit_of(heading: Heading, asked: str, option: str) -> float:
 
 SEPARATORS: Mapping[str, str] = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 HEADINGS = 50  # lines that may come before the numbers
-WHOLE, PADDED = re.compile(r"[+-]?\d+"), re.compile(r"0\d")  # cells as decimals look that a comma has cut off
+WHOLE, PADDED = re.compile(r"[+-]?\d+"), re.compile(r"0\d")  # cells that may be decimals behind a decimal comma
 STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
-WIDEST = 20.0  # m between points; a vehicle's wheels meet what lies between
+WIDEST = 20.0  # m between points; wheels drive over the road between them as well
 
 FORMAT = "give two columns, distance and height [m], or three, distance, left and right"
 
 
 @dataclass(frozen=True)
-class Table:
-    """How a file is to be read.
+class TableFormat:
+    """Format of a road file.
 
     Attributes:
-        distance_unit, height_unit: one of `UNITS`; empty for what the headings say, else metres.
+        distance_unit, height_unit: one of `UNITS`; empty for the headings' units, else metres.
         separator: one of `SEPARATORS`; empty to find out. With any but a comma, a comma may be the decimal point.
-        columns: of distance and height, or distance, left and right, counted from 1; empty for what the headings say, else
-            the first two or three.
+        columns: of distance and height, or distance, left and right, counted from 1; empty for those of the headings, else the
+            first two or three.
     """
 
     distance_unit: str = ""
@@ -181,8 +181,8 @@ class Table:
     columns: tuple[int, ...] = ()
 
 
-def read_table(settings: Mapping[str, str]) -> Table:
-    """How a file is to be read, from texts by name.
+def read_table(settings: Mapping[str, str]) -> TableFormat:
+    """Returns the format of a road file, from settings by name.
 
     Raises:
         InputError: a name or a value that is unknown.
@@ -197,23 +197,23 @@ def read_table(settings: Mapping[str, str]) -> Table:
     if "columns" in settings and not re.fullmatch(r"[1-9]\d{0,2}(,[1-9]\d{0,2}){1,2}", columns):
         raise InputError(f"columns = {columns!r} is none; give two or three numbers from 1, as in columns=1,3 or columns=1,3,4")
     numbers = tuple(map(int, columns.split(","))) if columns else ()
-    return Table(**{**settings, "columns": numbers})  # pyright: ignore[reportArgumentType] - the others are texts
+    return TableFormat(**{**settings, "columns": numbers})  # pyright: ignore[reportArgumentType] - the others are texts
 
 
-def read_profile(path: Path, speed: float, table: Table | None = None) -> Profile:
-    """A profile from a text file. Lines of headings may come first: they say which column is what, and in which unit.
+def read_profile(path: Path, speed: float, table: TableFormat | None = None) -> Profile:
+    """Reads a profile from a text file. Lines of headings may come first, with the meaning and the unit of each column.
 
-    Blank lines and those that begin with # are passed over; before the numbers the latter may be headings.
+    Blank lines and lines that begin with # are skipped; before the numbers, lines with # may be headings.
 
     Args:
         path: the file.
         speed: [m/s].
-        table: how it is to be read.
+        table: format of the file.
 
     Raises:
         InputError: the file cannot be read, a line has no such numbers, or they make no road. The message names file and line.
     """
-    table = table or Table()
+    table = table or TableFormat()
     try:
         return _profile(read_text(path, "road file", TABLE, FORMAT), speed, str(path), table)
     except InputError as error:
@@ -221,7 +221,7 @@ def read_profile(path: Path, speed: float, table: Table | None = None) -> Profil
         raise InputError(said if said.startswith("road file") else f"road file {path}: {said}") from error
 
 
-def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
+def _profile(text: str, speed: float, source: str, table: TableFormat) -> Profile:
     rows = text.replace("\r", "\n").split("\n")  # lines of old Macs end so
     first, mark = _first(rows, table)
     count = len(split_cells(rows[first], mark)) if first < len(rows) else 2
@@ -240,17 +240,17 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
             continue
         cells = split_cells(line, mark)
         used = [cells[column] if column < len(cells) else "" for column in columns]
-        found = _numbers(used)
+        numbers = _numbers(used)
         if not table.columns and len(cells) != count and _numbers(cells) is not None:
             raise InputError(f"line {number} has {len(cells)} column(s), and line {first + 1} has {count}; {FORMAT}")
-        if found is None:
+        if numbers is None:
             raise InputError(
                 f"line {number}: {' '.join(used if table.columns else cells)!r} is not {len(used)} numbers; {FORMAT}"
             )
         if doubtful:
             doubtful, padded = all(WHOLE.fullmatch(cell) for cell in used[1:]), padded or bool(PADDED.match(used[2]))
         lines.append(number)
-        values.extend(found)
+        values.extend(numbers)
     points = np.frombuffer(values, dtype=float).reshape(-1, len(columns)) if values else np.zeros((0, len(columns)))
     named = [headings[column] if column < count else Heading("") for column in columns]
     metres = [unit_of(heading, table.height_unit, "height_unit") for heading in named[1:]]
@@ -266,8 +266,8 @@ def _profile(text: str, speed: float, source: str, table: Table) -> Profile:
     return Profile(distance, heights, speed, source)
 
 
-def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
-    """Index of the first line of numbers, and what separates its cells, and so those of all that follow."""
+def _first(rows: Sequence[str], table: TableFormat) -> tuple[int, str]:
+    """Returns the index of the first line of numbers, and the separator of its cells."""
     headings, column = 0, (table.columns or (1,))[0] - 1
     for i, line in enumerate(rows):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -282,7 +282,7 @@ def _first(rows: Sequence[str], table: Table) -> tuple[int, str]:
 
 
 def split_cells(line: str, mark: str) -> list[str]:
-    """The cells of a line of numbers; where no comma separates them, one may be the decimal point."""
+    """Returns the cells of a line of numbers; if the separator is no comma, a comma may be the decimal point."""
     cells = line.split() if mark == " " else [cell.strip() for cell in line.split(mark)]
     if mark != ",":  # then a comma can only be a decimal point
         cells = [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
@@ -292,7 +292,7 @@ def split_cells(line: str, mark: str) -> list[str]:
 
 
 def _heading_cells(line: str, mark: str, count: int) -> list[str]:
-    """The cells of a line above the numbers, which may be separated by another mark; none where it is prose."""
+    """Returns the cells of a line above the numbers, which may have another separator; empty if it is prose."""
     text = line.lstrip("# \t")
     if mark == " ":  # a unit in brackets belongs to the word before it
         text = re.sub(r"\s+(?=[\[(])", "", text)
@@ -305,7 +305,7 @@ def _heading_cells(line: str, mark: str, count: int) -> list[str]:
 
 
 def separator_of(line: str) -> str:
-    """What separates the cells of a line: the least doubtful of what it holds."""
+    """Returns the separator of a line's cells: the least doubtful of those in it."""
     return next((mark for mark in (";", "\t", ",") if mark in line), " ")
 
 
@@ -317,19 +317,19 @@ def _numbers(cells: list[str]) -> list[float] | None:
 
 
 def _check_units(distance: np.ndarray, heights: np.ndarray) -> None:
-    """Refuses what can only be in other units than was said.
+    """Refuses numbers that can only be in other units.
 
     Raises:
         InputError: no road is so steep, or so coarse.
     """
     spacing = float(np.median(np.diff(distance)))
     length, low, high = float(distance[-1] - distance[0]), float(heights.min()), float(heights.max())
-    found = f"{length:.4g} m long in steps of {spacing:.3g} m, heights from {low:.4g} to {high:.4g} m"
+    described = f"{length:.4g} m long in steps of {spacing:.3g} m, heights from {low:.4g} to {high:.4g} m"
     if spacing > WIDEST:
-        raise InputError(f"{found}: too coarse for a road; distances in mm or cm? then say :distance_unit=mm")
+        raise InputError(f"{described}: too coarse for a road; distances in mm or cm? then say :distance_unit=mm")
     slope = float(np.sqrt(np.mean((np.diff(heights, axis=0) / np.diff(distance)[:, None]) ** 2)))
     if slope > STEEPEST:
         raise InputError(
-            f"{found}: an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
+            f"{described}: an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
             ":distance_unit=km or :height_unit=mm"
         )

@@ -1,4 +1,4 @@
-"""The posts of a test rig: the height under each wheel over time, as a four-post rig's drive file has it."""
+"""Posts of a test rig: the height under each wheel over time, as in a four-post rig's drive file."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-STROKE = 2.0  # m from where it begins; no post moves further
+STROKE = 2.0  # m from its first height; no post moves further
 MOST_POSTS = 1000
 SHORT = {"fl": "front_left", "lf": "front_left", "fr": "front_right", "rf": "front_right"}
 SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive files call corners
@@ -26,7 +26,7 @@ SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive 
 
 @dataclass(frozen=True, eq=False)
 class Rig(Road):
-    """The cubic spline through the heights of every post over time: they are met exactly, the derivative is that of the spline.
+    """Cubic spline through the heights of every post over time, with its exact derivative.
 
     A post begins at its first height, rests there before, and stays at the last one after. Slopes are zero at both ends. The
     vehicle stands, so no wheel meets what another one met, and speed changes nothing.
@@ -34,7 +34,7 @@ class Rig(Road):
     Attributes:
         time: ascending [s], shape (P,).
         heights: [m], shape (P, K).
-        posts: which wheel stands on each: the name of its road signal, of its road's body, or how either ends; K of them.
+        posts: wheel on each post: the name of its road signal or its road's body, or the suffix of either; K of them.
         source: the file.
 
     Raises:
@@ -54,14 +54,14 @@ class Rig(Road):
 
     @property
     def duration(self) -> float:
-        """From the first point to the last [s]."""
+        """Time from the first point to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
     def met_by(self, wheel: Wheel) -> str:
-        """The post that it stands on.
+        """Returns the post under a wheel.
 
         Raises:
-            InputError: there is none.
+            InputError: no post has the wheel's name.
         """
         for post in self.posts:
             if post_name(post) in _names(wheel):
@@ -71,15 +71,15 @@ class Rig(Road):
         )
 
     def later(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Nothing: the vehicle stands."""
+        """Returns zero: the vehicle stands."""
         return 0.0
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The spline of a post, from its first height; without a name that of the first."""
+        """Returns the spline of a post, from its first height; without a name that of the first post."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its own derivative."""
+        """Returns the derivative of the spline."""
         t = np.asarray(t, dtype=float)
         on = (t >= 0) & (t <= self.duration)
         return np.where(on, self._splines[self._index(side)](np.clip(t, 0.0, self.duration), 1), 0.0)
@@ -91,7 +91,7 @@ class Rig(Road):
 
     @property
     def points(self) -> bytes:
-        """Its points to the last bit, as a file that is read again: time [s], heights [m]."""
+        """Its points to the last bit, as a CSV file: time [s], heights [m]."""
         rows = np.column_stack([self.time, self.heights]).tolist()
         return (",".join(["time", *self.posts]) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
@@ -108,13 +108,13 @@ class Rig(Road):
         }
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """As for any road; every wheel of the vehicle stands on a post."""
+        """Checks the rig as any road, and that every wheel of the vehicle stands on a post."""
         for wheel in vehicle.kind.wheels:
             self.met_by(wheel)
         super().check(vehicle, time)
 
     def scaled(self, factor: float) -> "Rig":
-        """The same histories, higher or lower."""
+        """Returns the histories multiplied by a factor."""
         return replace(self, heights=factor * self.heights)
 
     def _index(self, side: str) -> int:
@@ -129,20 +129,20 @@ class Rig(Road):
 
 
 def post_name(text: str) -> str:
-    """What a column is called, however it is written: `Front Left`, `LF` and `road_displacement_front_left` are one."""
+    """Returns the normal form of a column's name: `Front Left`, `LF` and `road_displacement_front_left` are equal."""
     name = "_".join(text.lower().replace("-", " ").replace("_", " ").split())
     return SHORT.get(name, name)
 
 
 def _names(wheel: Wheel) -> tuple[str, ...]:
-    """What the post under a wheel may be called, the usual name first."""
+    """Returns the possible names of the post under a wheel, the usual one first."""
     signal, body = wheel.road_displacement, wheel.road_body
     ending = signal.removeprefix("road_displacement_")
     return tuple(dict.fromkeys(post_name(name) for name in (ending, signal, body)))
 
 
 def check_history(time: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
-    """Whether points make the histories of posts.
+    """Checks that points make the histories of posts.
 
     Args:
         time: [s], shape (P,).
@@ -176,10 +176,10 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
 
 
 def check_posts(posts: Sequence[str]) -> None:
-    """Whether every post has a name of its own.
+    """Checks that every post has a name of its own.
 
     Raises:
-        InputError: two mean the same wheel, one has none, or there are far too many.
+        InputError: two posts are the same wheel's, one has no name, or there are far too many.
     """
     if not 1 <= len(posts) <= MOST_POSTS:
         raise InputError(f"{len(posts)} columns of heights; give one for each wheel, at most {MOST_POSTS}")
@@ -194,10 +194,10 @@ def check_posts(posts: Sequence[str]) -> None:
 
 
 def rig_from_csv(content: bytes, source: str) -> Rig:
-    """A rig from what `Rig.points` wrote, to the last bit.
+    """Returns a rig from `Rig.points`, to the last bit.
 
     Raises:
-        InputError: it is not that.
+        InputError: the content is wrong.
     """
     head, _, rest = content.partition(b"\n")
     if rest.count(b"\n") < FEWEST:

@@ -1,7 +1,7 @@
-"""A rig's drive file as text: a column of time, and one of heights for each wheel, named and with its unit above it.
+"""Drive files of rigs as text: a column of time, and one of heights for each wheel, named and with its unit above it.
 
-MTS's binary RPC III is not read. The public package for it, rpc-reader 0.9 of 2022, is not fit for files that may be damaged,
-or of another machine: it ends the process where a header is wrong, takes as much memory as the header says, reads big-endian
+MTS's binary RPC III is not read. The public package for it, rpc-reader 0.9 of 2022, is not fit for damaged files, or files of
+another machine: it ends the process if a header is wrong, takes as much memory as the header says, reads big-endian
 files as if they were little-endian, and prints as it goes.
 """
 
@@ -22,18 +22,18 @@ TIME_WORDS = {**dict.fromkeys(("sec", "second", "seconds"), "s"), **dict.fromkey
 CLOCK = ("time", "t")
 HEADING = re.compile(r"(?P<name>[^\[(]*?)\s*([\[(]\s*(?P<unit>[^\])]*?)\s*[\])])?")
 FORMAT = "give a line of headings, as in: time [s], front_left [mm], front_right [mm], and below it a line for each time"
-SETTINGS = ("time_unit", "height_unit")  # where headings have none
+SETTINGS = ("time_unit", "height_unit")  # for headings without a unit
 
 
 def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
-    """A rig from a text file. Columns are separated as in its first line; blank lines and those that begin with # are not read.
+    """Reads a rig from a text file. Its first line has the separator of all; blank lines and lines that begin with # are skipped.
 
     Args:
         path: the file.
-        settings: `time_unit` and `height_unit`, where headings have none.
+        settings: `time_unit` and `height_unit`, for headings without a unit.
 
     Raises:
-        InputError: the file cannot be read, a heading or a line is none, or they make no histories. It names file and line.
+        InputError: the file cannot be read, a heading or a line is wrong, or they make no histories. It names file and line.
     """
     for name, allowed in zip(SETTINGS, (TIMES, UNITS), strict=True):
         if name in settings and settings[name] not in allowed:
@@ -46,17 +46,17 @@ def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
 
 
 def unit_of(name: str, unit: str, asked: str, option: str, time: bool) -> float:
-    """How many seconds or metres one of a column's unit is.
+    """Returns a column's unit in seconds or metres.
 
     Args:
         name: of the column.
-        unit: that it says; empty where it says none.
-        asked: for those that say none; empty where nobody asked.
-        option: by which it is asked for.
-        time: whether it is of time.
+        unit: unit of its heading; empty for none.
+        asked: unit for headings without one; empty if not given.
+        option: name of the setting that gives it.
+        time: True for the column of time.
 
     Raises:
-        InputError: it is unknown, or not what was asked for, or nobody says it.
+        InputError: the unit is unknown or missing, or the two contradict each other.
     """
     known, words = (TIMES, TIME_WORDS) if time else (UNITS, WORDS)
     unit = words.get(unit.lower(), unit.lower())
@@ -77,8 +77,8 @@ def _rig(text: str, settings: Mapping[str, str], source: str) -> Rig:
         raise InputError(f"it is empty; {FORMAT}")
     mark = separator_of(rows[first].strip())
     heads = re.sub(r"\s+(?=[\[(])", "", rows[first].strip()) if mark == " " else rows[first]
-    found = [HEADING.fullmatch(cell.strip(" \"'")) for cell in heads.split(None if mark == " " else mark)]
-    headings = [(match["name"].strip(), match["unit"] or "") if match else ("", "") for match in found]
+    matches = [HEADING.fullmatch(cell.strip(" \"'")) for cell in heads.split(None if mark == " " else mark)]
+    headings = [(match["name"].strip(), match["unit"] or "") if match else ("", "") for match in matches]
     clocks = [i for i, (name, _) in enumerate(headings) if post_name(name) in CLOCK]
     if len(clocks) != 1:
         raise InputError(f"line {first + 1}: {len(clocks)} columns are called time, and one must be; {FORMAT}")

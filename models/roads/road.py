@@ -18,11 +18,11 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
-LOWEST = 1e-5  # m; what a lower road does to a vehicle is lost in the rounding of its weight
+LOWEST = 1e-5  # m; the effect of a lower road is lost in the rounding of a vehicle's weight
 
 
 class Road(ABC):
-    """A road driven at constant speed, or posts that move. Time 0 is when the first wheel reaches its start."""
+    """Road driven at constant speed, or posts that move. Time 0 is when the first wheel reaches its start."""
 
     speed: float
     """Forward velocity of the vehicle [m/s]."""
@@ -31,34 +31,34 @@ class Road(ABC):
     """The side that it lies under: "left", "right" or "both"."""
 
     laid: bool = True
-    """Whether it lies along the way, so that every wheel of a side meets it; on a rig each wheel stands on a post of its own."""
+    """True if it lies along the way, so that every wheel of a side drives over it; False for a rig with a post per wheel."""
 
     @property
     def duration(self) -> float:
-        """How long a wheel is on it [s]; infinite where it has no end."""
+        """Time of a wheel on it [s]; infinite for a road without end."""
         return math.inf
 
     def met_by(self, wheel: Wheel) -> str:
-        """What a wheel meets of it, as `displacement` takes it: what lies under its side."""
+        """Returns the side of a wheel, as `displacement` takes it."""
         return wheel.side
 
     def later(self, wheel: Wheel, parameters: Parameters) -> float:
-        """How much later than the first wheel a wheel meets it [s]."""
+        """Returns the delay of a wheel after the first one [s]."""
         return wheel.behind(parameters) / self.speed
 
     @property
     def spectrum(self) -> "Spectrum | None":
-        """Of a random road; None for others."""
+        """Spectrum of a random road; None for others."""
         return None
 
     @property
     def points(self) -> bytes | None:
-        """What `describe` has not room for, as a CSV file; None where its description makes a road again."""
+        """Data too long for `describe`, as a CSV file; None if the description alone gives the road."""
         return None
 
     @property
     def loaded(self) -> bool:
-        """Whether loads push the vehicle's body while it drives."""
+        """True if loads act on the vehicle's body."""
         return False
 
     @property
@@ -67,20 +67,20 @@ class Road(ABC):
         return ()
 
     def loads(self, vehicle: Vehicle, t: Array) -> Array:
-        """What loads push a vehicle's body with [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
+        """Returns the loads on a vehicle's body [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Time derivative of `displacement` [m/s] at times t [s], same shape."""
+        """Returns the time derivative of `displacement` [m/s] at times t [s], same shape."""
 
     @abstractmethod
     def scaled(self, factor: float) -> "Road":
-        """The same road with its heights multiplied."""
+        """Returns the road with its heights multiplied."""
 
     @property
     @abstractmethod
@@ -89,23 +89,23 @@ class Road(ABC):
 
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
-        """What it is: its kind under `type`, then its numbers in SI."""
+        """Returns its kind under `type`, then its numbers in SI units."""
 
     @property
     def words(self) -> str:
-        """The same on a line for people, without long lists."""
-        told = {key: value for key, value in self.describe().items() if not isinstance(value, list)}
-        return ", ".join(f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in told.items())
+        """The description on a line for people, without long lists."""
+        short = {key: value for key, value in self.describe().items() if not isinstance(value, list)}
+        return ", ".join(f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in short.items())
 
     def cost(self, samples: int) -> float:
-        """What it takes to compute so many samples, over what any run needs: a road from a log is not computed at any price."""
+        """Returns the effort for so many samples, over the largest of any run: roads from logs are not computed at any price."""
         return 0.0
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
-        """Whether a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
+        """Checks that a vehicle can be driven over it at these sample times from 0 [s], and feels it. A flat one is fine.
 
         Raises:
-            InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or hardly moves.
+            InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or is too low.
         """
         timestep = float(time[1])
         if self.duration < 2 * timestep:
@@ -142,7 +142,7 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
 
 @dataclass(frozen=True)
 class Bump(Road):
-    """The isolated bump (61): one period of a cosine. Defaults are the paper's (62).
+    """Isolated bump (61): one period of a cosine. Defaults are the paper's (62).
 
     Attributes:
         height: A [m].
@@ -164,22 +164,22 @@ class Bump(Road):
 
     @property
     def duration(self) -> float:
-        """How long a wheel is on it, L / V [s]."""
+        """Time of a wheel on the bump, L / V [s]."""
         return self.length / self.speed
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Equation (61)."""
+        """Returns equation (61)."""
         on = self._on(t, side)
         return np.where(on, self.height / 2 * (1 - np.cos(2 * np.pi * t / self.duration)), 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Derivative of (61)."""
+        """Returns the derivative of (61)."""
         on = self._on(t, side)
         return np.where(on, self.height * np.pi / self.duration * np.sin(2 * np.pi * t / self.duration), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Its two ends."""
+        """Both ends."""
         return (0.0, self.duration)
 
     def describe(self) -> dict[str, float | str]:
@@ -187,7 +187,7 @@ class Bump(Road):
         return {"type": "bump", **asdict(self)}
 
     def scaled(self, factor: float) -> "Bump":
-        """The same bump, higher or lower."""
+        """Returns the bump higher or lower."""
         return replace(self, height=self.height * factor)
 
     def _on(self, t: Array, side: str) -> Array:
@@ -195,12 +195,12 @@ class Bump(Road):
 
 
 @dataclass(frozen=True)
-class Scaled(Road):
-    """A road whose heights are multiplied.
+class ScaledRoad(Road):
+    """Road with multiplied heights.
 
     Attributes:
         road: the road.
-        factor: what its heights are multiplied by.
+        factor: factor on its heights.
     """
 
     road: Road
@@ -208,54 +208,54 @@ class Scaled(Road):
 
     @property
     def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the road [m/s]."""
+        """Speed on the road [m/s]."""
         return self.road.speed
 
     @property
     def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That of the road."""
+        """Track of the road."""
         return self.road.track
 
     @property
     def duration(self) -> float:
-        """That of the road [s]."""
+        """Duration of the road [s]."""
         return self.road.duration
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The multiplied height."""
+        """Returns the multiplied height."""
         return self.factor * self.road.displacement(t, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """The multiplied velocity."""
+        """Returns the multiplied velocity."""
         return self.factor * self.road.velocity(t, side)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Those of the road."""
+        """Kinks of the road."""
         return self.road.kinks
 
     def describe(self) -> dict[str, float | str]:
-        """The road and the factor."""
+        """Returns the road's description and the factor."""
         return {**self.road.describe(), "factor": self.factor}
 
-    def scaled(self, factor: float) -> "Scaled":
-        """The same road, higher or lower."""
-        return Scaled(self.road, self.factor * factor)
+    def scaled(self, factor: float) -> "ScaledRoad":
+        """Returns the road higher or lower."""
+        return ScaledRoad(self.road, self.factor * factor)
 
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
-    """How much later than the first wheel each wheel meets the road [s]."""
+    """Returns the delay of each wheel after the first one [s]."""
     return [road.later(wheel, vehicle.parameters) for wheel in vehicle.kind.wheels]
 
 
 def track_width(vehicle: Vehicle) -> float:
-    """From the rightmost wheel to the leftmost [m]; 0 where the vehicle has only one track."""
+    """Returns the distance from the rightmost wheel to the leftmost [m]; 0 for a vehicle with one track."""
     lateral = [wheel.lateral(vehicle.parameters) for wheel in vehicle.kind.wheels]
     return max(lateral) - min(lateral)
 
 
 def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: Vehicle, t: Array) -> Array:
-    """A road's `displacement` or `velocity` under every wheel of a vehicle, shape (T, r), at times t [s] of shape (T,).
+    """Returns a road's `displacement` or `velocity` under every wheel, shape (T, r), at times t [s] of shape (T,).
 
     Args:
         function: `road.displacement` or `road.velocity`.
@@ -263,13 +263,13 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
         vehicle: r wheels.
         t: times [s].
     """
-    met = [(delay, road.met_by(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
-    return np.stack([function(t - delay, what) for delay, what in met], axis=-1)
+    tracks = [(delay, road.met_by(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
+    return np.stack([function(t - delay, track) for delay, track in tracks], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class RoadInput:
-    """A road and its loads as they act on a vehicle at the samples of a run, each computed once, when it is first asked for.
+    """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
 
     Attributes:
         vehicle: r wheels, and a body that l loads push.
@@ -288,7 +288,7 @@ class RoadInput:
 
     @property
     def loaded(self) -> bool:
-        """Whether there are loads."""
+        """True if there are loads."""
         return self.road.loaded
 
     @cached_property
@@ -317,5 +317,5 @@ class RoadInput:
         return self.road.loads(self.vehicle, self.time + self.timestep / 2)
 
     def scaled(self, share: float) -> "RoadInput":
-        """Returns the same with the heights and loads multiplied."""
+        """Returns the input with heights and loads multiplied."""
         return replace(self, road=self.road.scaled(share))

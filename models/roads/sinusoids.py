@@ -1,4 +1,4 @@
-"""Roads of sinusoids: many at once, a single one for the worst case, and one whose frequency rises."""
+"""Roads of sinusoids: sums, a single one for the worst case, and a sweep with rising frequency."""
 
 import math
 from dataclasses import asdict, dataclass, replace
@@ -11,12 +11,12 @@ from models.roads.road import LIMITS, Road, check_numbers
 
 MOST_SINES = 200_000_000  # lines times samples
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
-MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # what they are called in a log
+MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
 
 
 @dataclass(frozen=True)
 class Multisine(Road):
-    """A sum of sinusoids that begins at time 0 at its own height there; before, the road is flat.
+    """Sum of sinusoids that begins at time 0 at its own height there; before, the road is flat.
 
         z_r(t) = s(t) - s(0),    s(t) = sum of a_i sin(omega_i t + phi_i),    t >= 0.
 
@@ -25,7 +25,7 @@ class Multisine(Road):
         amplitudes: a_i [m].
         phases: phi_i [rad].
         speed: forward velocity [m/s].
-        name: what it is called in a log, one of `MULTISINES`.
+        name: its name in a log, one of `MULTISINES`.
     """
 
     omega: tuple[float, ...]
@@ -35,21 +35,21 @@ class Multisine(Road):
     name: str = "multisine"
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The sum. Every side has the same."""
+        """Returns the sum, the same on both sides."""
         start = float(np.dot(self.amplitudes, np.sin(self.phases)))
         return np.where(t >= 0, self._sum(t, np.asarray(self.amplitudes), 0.0) - start, 0.0)
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its exact derivative."""
+        """Returns the exact derivative."""
         return np.where(t >= 0, self._sum(t, np.multiply(self.amplitudes, self.omega), np.pi / 2), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Where it begins: the velocity jumps. After that it is smooth."""
+        """The beginning, at which the velocity jumps. After that the road is smooth."""
         return (0.0,)
 
     def describe(self) -> dict[str, Any]:
-        """How many lines, from where to where, how large, and every one of them."""
+        """Returns number, range and rms of the lines, and every one of them."""
         return {
             "type": self.name,
             "lines": len(self.omega),
@@ -63,21 +63,21 @@ class Multisine(Road):
         }
 
     def scaled(self, factor: float) -> "Multisine":
-        """The same road, higher or lower."""
+        """Returns the road higher or lower."""
         return replace(self, amplitudes=tuple(factor * a for a in self.amplitudes))
 
     def cost(self, samples: int) -> float:
-        """Every line is evaluated at every sample."""
+        """Returns the number of lines times samples, over the largest of any run."""
         return len(self.omega) * samples / MOST_SINES
 
     def to_height(self, height: float, time: Array) -> "Multisine":
-        """The same road, scaled so that over these times [s] it reaches this height [m], either way."""
+        """Returns the road scaled to a peak [m], either way, over these times [s]."""
         return self.scaled(height / float(np.abs(self.displacement(time)).max()))
 
     def _sum(self, t: Array, amplitudes: Array, ahead: float) -> Array:
         phases, omega = np.asarray(self.phases) + ahead, np.asarray(self.omega)
         flat = np.ravel(t)
-        total = [np.sin(np.multiply.outer(some, omega) + phases) @ amplitudes for some in _blocks(flat, len(omega))]
+        total = [np.sin(np.multiply.outer(block, omega) + phases) @ amplitudes for block in _blocks(flat, len(omega))]
         return np.concatenate(total).reshape(np.shape(t))
 
 
@@ -86,7 +86,7 @@ def _blocks(t: Array, lines: int) -> list[Array]:
 
 
 def chirp(omega: Array, period: float, speed: float) -> Multisine:
-    """Lines of equal velocity with Schroeder's phases: a periodic chirp, with hardly a peak.
+    """Returns lines of equal velocity with Schroeder's phases: a periodic chirp without high peaks.
 
     M. R. Schroeder (1970), IEEE Trans. Inf. Theory 16, 85-89: the phases make the group delay of a line the share of the power
     below it, so the lines take turns over the period: phi_i = -T sum over l < i of p_l (omega_i - omega_l), here p_l = 1/F.
@@ -102,7 +102,7 @@ def chirp(omega: Array, period: float, speed: float) -> Multisine:
 
 
 def random_road(omega: Array, seed: int, speed: float) -> Multisine:
-    """Lines of equal velocity with random phases.
+    """Returns lines of equal velocity with random phases.
 
     Args:
         omega: angular frequencies [rad/s], shape (F,).
@@ -113,7 +113,7 @@ def random_road(omega: Array, seed: int, speed: float) -> Multisine:
 
 
 def sinusoid(omega: float, speed: float) -> Multisine:
-    """One line that starts from standstill: z_r = 1 - cos(omega t) [m]."""
+    """Returns one line that starts from standstill: z_r = 1 - cos(omega t) [m]."""
     return Multisine((omega,), (1.0,), (-np.pi / 2,), speed, "sinusoid")
 
 
@@ -123,7 +123,7 @@ def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
 
 @dataclass(frozen=True)
 class SineSweep(Road):
-    """A sine whose frequency f rises by the same factor every second, and whose height falls as 1/f.
+    """Sine whose frequency f rises by the same factor every second, and whose height falls as 1/f.
 
         z_r = amplitude exp(-k t) sin(2 pi lowest (exp(k t) - 1) / k),    k = ln(highest / lowest) / duration.
 
@@ -133,7 +133,7 @@ class SineSweep(Road):
         amplitude: at the beginning [m].
         lowest, highest: f at the beginning and at the end [Hz].
         duration: from one to the other [s]; then the road is level.
-        speed: V [m/s]; only the later wheels of a vehicle notice.
+        speed: V [m/s]; it matters only for the delays of the rear wheels.
 
     Raises:
         InputError: a number beyond its limits.
@@ -150,19 +150,19 @@ class SineSweep(Road):
         check_numbers("sweep", self, limits | {"duration": (0.1, 1e4), "speed": LIMITS["speed"]})
 
     def displacement(self, t: Array, side: str = "") -> Array:
-        """The sweep. Every side has the same; at its end it stays where it is."""
+        """Returns the sweep, the same on both sides; it stays at its last height."""
         t = np.clip(t, 0.0, self.duration)
         return self.amplitude * np.exp(-self._rate * t) * np.sin(self._angle(t))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Its exact derivative."""
+        """Returns the exact derivative."""
         on, s = (t >= 0) & (t <= self.duration), np.clip(t, 0.0, self.duration)
         fading = self._rate * np.exp(-self._rate * s) * np.sin(self._angle(s))
         return np.where(on, self.amplitude * (2 * np.pi * self.lowest * np.cos(self._angle(s)) - fading), 0.0)
 
     @property
     def kinks(self) -> tuple[float, ...]:
-        """Its beginning and its end."""
+        """Both ends."""
         return (0.0, self.duration)
 
     def describe(self) -> dict[str, float | str]:
@@ -170,7 +170,7 @@ class SineSweep(Road):
         return {"type": "sweep", **asdict(self)}
 
     def scaled(self, factor: float) -> "SineSweep":
-        """The same sweep, higher or lower."""
+        """Returns the sweep higher or lower."""
         return replace(self, amplitude=self.amplitude * factor)
 
     @property

@@ -1,4 +1,4 @@
-"""What is known of a random road before its phases are drawn: how rough it is, and how much one track has of the other."""
+"""Spectrum of a random road, and coherency of its two tracks."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from models.common.arrays import Array
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The spectrum of a random road that is driven at constant speed.
+    """Spectrum of a random road that is driven at constant speed.
 
     Attributes:
         density: one-sided, of the road's vertical velocity, which is white within the band [(m/s)^2/Hz].
-        band: where it lies, from and to [rad/s].
+        band: its ends [rad/s].
         speed: V [m/s].
-        length: after this distance the road repeats: it is a sum of lines, 1 / length apart [m].
+        length: distance after which the road repeats: it is a sum of lines, 1 / length apart [m].
         track_width: from the right track to the left [m].
     """
 
@@ -26,12 +26,12 @@ class Spectrum:
     track_width: float
 
     def coherency(self, omega: Array) -> Array:
-        """Of the two tracks, at angular frequencies [rad/s], shape like omega."""
+        """Returns the coherency of the two tracks at angular frequencies [rad/s], shape like omega."""
         return coherency(omega / (2 * np.pi * self.speed), self.track_width)
 
 
 def coherency(n: Array, width: float) -> Array:
-    """Coherency of two tracks of an isotropic surface, x K_1(x) with x = 2 pi n b (see `iso8608`), shape like n.
+    """Returns the coherency of two tracks of an isotropic surface, x K_1(x) with x = 2 pi n b (see `iso8608`), shape like n.
 
     Args:
         n: spatial frequencies [cycle/m].
