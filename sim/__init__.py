@@ -1,4 +1,4 @@
-"""What a run is: roads, MuJoCo, the linear response, their comparison, logs, and the commands.
+"""Runs of vehicles: roads, MuJoCo, the linear response, their comparison, logs, and the commands.
 
 Public names, imported when they are first used; all units are SI:
 

@@ -55,7 +55,7 @@ def table() -> list[str]:
 
 
 def roadproof() -> NoReturn:
-    """What is installed as `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
+    """Runs the installed `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
     asked = sys.argv[1:]
     sys.argv[0] = "-m"
     interrupt.quiet_start()

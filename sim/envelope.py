@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _nearest_runs(
     vehicle: "Vehicle", controller: "Controller", cells: "Cells", time: "Array", loads: "tuple[Load, ...]"
 ) -> "dict[str, Run]":
-    """Of the cells where nothing breaks the one nearest to breaking, and of those where an end comes first the mildest."""
+    """Runs the cell nearest to an event among those without one, and the mildest cell of each first event."""
     import numpy as np
 
     from sim.response.regime import END_NAMES

@@ -127,7 +127,7 @@ def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargi
 
 
 def _which_loop(vehicle: "Vehicle") -> str:
-    """Which loop has these margins, and which the norms of other vehicles, where the vehicle file says more than parameters."""
+    """Describes the loop of these margins, and that of other vehicles' norms, if the vehicle file has more than parameters."""
     from models.suspension.fitted_curves import lines_at_rest
     from sim.linear.nonlinear_elements import bent_at_rest
 

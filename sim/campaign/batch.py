@@ -34,14 +34,14 @@ from synth.plant.discrete import held_inputs
 
 
 class Twin:
-    """The exact linear responses of the runs, sampled as in `sim.linear.sampled_response`, beside them and as fast.
+    """Exact linear responses of the runs, sampled as in `sim.linear.sampled_response`, computed beside them and as fast.
 
-    Sums run over states one by one, as in `sim.physics.simulate`. A controller that is more than a gain, a vehicle with curves,
-    and one with adjustable dampers that are asked for forces, which is no linear one then, have no twin here.
+    Sums run over states one by one, as in `sim.physics.simulate`. There is no such response here for a controller that is more
+    than a gain, for a vehicle with curves, or for active forces through adjustable dampers.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], watched: Watched, first: int | None, loaded: bool) -> None:
-        """Of runs that are watched, measured from sample `first` on, as a `Meter` does; not at all, if that is None."""
+        """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
         timestep = watched.timestep
@@ -144,7 +144,7 @@ def _applied(matrix: Array, inputs: Array) -> Array:
 
 
 def _row(row: Array, inputs: Array) -> Array:
-    """One row of such a matrix, shape (r, N), on inputs (B, r, N), shape (B, N)."""
+    """Returns the product of a row of such a matrix, shape (r, N), and inputs (B, r, N), shape (B, N)."""
     total = np.zeros((len(inputs), row.shape[1]))
     for j in np.flatnonzero(row.any(axis=1)):
         total += row[j] * inputs[:, j]
@@ -157,7 +157,7 @@ FAILED = "law: "  # how the reason begins why a run's law in Python has failed
 
 
 def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> Rows | None:
-    """The rows of some runs of one vehicle, None where it was stopped.
+    """Returns the rows of some runs of one vehicle, or None if stopped.
 
     Args:
         plan: the campaign.
@@ -262,7 +262,7 @@ def _roughness(campaign: Campaign, choice: RoadChoice, vehicle: Vehicle, speed: 
 
 
 class _Expectations:
-    """What is expected over random roads, and how far runs are from it when measuring begins, each made once."""
+    """Cache of expected metrics over random roads, and of remaining transients when measuring begins."""
 
     def __init__(self, campaign: Campaign) -> None:
         self.campaign = campaign

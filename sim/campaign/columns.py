@@ -25,11 +25,11 @@ ROOT = "of a root of a mean square the root of the expected mean square"
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
+    """Column of the results.
 
     Attributes:
         kind: int, float or str.
-        about: what else there is to know of it: its `unit`, its `definition` and, of an approximate expectation, `approximate`.
+        about: its `unit`, its `definition` and, for an approximate expectation, `approximate`.
     """
 
     kind: type
@@ -81,7 +81,7 @@ def columns(campaign: Campaign) -> dict[str, Column]:
 
 
 def described(campaign: Campaign) -> dict[str, dict[str, str]]:
-    """What the columns are, as a folder's manifest keeps it: their types, and what else there is to know of them."""
+    """Describes the columns, as a folder's manifest keeps them: types and properties."""
     return {name: {"type": column.kind.__name__, **column.about} for name, column in columns(campaign).items()}
 
 

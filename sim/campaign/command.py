@@ -1,4 +1,4 @@
-"""What `sim.campaign` does: it runs a campaign, or checks a finished one."""
+"""The command `sim.campaign`: runs a campaign, or checks a finished one."""
 
 import argparse
 import json
@@ -144,11 +144,11 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, str]:
-    """How many runs there are, what --verify found, and what there is to say of the campaign file.
+    """Returns the number of runs, the result of --verify, and a remark on the campaign file.
 
     Raises:
-        InputError: there is no finished campaign, or not all that it names is here.
-        FaultError: its folder's files are not what they were.
+        InputError: there is no finished campaign, or a file that it names is missing.
+        FaultError: its folder's files were changed.
     """
     manifest = read_manifest(folder, FINISHED)
     if manifest is None:
@@ -216,5 +216,5 @@ def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:
 
 
 def _versions() -> dict[str, str]:
-    """Of the packages that decide the numbers."""
+    """Returns the versions of the packages that decide the numbers."""
     return {name: version for name, version in versions().items() if name in NUMBERS}

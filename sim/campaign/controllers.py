@@ -22,21 +22,21 @@ Controllers = Mapping[str, Mapping[str, Driver]]  # by vehicle and name
 
 
 def designed(campaign: Campaign) -> Controllers:
-    """Those of a campaign that begins.
+    """Returns the controllers of a new campaign, by vehicle and name.
 
     Raises:
         InputError: one cannot be designed, or the file of a law cannot be read.
     """
-    found = {}
+    controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
         controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design)
         say_false_claims(controllers)
-        found[name] = dict(zip(campaign.controllers, controllers, strict=True))
-    return found
+        controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
+    return controllers_by_vehicle
 
 
 def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
-    """Those that a campaign began with. Nothing is run.
+    """Returns the controllers that a campaign began with. Nothing is run.
 
     Args:
         campaign: the campaign.
@@ -69,10 +69,10 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
 
 
 def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
-    """A controller of an entry of `sim.campaign.manifest.gains_of` again, certified.
+    """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`.
 
     Raises:
-        FaultError: it is none of the vehicle.
+        FaultError: the entry does not fit the vehicle.
     """
     try:
         return designer.given(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))

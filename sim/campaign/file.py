@@ -30,13 +30,13 @@ WIDEST = 3.0  # standard deviations; a normal distribution is cut there
 
 @dataclass(frozen=True)
 class Distribution:
-    """How a parameter is spread.
+    """Distribution of a parameter.
 
     Attributes:
         name: of the parameter.
         shape: "uniform", from a to b, or "normal", of mean a and standard deviation b, cut at three of them.
-        a, b: in SI; multiples of each vehicle's own value where relative.
-        relative: whether they are.
+        a, b: in SI, or multiples of each vehicle's own value.
+        relative: True for multiples.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Distribution:
         return (self.a, self.b) if self.shape == "uniform" else (self.a - WIDEST * self.b, self.a + WIDEST * self.b)
 
     def value(self, quantile: Array) -> Array:
-        """Its quantiles, for shares in 0 to 1."""
+        """Returns the quantiles for shares from 0 to 1."""
         if self.shape == "uniform":
             return self.a + (self.b - self.a) * quantile
         from scipy import special
@@ -154,12 +154,12 @@ def _check_distribution(distribution: Distribution, name: str, vehicle: Vehicle)
 
 
 def _values(vehicle: Vehicle) -> dict[str, float]:
-    """What can be sampled of a vehicle, and what it has."""
+    """Returns the vehicle's values that can be sampled."""
     return {**vehicle.parameters, **{name: value for name, (value, _) in _of_dampers(vehicle).items()}}
 
 
 def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
-    """What can be sampled of adjustable dampers, and the forces whose it is: of each that has a number, of all that share one."""
+    """Maps each sampled damper parameter to its value and forces: an entry per damper with a number, and one for all if equal."""
     found: dict[str, tuple[float, list[str]]] = {}
     for name in OF_DAMPERS:
         # A limit that is a curve is no number.
@@ -172,10 +172,10 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
 
 
 def read_number(value: Any, where: str, smallest: float, largest: float) -> float:
-    """A number of a campaign file, within limits.
+    """Reads a number of a campaign file, within limits.
 
     Raises:
-        InputError: it is none, or beyond them.
+        InputError: the value is not a number, or beyond them.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
         raise InputError(f"{where}: {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}")
@@ -195,7 +195,7 @@ def with_sample(vehicle: Vehicle, sample: Mapping[str, float]) -> Vehicle:
 
 
 def _ending(vehicle: Vehicle, force: str) -> str:
-    """Of the names at the suspension that a force belongs to."""
+    """Returns the suffix of signal names at the suspension of this force."""
     return next(one.ending for one in vehicle.adjustable if one.force == force)
 
 
@@ -238,7 +238,7 @@ class Campaign:
 
     @property
     def loaded(self) -> bool:
-        """Whether a body is pushed on any of its roads: then the angles of all are measured."""
+        """Returns True if any of its roads has loads: then the angles of all bodies are measured."""
         return any(road.loads for road in self.roads)
 
     @property
@@ -368,7 +368,7 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Whether nothing is named twice, in the same words or in others: its runs would count twice.
+    """Checks that nothing is named twice, in the same words or in others: its runs would count twice.
 
     Args:
         key: of the list.
@@ -387,7 +387,7 @@ def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> N
 
 
 def _what_it_is(road: RoadChoice, vehicle: Vehicle) -> Hashable:
-    """What tells one road from another, in whatever words they were asked for."""
+    """Returns a key that is equal for equal roads, whatever their text."""
     alone = replace(road, loads=())
     of_road = _measured(alone) or sorted(alone.build(vehicle, 20.0, 0, 1.0).describe().items())
     return (*of_road, *(load.content for load in road.loads))

@@ -1,9 +1,9 @@
-"""Runs of laws in Python, in a process of their own: whatever such a law does, ends that process at most, and no campaign.
+"""Runs of laws in Python, in a process of their own: such a law can end that process at most, and no campaign.
 
-`python -m sim.campaign.law_process` is that process. It reads the plan, then the first run of a batch and that behind its last,
-line by line, and writes the rows as JSON, with what was asked: an answer to anything else is none, and ends it. A child that a
-law forks answers nothing. Its stdout is kept for the answers: what a law prints, by whatever way, goes to stderr. Of a batch
-whose process ends every run is done again alone, so that only those are lost that end theirs.
+`python -m sim.campaign.law_process` is that process. It reads the plan, then the first run of a batch and the one behind its
+last, line by line, and writes the rows as JSON, with the batch: an answer to another batch is invalid, and ends the process. A
+child that a law forks answers nothing. Its stdout is kept for the answers: all that a law prints goes to stderr. If the process
+of a batch ends, every run of it is repeated alone, so that only the runs that end theirs are lost.
 """
 
 import io
@@ -76,7 +76,7 @@ class Asides:
         return rows
 
     def _process(self) -> "_Process":
-        """That of this thread."""
+        """Returns the process of this thread."""
         process = getattr(self._own, "process", None)
         if process is None or process.ended:
             self._own.process = process = _Process(self.payload)
@@ -88,7 +88,7 @@ _of_worker: list[Asides] = []
 
 
 def of_worker(plan: Plan) -> Asides:
-    """Those of a process that works for a cluster, as long as it has batches of one plan."""
+    """Returns the processes of a cluster's worker, as long as it has batches of one plan."""
     made = Asides(plan)
     if not _of_worker or _of_worker[0].payload != made.payload:
         for other in _of_worker:
@@ -98,7 +98,7 @@ def of_worker(plan: Plan) -> Asides:
 
 
 class _Process:
-    """One such process, seen from outside."""
+    """Process of laws, seen from outside."""
 
     def __init__(self, payload: bytes) -> None:
         known = os.environ.get("PYTHONPATH")
@@ -115,7 +115,7 @@ class _Process:
         self._tell(payload)
 
     def rows(self, start: int, stop: int, stopped: Callable[[], bool]) -> Rows | None:
-        """The rows of a batch, None where it was stopped.
+        """Returns the rows of a batch, or None if stopped.
 
         Raises:
             EndedError: the process has ended.
@@ -179,7 +179,7 @@ class _Process:
 
 
 def answer_to(line: bytes, start: int, stop: int) -> dict[str, Any]:
-    """What a line says of a batch; nothing where it is no answer to that question."""
+    """Returns the answer in a line for this batch; empty if it is no answer to it."""
     try:
         said = json.loads(line)
         asked, runs = said["batch"] == [start, stop], [row["run"] for row in said.get("rows", [])]
@@ -219,7 +219,9 @@ def main() -> None:
 
 
 def _kept(number: int, mode: int) -> BinaryIO:
-    """What a file descriptor leads to, for us alone: under its own number stdin is empty, and stdout is stderr, for any code."""
+    """Returns a private copy of a file descriptor; under its own number stdin then is empty, and stdout is stderr, for any
+    code.
+    """
     kept = os.fdopen(os.dup(number), "rb" if mode == os.O_RDONLY else "wb")
     other = os.open(os.devnull, mode) if mode == os.O_RDONLY else os.dup(2)
     os.dup2(other, number)

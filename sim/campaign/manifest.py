@@ -1,6 +1,6 @@
-"""What a results folder says of its campaign: what it was made from, the gains that are driven, what it came to; under a seal.
+"""Manifest of a results folder: sources of the campaign, the gains that are driven, and the results; under a seal.
 
-The seal is a checksum: it tells what was damaged, or edited by hand, not who wrote it. That is `sim.campaign --verify`'s to find.
+The seal is a checksum: it shows damage or edits by hand, not the author. `sim.campaign --verify` is there for that.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ ELSEWHERE = "name another folder, empty or new, with --results, or remove what i
 
 
 class FaultError(InputError):
-    """What a folder holds is not what a campaign wrote there: damaged, or edited."""
+    """Folder contents that differ from those that a campaign wrote: damaged, or edited."""
 
 
 # Of every vehicle's controllers: what they measure, and the gain, or which law in Python, and the checksum of its file.
@@ -35,16 +35,16 @@ Gains = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Manifest:
-    """What is known of a campaign when it begins and, with its results, when it has ended.
+    """Data of a campaign at its beginning and, with its results, at its end.
 
     Attributes:
-        file: the campaign file, as it was named when the campaign began, absolute.
+        file: absolute path of the campaign file when the campaign began.
         digest: of everything that decides the numbers; see `digest`.
         versions: of the packages that do.
         campaign: the campaign file's text.
         controllers: the gains.
-        columns: what each column of the results is, by name; see `sim.campaign.columns.described`.
-        runs: how many there are.
+        columns: description of each column of the results, by name; see `sim.campaign.columns.described`.
+        runs: number of runs.
         results: checksum of the finished file (SHA-256); empty before.
     """
 
@@ -76,14 +76,14 @@ class Manifest:
 
 
 def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
-    """What a folder says of its campaign; None where there is nothing in it yet.
+    """Returns the manifest of a folder, or None if the folder is empty.
 
     Args:
         folder: of the results.
-        instead: what to do where it is no campaign's, or not one that can be read, for the message.
+        instead: advice of the message, if the folder has no readable campaign.
 
     Raises:
-        InputError: it holds something else, a campaign of another format, or what it says is damaged or was edited.
+        InputError: it holds something else, a campaign of another format, or a damaged or edited manifest.
     """
     path = folder / NAME
     if not path.is_symlink() and not path.exists():
@@ -113,7 +113,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
 
 
 def _is_its_kind(name: str, value: Any) -> bool:
-    """Whether a manifest's entry is of the type that it must be, and so is all that is in it."""
+    """Returns True if a manifest's entry and its parts have the required types."""
 
     def by_text(value: Any, of: Callable[[Any], bool]) -> bool:
         return isinstance(value, dict) and all(of(each) for each in value.values())
@@ -160,7 +160,7 @@ def check_same(
     columns: Mapping[str, Mapping[str, str]],
     instead: str = ELSEWHERE,
 ) -> None:
-    """Whether a campaign can go on in a folder; `instead` is what to do where it cannot, for the message.
+    """Checks that a campaign can continue in a folder; `instead` is the advice of the message.
 
     Raises:
         InputError: the folder holds another campaign, one by other versions, or one whose results have other columns.
@@ -182,7 +182,7 @@ def check_same(
 
 
 def digest(sources: str) -> str:
-    """What tells one campaign from another."""
+    """Returns the checksum that identifies a campaign."""
     return hashlib.sha256(sources.encode()).hexdigest()
 
 

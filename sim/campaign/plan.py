@@ -22,7 +22,7 @@ FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 1
 
 @dataclass(frozen=True)
 class RunKey:
-    """One run of a campaign, by index into its lists."""
+    """Indices of a run into the lists of its campaign."""
 
     vehicle: int
     controller: int
@@ -58,7 +58,7 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """How many runs there are."""
+        """Returns the number of runs."""
         return self._blocks[-1][0]
 
     @cached_property
@@ -66,14 +66,14 @@ class Plan:
         return np.array([block[0] for block in self._blocks])
 
     def key(self, run: int) -> RunKey:
-        """What run it is."""
+        """Returns the key of a run."""
         start, v, k, r, s = self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1]
         seeds = len(self.campaign.seeds) if self.campaign.roads[r].random else 1
         sample, seed = divmod(run - start, seeds)
         return RunKey(v, k, r, s, sample, seed)
 
     def programmed(self, run: int) -> bool:
-        """Whether a law in Python drives it."""
+        """Returns True if a law in Python drives the run."""
         return self._programmed(*self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1][1:3])
 
     def _programmed(self, vehicle: int, controller: int) -> bool:
@@ -99,7 +99,7 @@ class Plan:
                 start = end
 
     def inputs(self, key: RunKey) -> dict[str, Any]:
-        """What a run is, as its row says."""
+        """Returns the inputs of a run as its row has them."""
         c = self.campaign
         name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
         sample = c.samples[name][key.sample]
@@ -115,7 +115,7 @@ class Plan:
 
 
 class PlannedRun:
-    """One run, with everything that it needs."""
+    """Run with everything that it needs."""
 
     def __init__(self, plan: Plan, key: RunKey, vehicle: Vehicle) -> None:
         c = plan.campaign
@@ -128,7 +128,7 @@ class PlannedRun:
 
 
 class Progress:
-    """How many runs are done, how fast, how long it will take, and how many the next batch should have."""
+    """Progress of a campaign: runs done, speed, remaining time, and size of the next batch."""
 
     def __init__(self, plan: Plan, total: int, most: int, tell: Callable[[str], None]) -> None:
         self.steps, self.total, self.done, self.began = len(plan.campaign.time), total, 0, time.monotonic()
@@ -140,7 +140,7 @@ class Progress:
         return self.done * self.steps / max(time.monotonic() - self.began, 1e-9)
 
     def next_batch(self) -> int:
-        """How many runs the next batch has: as many as a worker does in the time that an interruption may cost."""
+        """Returns the size of the next batch: as many runs as a worker does in the time that an interruption may cost."""
         return self._next
 
     def add(self, runs: int, took: float) -> None:

@@ -83,7 +83,7 @@ class Store:
 
     @property
     def finished(self) -> bool:
-        """Whether all is done."""
+        """Returns True if all runs are done."""
         return bool(self.manifest.results)
 
     def check_results(self) -> None:
@@ -217,7 +217,7 @@ class Store:
         return table
 
     def _table(self, part: Part, names: Sequence[str]) -> pa.Table | None:
-        """Columns of a part, with the number of the run; None where it is not what its name says."""
+        """Returns columns of a part, with the number of the run, or None if its content differs from the checksum in its name."""
         try:
             content = read_bytes(part.path, "results", LARGEST, "")
         except InputError:

@@ -1,7 +1,7 @@
-"""Whether a finished campaign's results are what its campaign comes to: every row's inputs, and a sample of runs driven again.
+"""Verification of a finished campaign's results: every row's inputs, and a sample of runs driven again.
 
-What the checksums in a folder cannot show, that somebody made them anew around other numbers, this does, with the chance that the
-sample has.
+Checksums in a folder cannot show that somebody recomputed them around other numbers. This does, with the probability that the
+sample gives.
 """
 
 import json
@@ -31,13 +31,13 @@ ASIDE = 0.987  # so that none is that of a pole which stands on the axis
 
 @dataclass(frozen=True)
 class Verified:
-    """What was found.
+    """Result of a verification.
 
     Attributes:
-        rows: how many there are.
+        rows: number of rows.
         again: the runs that were driven again.
-        faults: what is not as it should be, in words; empty where all is.
-        left_out: how many of those that were drawn were not, as a law in Python drives them whose code nobody has asked for.
+        faults: differences, in words; empty if there are no faults.
+        left_out: number of drawn runs that were not repeated, because of a law in Python whose execution was not requested.
     """
 
     rows: int
@@ -102,7 +102,9 @@ def _gains(plan: Plan) -> list[str]:
 
 
 def _same_law(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
-    """Whether two of `gains_of` measure the same, and do the same to rounding: states have no coordinates of their own."""
+    """Returns True if two entries of `gains_of` measure the same and respond the same to rounding, in any coordinates of their
+    states.
+    """
     if set(there) != set(here) or there["measured"] != here["measured"]:
         return False
     one, two = law_of(there), law_of(here)
@@ -128,7 +130,7 @@ def _asked(law: LinearLaw) -> list[float]:
 
 
 def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:
-    """Whether there is one row a run, in order, with the columns that it must have."""
+    """Checks that there is one row per run, in order, with the required columns."""
     written = store.written_schema()
     if not written.equals(store.schema) or any(
         one.metadata != other.metadata for one, other in zip(written, store.schema, strict=True)

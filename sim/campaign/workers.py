@@ -86,10 +86,10 @@ def cluster(address: str) -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """Whether anything listens there: Ray itself would look for it for minutes.
+    """Checks that a server listens at an address: Ray itself would look for it for minutes.
 
     Raises:
-        InputError: nothing does, or it is no address.
+        InputError: there is no server, or the text is no address.
     """
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):

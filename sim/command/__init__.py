@@ -1,1 +1,1 @@
-"""What several commands share: their options, the choice of controllers, logs, and viewers."""
+"""Parts shared by commands: options, the choice of controllers, logs, and viewers."""

@@ -1,4 +1,4 @@
-"""What `sim.bump` can be asked for."""
+"""Options of `sim.bump`."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -40,7 +40,7 @@ def parser() -> Parser:
 
 
 def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
-    """What a log of these options holds."""
+    """Returns the log that these options lead to."""
     from sim.command.road_options import Asked
     from sim.runs.run import sample_times
 
@@ -56,7 +56,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
 
 def asked_road(options: argparse.Namespace) -> "Bump":
-    """The bump that was asked for."""
+    """Returns the requested bump."""
     from models.roads.road import Bump
 
     return Bump(options.height, options.length, options.speed, options.track)

@@ -1,4 +1,4 @@
-"""What commands share that drive controllers: which are driven, what is said of them, their text, their view and their logs."""
+"""Parts shared by commands that drive controllers: their choice, warnings, text, view and logs."""
 
 import argparse
 import sys
@@ -59,9 +59,9 @@ def programmed(vehicle: Vehicle, name: str) -> Programmed:
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:
-    """One line on stderr for every controller whose certificate does not hold, and for one that does not keep its goals.
+    """Warns on stderr of every controller whose certificate does not hold, or that misses its goals.
 
-    It is driven all the same.
+    Such a controller is driven all the same.
     """
     for one in controllers:
         if isinstance(one, Controller) and one.false_claims:
@@ -142,7 +142,7 @@ def recorded(
 
 
 def log_lines(logs: Mapping[str, str | None]) -> list[str]:
-    """Where a command has recorded, and how to open it; none where it has not."""
+    """Returns lines with the recorded files and how to open them; empty if nothing was recorded."""
     paths = {name: Path(path) for name, path in logs.items() if path}
     if not paths:
         return []

@@ -1,4 +1,4 @@
-"""What `sim.drive` can be asked for."""
+"""Options of `sim.drive`."""
 
 import argparse
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ def parser() -> Parser:
 
 
 def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
-    """What a log of these options holds. Of a file of a road or a load only the name: it is not read."""
+    """Returns the log that these options lead to. Files of roads and loads are compared by name, and not read."""
     from models.roads.choice import choose_road
     from sim.command.road_options import Asked, same_path
     from sim.runs.run import sample_times
@@ -76,7 +76,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
 
 def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
-    """The road that was asked for, if it can be driven."""
+    """Returns the requested road, if it can be driven."""
     from models.roads.choice import choose_road
     from models.roads.load_choice import choose_load
 
@@ -95,7 +95,7 @@ def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -
 
 
 def _road_text(options: argparse.Namespace) -> str:
-    """Which road was asked for."""
+    """Returns the text of the requested road."""
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
     if options.road is not None:

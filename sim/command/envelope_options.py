@@ -1,4 +1,4 @@
-"""What `sim.envelope` can be asked for."""
+"""Options of `sim.envelope`."""
 
 import argparse
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ def parser() -> Parser:
 
 
 def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
-    """What a log of these options holds: some of the cells."""
+    """Returns the log that these options lead to: some of the cells."""
     from models.figures.outputs import written
     from models.roads.road import Bump
     from sim.command.road_options import Asked
@@ -81,7 +81,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
 
 def nearest_run(controller: str, end: int) -> str:
-    """What a run is called by what broke first, of `REGIME_ENDS`; -1 for nothing."""
+    """Returns the name of a run by its first event, an index into `REGIME_ENDS`, or -1 for no event."""
     from sim.response.regime import END_NAMES
 
     what = "nothing_breaks" if end < 0 else END_NAMES[end].replace(" ", "_").replace("-", "_")

@@ -1,4 +1,4 @@
-"""What `sim.margins` can be asked for."""
+"""Options of `sim.margins`."""
 
 import argparse
 from pathlib import Path
@@ -42,7 +42,7 @@ def parser() -> Parser:
 
 
 def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
-    """What a log of these options holds."""
+    """Returns the log that these options lead to."""
     from models.vehicle.limits_and_implementation import Implementation
     from sim.command.road_options import Asked
     from sim.runs.run import sample_times
@@ -61,5 +61,5 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
 
 def late_run(name: str, samples: float) -> str:
-    """What a run is called."""
+    """Returns the name of a run with a delay."""
     return f"{name}_{samples}_samples_late"

@@ -1,4 +1,4 @@
-"""What the options of commands share that drive over one road, and what they ask for, against which a log is held."""
+"""Options of commands that drive over one road, and the log that options lead to."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,15 +19,15 @@ Road = Mapping[str, Any]  # as it describes itself
 
 @dataclass(frozen=True)
 class Asked:
-    """What a command is asked for.
+    """Log that a command line leads to.
 
     Attributes:
         controllers: of the logged runs, in their order; a single one may have several runs.
-        samples: of every run; None where the command itself finds out how many it takes.
+        samples: of every run, or None if the command itself determines them.
         timestep: [s].
-        road: whether a run may have had the road that describes itself so.
-        run: whether a run may be called so, and have this implementation.
-        result: what of the result follows from the options, by key.
+        road: returns True if the described road is possible for a run.
+        run: returns True if the name and implementation are possible for a run.
+        result: parts of the result that follow from the options, by key.
     """
 
     controllers: Sequence[str]
@@ -39,7 +39,7 @@ class Asked:
 
 
 def same_path(first: str, second: str) -> bool:
-    """Whether two texts name one path, on whatever system they were written."""
+    """Returns True if two texts name one path, on whatever system they were written."""
     return PurePosixPath(first.replace("\\", "/")) == PurePosixPath(second.replace("\\", "/"))
 
 
@@ -58,7 +58,7 @@ def left_out(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[st
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
-    """Those in a line, with how to have them; none where there are none."""
+    """Returns a line that lists the omitted controllers and how to include them; empty if none is omitted."""
     return [f"left out: {', '.join(names)}; to have one, name it with --controller, which may be {ALL}"] if names else []
 
 
@@ -95,9 +95,9 @@ def add_loads(parser: Parser, what: str) -> None:
 
 
 def without_loads(road: Mapping[str, Any], asked: Sequence[str]) -> dict[str, Any] | None:
-    """What a log describes as a road, without its loads; None where these are not those that were asked for.
+    """Returns the road description without loads, or None if the loads differ from the requested ones.
 
-    Of a load's file only the name counts: it is not read.
+    A load's file is compared by name, and not read.
     """
     pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
     if len(pushed) != len(asked) or not all(_is_load(*pair) for pair in zip(pushed, asked, strict=True)):
@@ -106,7 +106,7 @@ def without_loads(road: Mapping[str, Any], asked: Sequence[str]) -> dict[str, An
 
 
 def _is_load(described: str, asked: str) -> bool:
-    """Whether a load that describes itself so was asked for."""
+    """Returns True if a described load is the requested one."""
     if is_load_file(asked):
         from models.roads.load_choice import named
 

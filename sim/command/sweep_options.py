@@ -1,4 +1,4 @@
-"""What `sim.sweep` can be asked for."""
+"""Options of `sim.sweep`."""
 
 import argparse
 from collections.abc import Mapping
@@ -42,15 +42,15 @@ def parser() -> Parser:
 
 
 def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
-    """What a log of these options holds: worst sinusoids, whose frequencies the command finds itself."""
+    """Returns the log that these options lead to: worst sinusoids, whose frequencies the command finds itself."""
     from models.roads.description import described_road
     from models.roads.sinusoids import Multisine
     from sim.command.road_options import Asked
     from sim.studies.frequency.identification import ideal_measurements
 
     def is_it(road: Mapping[str, Any]) -> bool:
-        found = described_road(road)
-        return isinstance(found, Multisine) and road == worst_road(found.omega[0], options).describe()
+        description_read = described_road(road)
+        return isinstance(description_read, Multisine) and road == worst_road(description_read.omega[0], options).describe()
 
     result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
     names, ideal = asked_names(vehicle, options), ideal_measurements(vehicle).implementation
@@ -59,7 +59,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
 
 def asked_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:
-    """Names of the controllers that were asked for."""
+    """Returns the names of the requested controllers."""
     usual = [name for name in USUAL if name in vehicle.controller_names]
     return chosen(vehicle.controller_names, options.controller, usual)
 

@@ -1,1 +1,1 @@
-"""One vehicle, one road, one controller: physics beside its predictions, the verdict, what acted, and its words."""
+"""Runs of one vehicle, road and controller: physics and predictions, their comparison, acting forces, and their text."""

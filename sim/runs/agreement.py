@@ -34,17 +34,17 @@ SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of o
 
 @dataclass(frozen=True)
 class SignalAgreement:
-    """How one signal of the physics compares, over the time in which the linear analysis applies.
+    """Difference of one signal of the physics from its references, over the time in which the linear analysis applies.
 
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
-        allowed: what the integrator's own error may make of `sampled`, no more than `COARSEST`, with noise and rounding.
-        blur: the part of `allowed` that noise and quantisation may make.
-        rounding: the part of `allowed` that is as large over any road; see `sim.linear.sampled_response`.
-        scale: what all these are over, in the signal's unit.
-        small: what `sampled` is over the same road at `SMALL` of its height; None where there was no need to look.
-        allowed_small: what `allowed` is there; None with it.
+        allowed: bound on `sampled` by the integrator's own error, no more than `COARSEST`, with noise and rounding.
+        blur: part of `allowed` by noise and quantisation.
+        rounding: part of `allowed` that is as large over any road; see `sim.linear.sampled_response`.
+        scale: of all these differences, in the signal's unit.
+        small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
+        allowed_small: `allowed` over that road, or None.
     """
 
     sampled: float
@@ -65,13 +65,13 @@ class SignalAgreement:
 
     @property
     def excess(self) -> float:
-        """That difference over what is allowed of it."""
+        """Returns the judged difference over its allowed value."""
         difference, allowed = self.judged
         return difference / allowed
 
     @property
     def agrees(self) -> bool:
-        """Whether the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
+        """Returns True if the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
         return self.excess <= 1
 
 
@@ -96,7 +96,7 @@ class Agreement:
 
     @property
     def agrees(self) -> bool:
-        """Whether every signal agrees, for as long as the comparison applies; not where that is never."""
+        """Returns True if every signal agrees while the comparison applies; False if it never applies."""
         return self.until > 0 and all(signal.agrees for signal in self.signals.values())
 
 
@@ -183,7 +183,7 @@ def _first_loose(vehicle: Vehicle, physics: Response) -> float:
 
 
 def _integrator(integrated: Response, sampled: Response, signal: str) -> float:
-    """What the integrator's own error may make of a signal, over its scale."""
+    """Returns the bound on a signal's difference by the integrator's own error, over its scale."""
     return min(SLACK * _difference(integrated, sampled, signal) + ROUNDING, COARSEST)
 
 
@@ -196,5 +196,5 @@ def _difference(response: Response, reference: Response, signal: str) -> float:
 
 
 def _scale(reference: Response, signal: str) -> float:
-    """What differences of a signal are over: the reference's scale, or 1 in its unit where nothing ever moves."""
+    """Returns the scale of a signal's differences: the reference's scale, or 1 in its unit if nothing ever moves."""
     return (reference.scale(signal) if len(reference.time) else 0.0) or 1.0

@@ -17,13 +17,13 @@ from sim.runs.prediction import Prediction
 
 @dataclass(frozen=True)
 class Shortfall:
-    """What an adjustable damper did not give of the force that was asked of it, at the samples of its controller.
+    """Force that an adjustable damper failed to give, at the samples of its controller.
 
     Attributes:
-        rms: of what is missing, over that of what was asked; 0 where nothing was.
-        time: share of the samples at which something is missing.
+        rms: of the missing force, over that of the requested one; 0 if no force was requested.
+        time: share of the samples with missing force.
         softest, hardest: its smallest and largest coefficient [N s/m].
-        late: as `rms`, with what its valve's lag keeps back at the samples; None of one that acts at once.
+        late: as `rms`, including the lag of its valve, or None if it has no lag.
     """
 
     rms: float
@@ -34,7 +34,7 @@ class Shortfall:
 
 
 def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
-    """Of every adjustable damper in a run as long as it goes, by force."""
+    """Returns the shortfall of every adjustable damper in a run until it diverges, by force."""
     whole = physics.until(physics.diverged)
     if not vehicle.dampers or len(whole.time) < 2:
         return {}

@@ -39,14 +39,14 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Diagram:
-    """One diagram.
+    """Diagram of a force over its argument.
 
     Attributes:
-        title: of the parameter, and where.
-        over: what the force is over, in words with the unit.
-        argument, pull: what a log calls the two.
+        title: parameter and place.
+        over: the argument, in words with the unit.
+        argument, pull: signals of the two in a log.
         x: the argument in a response, shape (T,).
-        force: what pulls together at those x in the response [N], shape (T,).
+        force: pulling force at those x in the response [N], shape (T,).
         lines: forces over x that are drawn.
     """
 
@@ -60,25 +60,26 @@ class Diagram:
 
 
 def diagrams(vehicle: Vehicle) -> list[Diagram]:
-    """Those of a vehicle's curves, then of its adjustable dampers."""
+    """Returns the diagrams of a vehicle's curves, then of its adjustable dampers."""
     from models.suspension.curve_reading import VELOCITY
 
-    adjusted = {vehicle.kind.pushed(one.force) for one in vehicle.adjustable}
-    alone = [one for one in vehicle.fitted if one.over is not VELOCITY or one.deflection not in adjusted]
-    return [*(_of_curve(vehicle, one) for one in alone), *(_of_adjustable(vehicle, one) for one in vehicle.adjustable)]
+    adjusted = {vehicle.kind.pushed(adjustable.force) for adjustable in vehicle.adjustable}
+    alone = [fitted for fitted in vehicle.fitted if fitted.over is not VELOCITY or fitted.deflection not in adjusted]
+    of_adjustable = [_of_adjustable(vehicle, adjustable) for adjustable in vehicle.adjustable]
+    return [*(_of_curve(vehicle, fitted) for fitted in alone), *of_adjustable]
 
 
 def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
-    """What all diagrams have of a response, as signals over time; None of a vehicle that has none.
+    """Returns the signals of all diagrams over time, from a response, or None if the vehicle has no diagrams.
 
-    Drawn over its argument, each is the diagram: the force that was reached, and the curve or the limits at that argument.
+    Each diagram plots the force, and the curve or the limits, over the argument.
     """
     signals: list[Signal] = []
     values: list[Array] = []
-    for one in diagrams(vehicle):
-        x = one.x(physics)
-        signals += [one.argument, one.pull, *(line.signal for line in one.lines)]
-        values += [x, one.force(x, physics), *(line.force(x) for line in one.lines)]
+    for diagram in diagrams(vehicle):
+        x = diagram.x(physics)
+        signals += [diagram.argument, diagram.pull, *(line.signal for line in diagram.lines)]
+        values += [x, diagram.force(x, physics), *(line.force(x) for line in diagram.lines)]
     return Response(physics.time, tuple(signals), np.stack(values, axis=-1)) if signals else None
 
 
@@ -125,7 +126,7 @@ def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
 
 
 def _ending(deflection: str) -> str:
-    """What tells its suspension's names from those of others."""
+    """Returns the part of a suspension's signal names that distinguishes it from others."""
     return deflection.removeprefix(PREFIX) if deflection.startswith(PREFIX) else f"_{deflection}"
 
 

@@ -61,15 +61,15 @@ def written_forces(names: Sequence[str], forces: Array) -> bytes:
 
 
 def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
-    """Forces [N], shape (T, m), from such text.
+    """Reads forces [N], shape (T, m), from text.
 
     Args:
         content: the text.
         names: of the forces.
-        samples: how many there must be.
+        samples: required number.
 
     Raises:
-        InputError: it is none of these forces, or of another number of samples.
+        InputError: the text has other forces, or another number of samples.
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:

@@ -1,6 +1,6 @@
-"""What analysis says of one vehicle with one controller over one road: before any physics, and with what physics decided played.
+"""Predictions for one vehicle with one controller over one road: before any physics, or with the decisions of physics replayed.
 
-It is linear but for the curves of dampers and springs, where a vehicle has some: `sampled` and `integrated` follow these.
+They are linear except for curves of dampers and springs: `sampled` and `integrated` follow these.
 """
 
 import math
@@ -36,26 +36,25 @@ SIGMAS = 6.0  # of noise: thousands of samples stay within it
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The linear responses of one run, and how well they are to be met.
+    """Linear responses of one run, with the expected accuracy of physics.
 
-    Of a law in Python linear analysis says nothing. Its responses are the vehicle's to the forces that it has asked for.
+    For a law in Python they are the vehicle's responses to the forces that it requested: linear analysis does not cover the law.
 
     Attributes:
-        input: what the vehicle, with the limits and implementation of this run, meets of the road.
+        input: the vehicle, with the limits and implementation of this run, and its road.
         controller: its controller.
-        sampled: exact response of the sampled loop: linear, but for curves.
+        sampled: exact response of the sampled loop: linear, except for curves.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
-        spread: how far noise (in `SIGMAS` deviations) and quantisation of the measurements move each output signal at most, at
-            every sample, shape (T,); empty without them.
-        radius: growth per timestep of the sampled loop: above 1 it is unstable; NaN where it is too large to be asked, or there
-            is no linear loop.
-        asked: what a law in Python asked for, shape (T, m): forces [N], or of vehicles with adjustable dampers the commands,
-            shape (T, 2 m), see `models.suspension.damper_range.Range.commands`; empty of a linear controller, from which they
-            follow.
-        otherwise: where physics decided otherwise on adjustable dampers, as rounding had it, and the responses follow it.
-        played: whether they follow physics in all that it decided, for what is measured is noisy or a law in Python decides.
-        loop: the linear loop; None if there is none.
+        spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, at every
+            sample, shape (T,); empty without them.
+        radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
+        asked: requests of a law in Python, shape (T, m): forces [N], or for vehicles with adjustable dampers the commands,
+            shape (T, 2 m), see `models.suspension.damper_range.Range.commands`; empty for a linear controller, which determines
+            them.
+        otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
+        played: True if they follow all decisions of physics, because of noisy measurements or a law in Python.
+        loop: the linear loop, or None.
     """
 
     input: RoadInput
@@ -87,7 +86,7 @@ class Prediction:
 
     @property
     def timestep(self) -> float:
-        """Of the run [s]."""
+        """Returns the timestep of the run [s]."""
         return self.input.timestep
 
 
@@ -120,7 +119,7 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
 
 
 def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
-    """What blurs the measurements, as it moves each output signal; empty where it is of nothing that is measured."""
+    """Returns the effect of noise and quantisation on each output signal; empty if they affect no measurement."""
     how = loop.vehicle.implementation
     if not {*how.noise, *how.quantisation} & {*loop.controller.measured}:
         return {}
@@ -131,12 +130,12 @@ def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
 
 
 def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Prediction:
-    """What linear analysis makes of the forces that a law in Python has asked for in a run from rest.
+    """Predicts the responses to the forces that a law in Python requested in a run from rest.
 
     Args:
         controller: its controller.
         road: what the vehicle meets.
-        asked: the forces at those [N], shape (T, m).
+        asked: requested forces [N], shape (T, m).
     """
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
@@ -154,11 +153,11 @@ def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Pre
 
 @dataclass(frozen=True, eq=False)
 class Smaller:
-    """What is predicted of a run over a share of its road's height.
+    """Prediction of a run over a share of its road's height.
 
     Attributes:
         sampled: exact response of the sampled loop.
-        integrated: the same as RK4 makes it; None where both are that share of the whole road's.
+        integrated: the same as RK4 makes it, or None if both are proportional to the whole road's.
     """
 
     sampled: Response
@@ -166,7 +165,7 @@ class Smaller:
 
 
 def smaller(prediction: Prediction, share: float) -> Smaller:
-    """What is predicted over a share of the road's height, and under the same share of the forces of a law in Python."""
+    """Predicts the run over a share of the road's height, with the same share of the forces of a law in Python."""
     whole, loop = prediction.sampled, prediction.loop
     if not is_curved(prediction.vehicle):
         return Smaller(Response(whole.time, whole.signals, share * whole.values), None)
@@ -189,15 +188,15 @@ def predict_switched(
     near: float,
     asked: Array | None = None,
 ) -> Prediction:
-    """What the exact response of a vehicle with adjustable dampers is in a run from rest: a linear system that is switched.
+    """Predicts the exact response of a vehicle with adjustable dampers, a switched linear system, in a run from rest.
 
-    Of a law that is not linear there is no continuous loop, and `continuous` is the same response.
+    For a law that is not linear there is no continuous loop, and `continuous` is the same response.
 
     Args:
         controller: its controller.
         road: what the vehicle meets.
-        physics: what MuJoCo made of it.
-        near: how far physics may be from it, of a peak, for a decision to be otherwise for that alone.
+        physics: the run of MuJoCo.
+        near: largest difference of physics, over a peak, that explains a different decision.
         asked: the commands of a law in Python, shape (T, 2 m).
     """
     from sim.linear.dampers import commands_of, damper_signals
@@ -258,13 +257,13 @@ NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share
 
 
 def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: Array) -> Prediction:
-    """What the exact response is in a run from rest whose decisions are known from physics alone.
+    """Predicts a run from rest whose decisions are taken from the MuJoCo run.
 
     Args:
-        controller: a law in Python, or any one of a vehicle with adjustable dampers.
+        controller: a law in Python, or any controller of a vehicle with adjustable dampers.
         road: what the vehicle meets.
-        physics: what MuJoCo made of it.
-        asked: what was asked for in it, see `PhysicsRuns`.
+        physics: the run of MuJoCo.
+        asked: its requested forces, see `PhysicsRuns`.
     """
     vehicle = road.vehicle
     if vehicle.dampers:
@@ -277,12 +276,12 @@ def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: 
 
 
 def reference_at(share: float, prediction: Prediction, physics: Response) -> Smaller:
-    """What is predicted of a run at a share of its road's height: as much of it, as far as it is linear.
+    """Predicts a run at a share of its road's height: proportional, as far as it is linear.
 
     Args:
         share: of the height.
         prediction: over the whole road.
-        physics: what MuJoCo made of it at that share of the road, whose own decisions adjustable dampers follow.
+        physics: the MuJoCo run at that share of the road, whose decisions adjustable dampers follow.
     """
     vehicle = prediction.vehicle
     if not vehicle.dampers:

@@ -1,4 +1,4 @@
-"""One vehicle, one road, some controllers: physics, its linear predictions, the verdict on each, and how a notebook shows it."""
+"""Runs of some controllers of one vehicle over one road: physics, linear predictions, verdicts, and their view in a notebook."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ POINTS = 1000  # of a curve, at most about
 
 
 class ShownRun(Shown):
-    """What a run shows of what it has."""
+    """Notebook view of a run."""
 
     prediction: Prediction
     physics: Response
@@ -52,7 +52,7 @@ class ShownRun(Shown):
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """Its verdict, then what was driven over what."""
+        """Returns the verdict, and the vehicle, road and times as text."""
         until, name = self.agreement.until, self.prediction.controller.name
         when = f"until {until:.4g} s" if math.isfinite(until) else "throughout"
         verdict = f"{'agrees' if self.agreement.agrees else 'DOES NOT AGREE'} {when}"
@@ -99,13 +99,13 @@ MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
 
 @dataclass(frozen=True)
 class HalfStep:
-    """What half the timestep, the controller sampled as before, makes of the physics after a tyre has left the road.
+    """Change of the physics by half the timestep, with the same sampling of the controller, after a tyre has left the road.
 
-    There no linear response is exact, and RK4 steps over the moments at which a tyre leaves and lands.
+    After a lift-off no linear response is exact, and RK4 steps over the moments at which a tyre leaves and lands.
 
     Attributes:
-        difference: the largest of any signal, over its peak; infinite where one of the two runs diverged.
-        signal: which it is.
+        difference: largest difference of any signal, over its peak; infinite if one of the two runs diverged.
+        signal: name of that signal.
     """
 
     difference: float
@@ -114,17 +114,16 @@ class HalfStep:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(ShownRun):
-    """One prediction beside its physics.
+    """Run of physics with its prediction.
 
     Attributes:
-        prediction: what linear analysis says of this vehicle, controller and road.
-        physics: what MuJoCo did.
+        prediction: linear analysis of this vehicle, controller and road.
+        physics: the response in MuJoCo.
         agreement: physics against analysis.
-        qpos: generalized positions of the physics, shape (T, nq), to draw it; None where MuJoCo has not run here, as of what is
-            read from a log.
-        energy: its balance; None there, too.
-        half_step: how far the physics holds after a lift-off; None where no tyre lifted, the run broke off, or what is measured
-            is noisy or quantised, which it would be otherwise at other steps.
+        qpos: generalized positions of the physics, shape (T, nq), to draw it, or None for a run that is read from a log.
+        energy: energy balance, or None for such a run.
+        half_step: accuracy of the physics after a lift-off. None if no tyre lifted, the run broke off, or the measurements are
+            noisy or quantised, which differs at other steps.
     """
 
     prediction: Prediction
@@ -141,7 +140,7 @@ class Run(ShownRun):
 
     @property
     def controller(self) -> Driver:
-        """Its controller."""
+        """Returns the controller of the run."""
         return self.prediction.controller
 
     @property
@@ -166,19 +165,19 @@ class Run(ShownRun):
 
     @property
     def broke_off(self) -> tuple[str, float] | None:
-        """What ended the vehicle, and when [s]: from there on no number of the run means anything. None where it came through."""
+        """Returns the event that ended the vehicle and its time [s], after which all numbers are meaningless, or None."""
         ends = {FLAT.name: self.agreement.ended[FLAT.name], "divergence": self.diverged}
         first = min(ends, key=lambda name: ends[name])
         return (first, ends[first]) if math.isfinite(ends[first]) else None
 
     @property
     def agrees(self) -> bool:
-        """Whether physics agrees with its analysis, for as long as that applies."""
+        """Returns True if physics agrees with its analysis, for as long as that applies."""
         return self.agreement.agrees
 
     @property
     def holds(self) -> bool:
-        """Whether physics agrees with its analysis, and with itself: its energy balances, where that is known."""
+        """Returns True if physics agrees with its analysis, and its energy balances, if that is known."""
         return self.agrees and (self.energy is None or self.energy.balances)
 
 
@@ -255,10 +254,10 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: A
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What runs are compared with in their tables: no verdict is asked of it.
+    """Run for comparison in tables, without a verdict.
 
     Attributes:
-        physics: what MuJoCo did.
+        physics: response in MuJoCo.
         sampled: exact linear response of the sampled loop.
     """
 
@@ -268,7 +267,7 @@ class Reference:
 
 @np.errstate(over="ignore", invalid="ignore")
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
-    """Returns what `run_all` has of a linear controller without all that judges it. Arguments as there."""
+    """Runs a linear controller as `run_all` does, without verdict. Arguments as there."""
     met = RoadInput(vehicle, road, time)
     made = simulate([controller], [met])
     if vehicle.dampers:
@@ -277,11 +276,11 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
 
 
 def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> list[Run]:
-    """The verdict on each of some runs: its physics, of now or from a log, against its prediction.
+    """Compares the physics of some runs, new or from a log, with their predictions.
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        physics: what MuJoCo made of each.
+        physics: the responses in MuJoCo.
     """
     pairs = list(zip(predictions, physics, strict=True))
     runs = [Run(prediction, response, compare(prediction, response)) for prediction, response in pairs]
@@ -296,11 +295,11 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
 
 
 def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
-    """Runs with what MuJoCo's own states say of them: positions, energy, and what half the step changes after a lift-off.
+    """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
     Args:
         runs: over the same sample times, of vehicles of the same kind.
-        made: what MuJoCo makes of them.
+        made: the same runs with their states.
     """
     runs = [
         replace(run, qpos=made.qpos[i], energy=energy(made, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
@@ -322,9 +321,10 @@ def _simulated(
     vehicle: Callable[[Vehicle], Vehicle] = lambda same: same,
     share: float = 1.0,
 ) -> PhysicsRuns:
-    """What MuJoCo makes of what is predicted, with other vehicles and a share of the road if asked; runs share what they shared.
+    """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    A law in Python is not run again: the forces that it asked for are, with the same share of them.
+    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is
+    replayed.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -333,11 +333,11 @@ def _simulated(
 
 
 def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
-    """What drives a run when it is made again.
+    """Returns the driver that repeats a run.
 
     Args:
         prediction: of the run.
-        time: sample times of the run that is made [s], whose timestep divides that of the prediction.
+        time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: of the forces of a law in Python.
     """
     if not isinstance(prediction.controller, Programmed):
