@@ -85,7 +85,7 @@ class Gaussian:
         a = clip / self.sigma
         total, power = 0.0, correlation.copy()
         for k in DEGREES:
-            power *= correlation  # to the k: a product costs a tenth of a power
+            power *= correlation  # to the k: a product costs less than a hundredth of a power
             memory = square if k == 2 else float(np.sum(power)) * step - step / 2
             total += _hermite_of_clipped_square(k, a) ** 2 / math.factorial(k) * min(2 * max(memory, 0.0) / window, 1.0)
         return self.sigma**4 * total
