@@ -338,6 +338,13 @@ def test_a_file_is_its_numbers(tmp_path):
     came = load.over(np.array([0.0, 0.35, 0.5, 1.0, 9.0]), {})
     np.testing.assert_allclose(came["pitch_load"], [0.0, 750.0, 1500.0, 1500.0, 0.0])
     np.testing.assert_allclose(came["heave_load"], [0.0, -50.0, -100.0, -25.0, 0.0])
+    for second, newton, moment, factor in (("ms", "kN", "Nm", 1e3), ("s", "kN", "kNm", 1e3), ("s", "N", "N m", 1.0)):
+        other = tmp_path / "other.csv"
+        turned = 1.0 if moment.startswith("N") else 1e3
+        other.write_text(f"time [{second}],heave [{newton}],pitch [{moment}]\n0,2,3\n1,2,3\n")
+        there = choose_load(str(other))
+        assert there.time[1] == (1e-3 if second == "ms" else 1.0)
+        assert (there.columns["heave"][0], there.columns["pitch"][0]) == (2 * factor, 3 * turned)
     road = described_road(json.loads(json.dumps(Loaded(Bump(), [load, choose_load("brake")]).describe())))
     assert isinstance(road, Loaded)
     again, brake = road.on_body

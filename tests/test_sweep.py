@@ -49,6 +49,19 @@ def test_order(paper, designer, four):
         assert one.error(one.sampled).max() < 1e-5  # order 4 of RK4; measured 2.5e-6 at 1 ms
 
 
+def test_four_wheels_tend_to_the_continuous_response():
+    """A full car's sampled response, whose road acts by its heights, too, tends to the continuous one with the step's square."""
+    car, omega = read_vehicle("full_car"), np.array([1.0, 10.0, 60.0])
+    passive = Designer(car).design("passive")
+    exact = continuous_frequency_response(car, passive, omega)
+    errors = []
+    for step in (4e-4, 2e-4):
+        apart = np.abs(sampled_frequency_response(car, passive, omega, step) - exact).max(axis=2)
+        errors.append((apart / np.maximum(np.abs(exact).max(axis=2), 1e-300)).max())
+    assert errors[1] < 2e-4  # (omega h)^2 / 24 of a held road, twice; measured 1.3e-4
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.01)
+
+
 def test_invariants(four):
     """No controller changes |z_s/z_r| at wheel hop, nor |(z_s-z_u)/z_r| at sqrt(k_u/(m_s+m_u)): physics says so too."""
     for one in four:

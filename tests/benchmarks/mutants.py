@@ -12,6 +12,7 @@ against another, by the mutants that one of them lets live.
 """
 
 import argparse
+import ast
 import json
 import os
 import random
@@ -107,8 +108,15 @@ def drawn(count: int, seed: int) -> list[Mutant]:
 
 
 def tests_of(mutant: Mutant, known: dict) -> list[int]:
-    """Returns the tests that run a mutant's line, or the nearest line above it within its statement."""
+    """Returns the tests that run a mutant's line, or the nearest line above it within its statement.
+
+    A line outside of functions is run by the test that imports its file, so there the tests of the whole file count.
+    """
     lines = known["lines"].get(mutant.file, {})
+    tree = ast.parse((ROOT / mutant.file).read_text(encoding="utf-8"))
+    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    if not any(node.body[0].lineno <= mutant.line <= (node.end_lineno or 0) for node in functions):
+        return sorted({test for some in lines.values() for test in some})[:MOST_TESTS_A_LINE]
     for line in range(mutant.line, mutant.first - 1, -1):
         if str(line) in lines:
             return lines[str(line)]
