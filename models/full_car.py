@@ -117,11 +117,7 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def check(p: Parameters) -> None:
-    """Refuses a body that cannot be.
-
-    Raises:
-        InputError: see `rigid_body.check_inertia`.
-    """
+    """Refuses a body that cannot be."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
 

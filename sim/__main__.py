@@ -69,11 +69,7 @@ def roadproof() -> NoReturn:
 
 
 def _unknown() -> int:
-    """Refuses a verb.
-
-    Raises:
-        InputError: it names those there are.
-    """
+    """Refuses a verb."""
     raise InputError(f"unknown command {sys.argv[1]!r}; roadproof has {listing(VERBS)}")
 
 

@@ -81,11 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":
-    """The controller, if its loop is one that has margins.
-
-    Raises:
-        InputError: it has no gain, or is unstable as it is.
-    """
+    """The controller, if its loop is one that has margins."""
     from sim.studies.stability.loop_transfer import cut
     from synth.controller.open_loop import LoopModel
 

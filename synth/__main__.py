@@ -37,11 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
-    """The controllers asked for, each once.
-
-    Raises:
-        InputError: `chosen` says so, or what is asked of them does not go with them.
-    """
+    """The controllers asked for, each once."""
     from models.vehicle.controllers import Method
 
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]

@@ -16,7 +16,6 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
 
     Args:
         value: the matrix, or nested lists; complex numbers without imaginary part are allowed.
-        name: of the matrix, for messages.
         largest: allowed size of an entry; infinite for no limit.
         expected: its shape, for messages; empty if any is allowed.
 

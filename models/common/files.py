@@ -66,7 +66,6 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
-        what: kind of file, for the message.
         instead: advice if it cannot be written, for the message.
 
     Raises:
@@ -237,11 +236,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
 
 
 def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
-    """Returns the file that a path leads to through links, and its status, or None if there is no file yet.
-
-    Raises:
-        InputError: the file may not be written.
-    """
+    """Returns the file that a path leads to through links, and its status, or None if there is no file yet."""
     if path == STDOUT:
         return STDOUT, None
     try:
@@ -327,9 +322,7 @@ def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
 
     Args:
         path: the file, or a link to it.
-        what: kind of file, for the message.
         most: allowed size [bytes].
-        give: what to give instead, for the message.
 
     Raises:
         InputError: there is no such file, it is no plain file, too large, or cannot be read.

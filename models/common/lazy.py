@@ -10,7 +10,6 @@ def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], An
     """Returns `__getattr__`, `__dir__` and `__all__` of a package.
 
     Args:
-        package: its name.
         modules: full name of each module -> its public names; "" for a module that is public itself.
     """
     where = {name: module for module, names in modules.items() for name in names.split() or [module.rpartition(".")[2]]}

@@ -74,7 +74,6 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
 
     Args:
         pieces: of work; long ones first, or one thread ends alone.
-        threads: number of threads.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:

@@ -62,11 +62,7 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Refuses a suffix that does not match the output. The name decides, not the target of a link.
-
-    Raises:
-        InputError: the suffix is another one.
-    """
+    """Refuses a suffix that does not match the output. The name decides, not the target of a link."""
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
         raise InputError(f"{what} {path}: {why}; give a name that ends in {' or '.join(endings)}")

@@ -315,10 +315,6 @@ def _guarded(
     """Returns a function of the user's whose failures are reported as one line.
 
     Args:
-        path: its file.
-        name: what a message calls it.
-        function: the function; its last argument is a copy of the parameters.
-        wrong: checks a result.
         refuses: True if the function's purpose is an InputError about the parameters.
     """
 

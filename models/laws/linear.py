@@ -212,7 +212,6 @@ def law_of(record: Mapping[str, Any]) -> LinearLaw:
 
     Raises:
         KeyError: a matrix is missing.
-        InputError: see `LinearLaw`.
     """
     if "gain" in record:
         return static_law(record["gain"])

@@ -119,11 +119,6 @@ def sha256(text: str) -> str:
 def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> PythonLaw | None:
     """Returns the law in Python that an entry of `[controllers]` names, or None if it names no such law. Opens no file.
 
-    Args:
-        where: the entry, for messages.
-        entry: as it was read.
-        folder: of the vehicle file.
-
     Raises:
         InputError: `law` or `preview` is not allowed, or another key gives a law too.
     """

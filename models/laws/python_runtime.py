@@ -151,11 +151,7 @@ class OwnLaw:
         return forces.reshape(shape)
 
     def _run(self, name: str, longest: float, code: Callable[[], Any]) -> Any:
-        """Runs user code with a time limit.
-
-        Raises:
-            InputError: the code fails, or takes too long.
-        """
+        """Runs user code with a time limit."""
         assert self._path is not None, "code comes from files only"
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
         said = f"{self._what}: {name} {over}; mend that"

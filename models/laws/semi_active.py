@@ -202,7 +202,6 @@ class SemiActiveLaw:
 
         Args:
             y: measurements, shape (..., N, q).
-            of: the vehicles.
         """
         first, m = len(self.modes), len(self.endings)
         modes = (y[..., at : at + 1] for at in range(first))
@@ -213,7 +212,6 @@ class SemiActiveLaw:
         """Returns a function from a list of numbers to the m requested coefficients of the first vehicle, in plain numbers.
 
         Args:
-            of: the vehicles.
             places: indices of the q measurements in that list.
         """
         law, first, m = LAWS[self.name][0], len(self.modes), len(self.endings)
@@ -265,10 +263,6 @@ def read_semi_active(
     """Returns the semi-active law that an entry of `[controllers]` names, or None if it names no such law.
 
     Args:
-        where: the entry, for messages.
-        entry: as it was read.
-        outputs: signals of the vehicle.
-        inputs: its forces.
         endings: suffix of the names at every suspension with an adjustable damper, by force.
 
     Raises:

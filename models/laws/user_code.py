@@ -26,8 +26,6 @@ def compiled(what: str, path: Path, text: str) -> CodeType:
 
     Args:
         what: what a message calls the file.
-        path: of the file, for messages.
-        text: of it.
 
     Raises:
         InputError: it is no Python.
@@ -44,7 +42,6 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
 
     Args:
         what: what a message calls the file.
-        path: of the file.
         name: what a message calls the code.
         code: calls it.
         refuses: True if the code's purpose is to raise InputError.

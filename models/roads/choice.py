@@ -62,9 +62,7 @@ class RoadChoice:
         """Returns the road.
 
         Args:
-            vehicle: its track width counts.
             speed: [m/s].
-            seed: of a random road.
             distance: driven distance [m], over which a random road does not repeat.
 
         Raises:

@@ -174,7 +174,6 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
 
     Args:
         road: the road; a profile ends with its last point.
-        vehicle: gives the track width.
         distance: driven distance [m].
     """
     if not road.laid:

@@ -131,11 +131,7 @@ NEEDED = ("sprung_mass", "centre_height")  # parameters of the moment of an acce
 
 
 def _moment(kind: str, g: float, p: Parameters) -> float:
-    """Returns m_s a h [N m].
-
-    Raises:
-        InputError: the vehicle has no such parameters.
-    """
+    """Returns m_s a h [N m]."""
     if absent := [name for name in NEEDED if name not in p]:
         raise InputError(
             f"{kind}: its moment is made of {' and '.join(map(repr, NEEDED))}, and this vehicle has no {absent[0]!r}"

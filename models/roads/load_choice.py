@@ -93,11 +93,7 @@ def named(path: Path | str) -> str:
 
 
 def parse_history(text: str, source: str) -> History:
-    """Reads a load from the text of a CSV file.
-
-    Raises:
-        InputError: as `read_history`.
-    """
+    """Reads a load from the text of a CSV file."""
     where = f"load file {source}"
     rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
     if not rows:
@@ -153,7 +149,6 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     """Returns a load from its text.
 
     Args:
-        text: the text.
         folder: base of relative file names.
 
     Raises:

@@ -107,15 +107,8 @@ def read_surface(path: Path) -> Surface:
 def _check_header(struct: Iterable[str], channels: Iterable[str]) -> dict[str, float]:
     """Checks that a header's numbers can be a road's; PyOpenCRG would accept others, or replace them.
 
-    Args:
-        struct: lines of the blocks before the channels.
-        channels: their definitions.
-
     Returns:
         The numbers of the road, by keyword.
-
-    Raises:
-        InputError: a number is wrong, or the data are in another file, which would be read without any check.
     """
     block, numbers = "", {}
     for line in struct:
@@ -145,12 +138,8 @@ def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array)
     """Checks the number of cross-sections against the header; text that is cut between two of them looks whole.
 
     Args:
-        numbers: of the header.
         defined: channels that are not data; one may be the distance: reference line u, m, start, increment.
         u: distance of each cross-section [m].
-
-    Raises:
-        InputError: there are fewer.
     """
     given = [channel.split(",") for channel in defined if channel.lower().startswith("reference line u,")]
     step = numbers.get("reference_line_increment") or next((_number(parts[3], 0.0) for parts in given if len(parts) > 3), 0.0)
@@ -165,11 +154,7 @@ def _check_whole(numbers: Mapping[str, float], defined: Iterable[str], u: Array)
 
 
 def _check_end(path: Path, form: str, channels: int) -> None:
-    """Checks that text ends with a whole line; if numbers of fixed width are cut off, it may look whole.
-
-    Raises:
-        InputError: the last line is too short.
-    """
+    """Checks that text ends with a whole line; if numbers of fixed width are cut off, it may look whole."""
     if form not in TEXT_WIDTHS:
         return
     width = TEXT_WIDTHS[form]

@@ -83,7 +83,6 @@ def headings_of(lines: Sequence[Sequence[str]], count: int) -> list[Heading]:
 
     Args:
         lines: cells of those lines, in their order.
-        count: columns of the numbers.
 
     Raises:
         InputError: two lines give a column two units, or two meanings.
@@ -139,7 +138,6 @@ def unit_of(heading: Heading, asked: str, option: str) -> float:
     """Returns a column's unit in metres: the requested one, or its heading's, or a metre.
 
     Args:
-        heading: of the column.
         asked: requested unit, one of `UNITS`, or "".
         option: name of the setting that requests it.
 
@@ -206,9 +204,7 @@ def read_profile(path: Path, speed: float, table: TableFormat | None = None) -> 
     Blank lines and lines that begin with # are skipped; before the numbers, lines with # may be headings.
 
     Args:
-        path: the file.
         speed: [m/s].
-        table: format of the file.
 
     Raises:
         InputError: the file cannot be read, a line has no such numbers, or they make no road. The message names file and line.
@@ -317,11 +313,7 @@ def _numbers(cells: list[str]) -> list[float] | None:
 
 
 def _check_units(distance: np.ndarray, heights: np.ndarray) -> None:
-    """Refuses numbers that can only be in other units.
-
-    Raises:
-        InputError: no road is so steep, or so coarse.
-    """
+    """Refuses numbers that can only be in other units."""
     spacing = float(np.median(np.diff(distance)))
     length, low, high = float(distance[-1] - distance[0]), float(heights.min()), float(heights.max())
     described = f"{length:.4g} m long in steps of {spacing:.3g} m, heights from {low:.4g} to {high:.4g} m"

@@ -29,7 +29,6 @@ def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
     """Reads a rig from a text file. Its first line has the separator of all; blank lines and lines that begin with # are skipped.
 
     Args:
-        path: the file.
         settings: `time_unit` and `height_unit`, for headings without a unit.
 
     Raises:
@@ -49,7 +48,6 @@ def unit_of(name: str, unit: str, asked: str, option: str, time: bool) -> float:
     """Returns a column's unit in seconds or metres.
 
     Args:
-        name: of the column.
         unit: unit of its heading; empty for none.
         asked: unit for headings without one; empty if not given.
         option: name of the setting that gives it.

@@ -259,7 +259,6 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
 
     Args:
         function: `road.displacement` or `road.velocity`.
-        road: the road.
         vehicle: r wheels.
         t: times [s].
     """

@@ -106,7 +106,6 @@ def random_road(omega: Array, seed: int, speed: float) -> Multisine:
 
     Args:
         omega: angular frequencies [rad/s], shape (F,).
-        seed: of the phases.
         speed: forward velocity [m/s].
     """
     return _white(omega, np.random.default_rng(seed).uniform(0, 2 * np.pi, len(omega)), speed, "random")

@@ -121,7 +121,6 @@ def adjustable(
     """Returns the adjustable dampers of a vehicle.
 
     Args:
-        dampers: by force.
         suspensions: of the vehicle, in the order of its forces.
         parameters: of the vehicle, by name.
         curves: by the parameter that each replaces.
@@ -169,11 +168,7 @@ def _standing(damper: Damper, nominal: float, beside: Curve | None) -> Curve | N
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:
-    """Checks that the softest setting with its parallel curve takes energy at every velocity; firmer ones take more.
-
-    Raises:
-        InputError: it feeds energy in somewhere.
-    """
+    """Checks that the softest setting with its parallel curve takes energy at every velocity; firmer ones take more."""
     if one.standing is None:
         return
     x = one.standing.x
@@ -209,8 +204,6 @@ def softest(curves: Sequence[Fitted], dampers: Sequence[Adjustable], pushed: Cal
     """Returns the curves of suspensions, with `Adjustable.base` for the adjustable dampers.
 
     Args:
-        curves: curves on the vehicle.
-        dampers: of the vehicle.
         pushed: force -> deflection of its suspension.
     """
     bases = {pushed(damper.force): damper.base for damper in dampers}

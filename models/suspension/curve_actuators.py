@@ -28,7 +28,6 @@ def fit_curves(spec: Any, curves: Sequence[Fitted], prefix: str, rest: Mapping[s
 
     Args:
         spec: the model, its parameters written into it.
-        curves: of its suspensions.
         prefix: how the names of the actuators begin.
         rest: the length at rest of every tendon [m].
 
@@ -64,7 +63,6 @@ def sense_velocities(spec: Any, deflections: Sequence[tuple[str, str]]) -> None:
     """Adds velocity sensors for lengths that have sensors.
 
     Args:
-        spec: the model.
         deflections: pairs of signals, velocity and length.
 
     Raises:
@@ -91,10 +89,7 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
     (c - c_min) a (v - k), which has one sign beyond its knot k, and is clipped to zero on the other side.
 
     Args:
-        spec: the model.
-        dampers: of a vehicle.
         tendons: of its suspensions, by force.
-        mjcf: source of the spec, for messages.
         prefix: prefix of the names of ramps.
 
     Raises:

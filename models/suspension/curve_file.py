@@ -36,7 +36,6 @@ def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """Returns a vehicle file's text with tables in place of its curve files, and those files.
 
     Args:
-        text: TOML.
         folder: folder of the vehicle file, to which its paths are relative.
 
     Raises:

@@ -233,11 +233,7 @@ def _slope_at_rest(x: Array, force: Array) -> float:
 
 
 def _checked(curve: Curve, over: Argument) -> Curve:
-    """Returns the curve if a suspension can have it.
-
-    Raises:
-        InputError: a damper feeds energy in somewhere, or a spring does not hold the vehicle up.
-    """
+    """Returns the curve if a suspension can have it."""
     if over is VELOCITY:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
             if x * force < 0:

@@ -93,9 +93,6 @@ def fitted(
     """Returns every suspension's curves, scaled to the vehicle's parameters.
 
     Args:
-        suspensions: of a vehicle.
-        curves: by parameter.
-        parameters: of the vehicle.
         dampers: the curves of adjustable dampers, by the suspension's deflection; None for a straight one.
     """
     placed = []

@@ -138,8 +138,6 @@ def read_controllers(
     """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
 
     Args:
-        section: as it was read.
-        model: of the vehicle.
         limits, implementation, kind: of the vehicle, for controllers that are designed for them.
         folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
         sampled: whether designs are for the loop that the computer closes, unless a section says otherwise.

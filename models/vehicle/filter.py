@@ -116,10 +116,6 @@ class Filter:
 def read_filter(where: str, given: Mapping[str, Any]) -> Filter:
     """A filter as a vehicle file has it: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
 
-    Args:
-        where: it stands, for messages.
-        given: the table.
-
     Raises:
         InputError: it is none; the message says what is.
     """

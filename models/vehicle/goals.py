@@ -227,11 +227,8 @@ def read_goals(
     """The goals of a section that has some.
 
     Args:
-        where: the section, for messages.
-        entry: the section.
         measured: the signals that are measured.
         outputs: the signals of the vehicle.
-        kind: of the vehicle.
 
     Raises:
         InputError: a key or a number that is not allowed.

@@ -40,7 +40,6 @@ def in_place_of(text: str, key: str, given: Mapping[str, str]) -> str:
     Where a key stands on no line of its own the text stays as it is there: whoever asks has to look at what it says.
 
     Args:
-        text: TOML.
         key: of the sections of controllers.
         given: what stands there instead, by controller.
     """
@@ -67,7 +66,6 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """A vehicle file's text with families in place of the files that it names for them, and those files.
 
     Args:
-        text: TOML.
         folder: where the vehicle file lies, from which its paths go.
 
     Raises:
@@ -151,7 +149,6 @@ def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     """A vehicle file's text with matrices in place of the files that it names for them, and those files.
 
     Args:
-        text: TOML.
         folder: where the vehicle file lies, from which its paths go.
 
     Raises:
@@ -247,11 +244,7 @@ def _numbers(name: str, value: Array) -> Array:
 
 
 def _check_plain(held: Mapping[str, Array]) -> None:
-    """A struct of a system says more than its matrices, and what of it would change the law is not left out in silence.
-
-    Raises:
-        InputError: it has a descriptor matrix E, a delay, or another unit of time than seconds.
-    """
+    """A struct of a system says more than its matrices, and what of it would change the law is not left out in silence."""
     E = held.get("E", np.zeros((0, 0)))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")

@@ -192,7 +192,6 @@ def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]")
     """`[limits]`, checked.
 
     Args:
-        section: as it was read.
         suspensions: of the vehicle, at which its stops are.
 
     Raises:
@@ -217,7 +216,6 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
     """`[implementation]`, checked.
 
     Args:
-        section: as read.
         measurable: the signals that a controller of this vehicle can measure.
 
     Raises:
@@ -269,11 +267,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def steps_held(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """The parts of a sample period, each under one force: its timesteps, and how many samples late that force is.
-
-    Raises:
-        InputError: as `steps_per_sample`.
-    """
+    """The parts of a sample period, each under one force: its timesteps, and how many samples late that force is."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.held)
 
@@ -282,9 +276,7 @@ def check_period(name: str, period: float | None, implementation: Implementation
     """Whether a controller whose law has a sample period of its own is built with that one.
 
     Args:
-        name: of the controller.
         period: its law's [s]; None where it has none.
-        implementation: of its vehicle.
 
     Raises:
         InputError: it is not.

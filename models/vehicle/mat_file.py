@@ -73,7 +73,6 @@ def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = (
     """The variables of these names: numbers, or structs of numbers.
 
     Args:
-        content: of the file.
         names: those that are read; a struct is read whatever its name, and of its fields these.
         fields: more fields that are read of a struct; of text, the numbers of its characters.
 
@@ -158,11 +157,7 @@ def _version_4(content: bytes, names: Collection[str]) -> Contents:
 
 
 def _elements(data: bytes | memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Type and content of each element of some bytes, in order.
-
-    Raises:
-        DamagedError: one does not end where it says, or there are too many.
-    """
+    """Type and content of each element of some bytes, in order."""
     view, at = memoryview(data), 0
     for _ in range(MOST_ELEMENTS):
         if at == len(view):
@@ -214,12 +209,7 @@ def _header(matrix: memoryview, order: str) -> _Header:
 
 
 def _value(matrix: memoryview, order: str, names: Collection[str], more: Collection[str]) -> Variable:
-    """Plain numbers, or a struct of such, of whose fields those of these names are kept, and more that may be text.
-
-    Raises:
-        DamagedError: it is not formed well.
-        UnreadError: it is something else.
-    """
+    """Plain numbers, or a struct of such, of whose fields those of these names are kept, and more that may be text."""
     parts = _elements(matrix, order)
     kind, _ = _flags(next(parts, None), order)
     if kind in NUMBERS:
@@ -249,12 +239,7 @@ def _value(matrix: memoryview, order: str, names: Collection[str], more: Collect
 
 
 def _numbers(matrix: memoryview, order: str, kinds: Collection[int] = NUMBERS) -> Array:
-    """Plain numbers, of as many dimensions as they have, of an array of one of these classes.
-
-    Raises:
-        DamagedError: they are not formed well.
-        UnreadError: it is something else, or there are too many.
-    """
+    """Plain numbers, of as many dimensions as they have, of an array of one of these classes."""
     if not len(matrix):
         return np.zeros((0, 0))  # an empty field may be written as nothing at all
     parts = _elements(matrix, order)

@@ -49,7 +49,6 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     """The editable model of a vehicle.
 
     Args:
-        vehicle: the vehicle.
         timestep: integration step [s].
 
     Raises:
@@ -78,11 +77,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
 
 
 def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
-    """The MJCF of a kind as its file has it.
-
-    Raises:
-        InputError: it is none.
-    """
+    """The MJCF of a kind as its file has it."""
     try:
         with quiet():
             return mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
@@ -91,12 +86,7 @@ def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
 
 
 def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """A model with the vehicle's parameters in it.
-
-    Raises:
-        InputError: MuJoCo does not take it. The message says whose fault that is: the MJCF's as it is drawn, or that of what
-            was written into it.
-    """
+    """A model with the vehicle's parameters in it."""
     try:
         with quiet():
             return spec.compile()
@@ -121,9 +111,6 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
     A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; where bump and rebound are not
     alike, each is a spring of its own, slack to the other side.
-
-    Raises:
-        InputError: the kind's MJCF has not its suspensions' tendons.
     """
     limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
     by_tendon = {one.tendon: stops[one.deflection] for one in vehicle.kind.suspensions if one.deflection in stops}
@@ -158,11 +145,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
 
 def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """What curves have beyond their lines, and sensors of the velocities that suspensions have as signals.
-
-    Raises:
-        InputError: the kind's MJCF has not what they need.
-    """
+    """What curves have beyond their lines, and sensors of the velocities that suspensions have as signals."""
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
     pairs = [(one.velocity.name, one.deflection) for one in vehicle.kind.suspensions]
     pairs, rest = [pair for pair in pairs if pair[0] in names - sensed], {}
@@ -185,7 +168,6 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
     """The compiled model of a vehicle. At qpos = 0 it is at rest: qacc is 0 to rounding.
 
     Args:
-        vehicle: the vehicle.
         timestep: integration step [s].
         drawn: whether what is only looked at stays in it; without, a step has the same numbers and takes a twentieth less.
 
@@ -201,11 +183,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
 
 
 def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model without something that its equations name.
-
-    Raises:
-        InputError: it says what is missing.
-    """
+    """Refuses a model without something that its equations name."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.linear_model.outputs for part in kind.combined.get(name, {name: 1.0})]
@@ -230,11 +208,7 @@ def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model that cannot be driven from qpos = 0, or read out.
-
-    Raises:
-        InputError: it says what is wrong.
-    """
+    """Refuses a model that cannot be driven from qpos = 0, or read out."""
     where = f"MJCF {vehicle.kind.mjcf}"
     actuators = _inputs(model)
     if actuators != vehicle.linear_model.inputs:
@@ -264,11 +238,7 @@ def _check_numbers(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again.
-
-    Raises:
-        InputError: it says which tyre.
-    """
+    """Refuses a model whose tyres cannot be squeezed flat: past its hub a road makes the tyre longer again."""
     kind, data = vehicle.kind, mujoco.MjData(model)
 
     def read(tyre: str) -> float:

@@ -15,11 +15,6 @@ LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 def check_name(where: str, name: str, taken: Collection[str]) -> None:
     """Whether a controller may be called so.
 
-    Args:
-        where: its section, for messages.
-        name: its name.
-        taken: names that always exist.
-
     Raises:
         InputError: it may not.
     """

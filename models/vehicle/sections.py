@@ -28,7 +28,6 @@ def read_performance(
     """The weights by signal, the filters of those that have one, and that of the road.
 
     Args:
-        section: as it was read.
         outputs: the signals that can be weighed.
 
     Raises:
@@ -160,10 +159,7 @@ def designed_for_samples(
     """Whether a controller's section asks for a design for the loop that the computer closes.
 
     Args:
-        where: the section, for messages.
-        entry: the section.
         two_steps: whether it is designed in two steps, without noise.
-        implementation: of the vehicle.
         usual: what `[implementation]` asks for, where the section does not say.
 
     Raises:

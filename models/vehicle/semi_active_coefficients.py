@@ -54,7 +54,6 @@ def numbers_at(numbers: Numbers, of: "Range", closing: Array, which: Array | sli
     """With the limits of dampers with curves as they are at velocities.
 
     Args:
-        numbers: of those vehicles.
         of: what the dampers of N vehicles can be.
         closing: how fast each suspension closes [m/s], not 0, shape (..., m) of them.
         which: of the N.

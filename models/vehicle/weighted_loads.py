@@ -15,8 +15,6 @@ def weighed_loads(
     """How much of each load [N, N m] counts as much as 1 m/s of w, by name, of a section that says so.
 
     Args:
-        where: the section, for messages.
-        section: as it was read.
         loads: those that the vehicle has.
         goals: keys of goals, whose designs know no loads either.
 

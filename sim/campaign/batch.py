@@ -160,8 +160,6 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     """Returns the rows of some runs of one vehicle, or None if stopped.
 
     Args:
-        plan: the campaign.
-        start, stop: which runs.
         stopped: asked now and then whether to give up.
     """
     keys = [plan.key(run) for run in range(start, stop)]

@@ -144,12 +144,7 @@ def check_results(options: argparse.Namespace) -> int:
 
 
 def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, str]:
-    """Returns the number of runs, the result of --verify, and a remark on the campaign file.
-
-    Raises:
-        InputError: there is no finished campaign, or a file that it names is missing.
-        FaultError: its folder's files were changed.
-    """
+    """Returns the number of runs, the result of --verify, and a remark on the campaign file."""
     manifest = read_manifest(folder, FINISHED)
     if manifest is None:
         raise InputError(f"--verify {folder}: is empty; {FINISHED}")
@@ -188,11 +183,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
 
 
 def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
-    """The runs with the gains that the campaign began with, designed now where it begins; and what the folder says of them.
-
-    Raises:
-        InputError: the folder holds another campaign; a controller cannot be designed; far too many runs.
-    """
+    """The runs with the gains that the campaign began with, designed now where it begins; and what the folder says of them."""
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
         raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")

@@ -39,9 +39,7 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
     """Returns the controllers that a campaign began with. Nothing is run.
 
     Args:
-        campaign: the campaign.
         gains: as its folder has them.
-        folder: of the results.
 
     Raises:
         FaultError: gains are missing, or are no gains.
@@ -69,11 +67,7 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
 
 
 def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
-    """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`.
-
-    Raises:
-        FaultError: the entry does not fit the vehicle.
-    """
+    """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`."""
     try:
         return designer.given(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
     except (KeyError, ValueError) as error:
@@ -85,17 +79,7 @@ def _strange(error: Exception) -> FaultError:
 
 
 def _law_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any], folder: Path) -> Programmed:
-    """The law of a controller, whose file the vehicle file names, as its campaign began with it. Nothing is run.
-
-    Args:
-        vehicle: of the campaign.
-        name: of the controller.
-        entry: of `sim.campaign.manifest.gains_of`, as the folder has it.
-        folder: of the results.
-
-    Raises:
-        InputError: its file cannot be read, is not as it was, or lies in that folder.
-    """
+    """The law of a controller, whose file the vehicle file names, as its campaign began with it. Nothing is run."""
     law = programmed(vehicle, name)
     path = law.law.path
     assert path is not None, "it was read"

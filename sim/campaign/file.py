@@ -268,12 +268,7 @@ def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:
     """A campaign from the text of its file, wherever that is kept; what it names lies beside `path`.
 
     Args:
-        text: TOML.
-        path: of its file.
         own_kinds: as for `read_vehicle`.
-
-    Raises:
-        InputError: see `read_campaign`.
     """
     try:
         return _parse(text, path.parent, own_kinds)
@@ -368,16 +363,7 @@ def _list(data: Mapping[str, Any], key: str, example: str) -> list[Any]:
 
 
 def _check_once(key: str, written: Sequence[Any], read: Sequence[Hashable]) -> None:
-    """Checks that nothing is named twice, in the same words or in others: its runs would count twice.
-
-    Args:
-        key: of the list.
-        written: its values, as the file has them.
-        read: what each of them means.
-
-    Raises:
-        InputError: two mean the same.
-    """
+    """Checks that nothing is named twice, in the same words or in others: its runs would count twice."""
     first: dict[Hashable, str] = {}
     for value, meant in zip(written, read, strict=True):
         if meant in first:

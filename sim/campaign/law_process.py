@@ -115,11 +115,7 @@ class _Process:
         self._tell(payload)
 
     def rows(self, start: int, stop: int, stopped: Callable[[], bool]) -> Rows | None:
-        """Returns the rows of a batch, or None if stopped.
-
-        Raises:
-            EndedError: the process has ended.
-        """
+        """Returns the rows of a batch, or None if stopped."""
         self._tell(f"{start} {stop}\n".encode())
         while not stopped():
             over = self._process.poll() is not None  # what it has said by then is heard within a tick

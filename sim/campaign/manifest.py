@@ -79,7 +79,6 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
     """Returns the manifest of a folder, or None if the folder is empty.
 
     Args:
-        folder: of the results.
         instead: advice of the message, if the folder has no readable campaign.
 
     Raises:

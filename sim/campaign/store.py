@@ -206,11 +206,7 @@ class Store:
         return made.hexdigest()[:32]
 
     def _read(self, part: Part) -> pa.Table:
-        """The rows of a part.
-
-        Raises:
-            InputError: they are not what was written; it happened while the campaign was running.
-        """
+        """The rows of a part."""
         table = self._table(part, self.schema.names)
         if table is None:
             raise InputError(f"results {part.path}: was damaged while the campaign ran; start it again, and it goes on")

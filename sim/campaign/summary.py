@@ -158,7 +158,6 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
     """A panel for every road and speed, a point for every vehicle and controller: their root mean squares in MuJoCo.
 
     Args:
-        plan: of the campaign.
         entries: what it came to, see `summarise`.
 
     Raises:

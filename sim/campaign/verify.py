@@ -52,9 +52,7 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
 
     Args:
         plan: its runs, with the gains that its folder holds.
-        store: its folder.
         count: how many runs are driven again.
-        seed: which ones.
         own: whether laws in Python are run.
         progress: is told how many are done.
 

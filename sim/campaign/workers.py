@@ -86,11 +86,7 @@ def cluster(address: str) -> Iterator[None]:
 
 
 def _check_address(address: str) -> None:
-    """Checks that a server listens at an address: Ray itself would look for it for minutes.
-
-    Raises:
-        InputError: there is no server, or the text is no address.
-    """
+    """Checks that a server listens at an address: Ray itself would look for it for minutes."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not (colon and host and port.isdecimal() and 0 < int(port) < 2**16):
         raise InputError(f"--ray {address}: is no address; give HOST:PORT of a cluster's head, or auto")

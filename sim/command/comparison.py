@@ -22,11 +22,6 @@ from synth.controller.controller import Controller, Driver
 def controllers_of(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Driver]:
     """The controllers of these names; no law in Python is run.
 
-    Args:
-        vehicle: the vehicle.
-        names: of its controllers.
-        design: gives a linear one.
-
     Raises:
         InputError: one cannot be designed, or the file of a law cannot be read.
     """
@@ -44,7 +39,6 @@ def programmed(vehicle: Vehicle, name: str) -> Programmed:
     """The controller of that name; the file of its law is read, and not run.
 
     Args:
-        vehicle: the vehicle.
         name: of one of its controllers that is a law in Python.
 
     Raises:
@@ -87,11 +81,7 @@ class _NoPandas:
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
-        """None, which leaves a module to the other finders.
-
-        Raises:
-            ModuleNotFoundError: it is pandas.
-        """
+        """None, which leaves a module to the other finders."""
         if name == "pandas":
             raise ModuleNotFoundError("No module named 'pandas'", name=name)
         return None
@@ -128,7 +118,6 @@ def recorded(
 
     Args:
         options: as the command's parser read them, `--logs` among them.
-        vehicle: as it was read.
         controllers: names of those that were run.
         runs: makes those that are recorded, by the names they have there, and is not called in vain.
         result: as `--json` prints it.
@@ -201,7 +190,6 @@ def compared_lines(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
     """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict.
 
     Args:
-        runs: over one road.
         design: gives the passive vehicle's controller.
     """
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)

@@ -50,7 +50,6 @@ def left_out(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[st
     """Controllers of a vehicle that nobody asked for, and that are not among those taken instead; none where some were asked for.
 
     Args:
-        vehicle: the vehicle.
         asked: as `--controller` was given.
         names: of those that are taken.
     """
@@ -78,12 +77,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 
 
 def add_loads(parser: Parser, what: str) -> None:
-    """`--load`, again and again.
-
-    Args:
-        parser: of the command.
-        what: what loads do there.
-    """
+    """`--load`, again and again."""
     parser.add_argument(
         "--load",
         dest="loads",

@@ -131,11 +131,7 @@ def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
 
 
 def _wait_until_up(process: subprocess.Popen, address: str) -> None:
-    """Waits until a page answers.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Waits until a page answers."""
     deadline = time.monotonic() + STARTING
     while time.monotonic() < deadline and process.poll() is None:
         try:

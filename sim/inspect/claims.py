@@ -126,7 +126,6 @@ def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     """Notes that the log makes no claim about the controller's goals.
 
     Args:
-        vehicle: of the vehicle file.
         controller: its law is the logged one.
     """
     entry = vehicle.controllers.get(controller.name)

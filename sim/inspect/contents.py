@@ -43,8 +43,6 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
     """The records, attachments and channels of a log.
 
     Args:
-        log: as it was read.
-        vehicle: of the attached file.
         timestep: [s].
         made: its runs as they would be written now, the responses as they were logged.
         current: whether it is of this format; of an older one nothing is demanded, and what differs is said.
@@ -74,7 +72,6 @@ def check_whole_result(log: Recorded, again: Sequence[Prediction]) -> Iterator[F
     """Checks the keys of the result and its parts beside the runs.
 
     Args:
-        log: of this format.
         again: recomputed predictions of its runs.
     """
     try:

@@ -69,8 +69,6 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
     """Yields the paths at which a JSON value differs from the recomputed one.
 
     Args:
-        said: logged value.
-        now: recomputed value.
         exact: True to require the same keys, except `SINCE`. Otherwise keys of `LATER` may be absent, and extra keys are ignored.
         path: of the value in the whole.
         absolute: tolerance of numbers, if that is more than the relative one, `SAME`.

@@ -103,7 +103,6 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
     """Checks a log.
 
     Args:
-        log: as it was read.
         kinds: folder of kinds of vehicle of the user's own; see `recorded_vehicle`.
     """
     other: list[Finding] = []
@@ -155,11 +154,7 @@ def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected]
 
 
 def _held(one: Inspected) -> Held:
-    """Returns the data of a run for the check of the command line.
-
-    Raises:
-        InputError: a claim is missing.
-    """
+    """Returns the data of a run for the check of the command line."""
     assert one.again is not None, "the caller has asked"
     recorded, how = one.recorded, one.again.vehicle.implementation
     return Held(recorded.name, recorded.claims.get("name"), how, recorded.claim("samples"), recorded.claim("road"))

@@ -49,7 +49,6 @@ def recorded_vehicle(log: Recorded, kinds: Path | None) -> Vehicle:
     """Returns the vehicle of the attached file.
 
     Args:
-        log: the log.
         kinds: folder of kinds of vehicle of the user's own, whose Python is run, or None for those that ship alone.
 
     Raises:
@@ -125,11 +124,7 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Dr
 
 
 def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[str], law: PythonLaw) -> Programmed:
-    """A law in Python of a run, its text as it is attached.
-
-    Raises:
-        InputError: there is no such text, it is not what the log says, or something is claimed of it.
-    """
+    """A law in Python of a run, its text as it is attached."""
     content = log.attachments.get(run.claims.get("law_file", ""))
     if content is None or len(content) > MOST_TEXT:
         raise InputError("the text of its law in Python is not attached")
@@ -144,11 +139,7 @@ def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[st
 
 
 def _semi_active(run: RecordedRun, found: SemiActive) -> SemiActive:
-    """A law that ships, as vehicle.toml has it.
-
-    Raises:
-        InputError: the log says another one, or something is claimed of it.
-    """
+    """A law that ships, as vehicle.toml has it."""
     record = found.law.record
     if {key: run.claims.get(key) if key == "semi_active" else run.claim(key) for key in record} != record:
         raise InputError("its semi-active law is not that of vehicle.toml")
@@ -166,8 +157,6 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
     """The road of a run.
 
     Args:
-        log: the log.
-        run: the run.
         samples: how many are to be computed on it.
 
     Raises:
@@ -194,11 +183,8 @@ def predicted_again(
     """Recomputes the prediction of a run by linear analysis; for a law in Python, under the attached forces.
 
     Args:
-        log: the log.
-        run: the run.
         vehicle: its vehicle, see `implemented`.
         controller: its controller, see `recorded_controller`.
-        samples: number of samples.
         timestep: [s].
 
     Raises:

@@ -22,7 +22,6 @@ def write_signals(path: Path, proof: Proof) -> None:
 
     Args:
         path: the file; it gets its name when it is whole.
-        proof: of the log.
 
     Raises:
         InputError: the log has no signals of a vehicle that is known, or the file cannot be written.

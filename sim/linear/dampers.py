@@ -47,7 +47,6 @@ def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str,
     """Returns the signals of the adjustable dampers, by name.
 
     Args:
-        vehicle: the vehicle.
         beyond: coefficients beyond the nominal ones [N s/m], shape (T, m).
         missing: requested minus actual forces [N], shape (T, m).
     """
@@ -63,7 +62,6 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
     would omit.
 
     Args:
-        vehicle: the vehicle.
         states: of the vehicle, shape (T, n).
         inputs: the forces that act [N], shape (T, m).
     """
@@ -111,9 +109,7 @@ def scaled_commands(vehicle: Vehicle, commands: Array, factor: float) -> Array:
     """Returns the commands for a scaled road: forces scale with the road, damper coefficients stay.
 
     Args:
-        vehicle: the vehicle.
         commands: forces, shape (T, m), or with adjustable dampers commands, shape (T, 2 m).
-        factor: of the road.
     """
     forces = vehicle.linear_model.inputs
     factors = [1.0 if i < len(forces) and forces[i] in vehicle.dampers else factor for i in range(commands.shape[1])]

@@ -24,7 +24,6 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
 
     Args:
         forces: requested at every sample [N], shape (T, m).
-        road: what the vehicle meets.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     vehicle, time, h, model = road.vehicle, road.time, road.timestep, with_lag(road.vehicle)

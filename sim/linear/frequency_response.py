@@ -41,7 +41,6 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
 
     Args:
         vehicle: p outputs, r wheels.
-        controller: its controller.
         omega: angular frequencies above 0 [rad/s], shape (F,).
     """
     cut = continuous(vehicle, controller)
@@ -63,7 +62,6 @@ def sampled_frequency_response(
 
     Args:
         vehicle: p outputs, r wheels.
-        controller: its controller.
         omega: angular frequencies above 0 and below pi / timestep [rad/s], shape (F,).
         timestep: h [s].
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator.
@@ -265,7 +263,6 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     By Parseval it is the largest L2 gain of any road below `highest`: the H-infinity norm if there is one wheel.
 
     Args:
-        vehicle: the vehicle.
         response: angular frequencies (F,) -> frequency response (F, p, r).
         highest: end of the search [rad/s], the Nyquist frequency pi / h.
         speed: forward velocity [m/s].

@@ -74,12 +74,7 @@ def is_curved(vehicle: Vehicle) -> bool:
 
 
 def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
-    """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first.
-
-    Args:
-        vehicle: the vehicle.
-        model: the linear model.
-    """
+    """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first."""
     curved = [fitted for fitted in vehicle.fitted if len(fitted.curve.pieces.slope)]
     velocities = {suspension.deflection: suspension.velocity.name for suspension in vehicle.kind.suspensions}
     over = [velocities[fitted.deflection] if fitted.damps else fitted.deflection for fitted in curved]

@@ -53,8 +53,6 @@ class CurvedSteps:
         """Prepares the steps for a linear model whose first states are the vehicle's.
 
         Args:
-            vehicle: the vehicle.
-            model: n states, m inputs.
             timestep: [s].
             exact: True for exact steps, False for those of RK4.
             dampers: True if the vehicle's adjustable dampers have weights, in its order; the model must then be its own.
@@ -200,7 +198,6 @@ class CurvedSteps:
         """Returns the weights of every element as power series in shares of these lengths of time, shape (order + 1 or 1, N, e).
 
         Args:
-            weights: over the step.
             some: indices of the N runs.
             since: start of their series after the step's start [s], shape (N,).
             length: [s], shape (N,).
@@ -247,8 +244,6 @@ def _series(A: Array, nonlinear: Elements, steepest: Array, rate: float, timeste
     """Returns the number of parts of a step, and the order at which the series of a part ends below rounding.
 
     Args:
-        A: of the linear model.
-        nonlinear: the elements.
         steepest: largest ratio of force to argument of each, shape (e,).
         rate: of the fastest valve [rad/s].
         timestep: [s].

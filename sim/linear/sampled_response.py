@@ -68,7 +68,6 @@ def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict
     Args:
         rounding: see `roundings`.
         model: of the vehicle and its controller.
-        samples: of the run.
     """
     loop, linear, shaken = model.closed_loop, model.open_loop.model, _shaken(model.vehicle)[1]
     rows = np.eye(len(linear.A), len(loop.transition))
@@ -113,7 +112,6 @@ def sampled_response(loop: LoopModel, road: RoadInput, exponential: Callable[[Ar
 
     Args:
         loop: at the timestep of the road's samples.
-        road: what the vehicle meets.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     return sampled_responses(loop, [road], exponential).run(0)
@@ -286,7 +284,6 @@ def response_of(
 
     Args:
         model: the vehicle's own, or a larger one that has its states and inputs first.
-        road: what the vehicle meets.
         states, inputs: over time.
         beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
         beside: signals that are no outputs of the model, of shape (T,), or None for the damper signals of these inputs.

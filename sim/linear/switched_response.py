@@ -70,8 +70,6 @@ class Decisions:
         """Prepares a controller that samples with this period.
 
         Args:
-            vehicle: the vehicle.
-            controller: its controller.
             period: [s].
             near: largest margin that is attributed to rounding, see `DecisionMismatch.margin`.
             peaks: the peak of a signal, or of "velocity", that of the suspensions.
@@ -170,10 +168,8 @@ def switched(
     """Returns the response from rest.
 
     Args:
-        road: what the vehicle meets.
         decisions: those of its controller, or None if the commands are known.
         commands: known commands, shape (T, 2 m), see `Range.commands`; with decisions, those of physics.
-        measured: by the controller.
         as_rk4: True for RK4's own arithmetic.
     """
     vehicle, time, h = road.vehicle, road.time, road.timestep
@@ -229,7 +225,6 @@ def switched_response(controller: Controller | SemiActive, road: RoadInput) -> R
     Unless there are curves or loads it is proportional to the road, as a force over a velocity decides a coefficient.
 
     Args:
-        controller: its controller.
         road: what the vehicle meets; noise on its measurements is left out.
     """
     road = replace(road, vehicle=replace(road.vehicle, implementation=road.vehicle.implementation.clear))
@@ -255,13 +250,10 @@ def _followed(
     `otherwise`.
 
     Args:
-        decisions: those just made.
         decided: the commands, shape (2 m,).
-        y, v: measurements and velocities of the decision.
         moved: factors from coefficients to forces, shape (m,).
         other: coefficients in physics, shape (m,).
         time: of the sample [s].
-        otherwise: list of the samples at which physics is followed.
     """
     of, m = decisions.of, len(other)
     apart = of.adjustable & ~(np.abs(decided[:m] - other) <= OTHERWISE * np.where(of.adjustable, of.high[0] - of.low[0], 1.0))
@@ -294,7 +286,6 @@ class _Steps(Protocol):
             xi: the state, shape (n,).
             acting: actual coefficients at its start, shape (m,).
             set_to: commands: coefficients, or forces of force actuators, shape (m,).
-            k: index of the step.
         """
         ...
 

@@ -302,7 +302,6 @@ class Damped:
 
         Args:
             laws: N of them.
-            of: range of their dampers.
         """
         self.laws, self.of, self.forces = laws, of, 2 * laws.forces
 

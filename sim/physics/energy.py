@@ -88,8 +88,6 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
 
     Args:
         runs: N runs of MuJoCo.
-        index: of the run.
-        road: under this run.
         until: time at which the vehicle broke off [s], if before it diverged.
     """
     vehicle, time, (model, along) = road.vehicle, road.time, _observed(road.vehicle, float(road.time[1]))
@@ -148,7 +146,6 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
     """Writes the work of adjustable dampers beyond the nominal ones, shape (T - 1, m). Returns `Energy.least`.
 
     Args:
-        vehicle: the vehicle.
         response: its signals, of T samples.
         speeds: of the suspensions at the samples [m/s], shape (T, m).
         middle: of the suspensions amid the steps, shape (T - 1, m).

@@ -281,10 +281,6 @@ def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, mem
     """Returns the laws of some of the runs, on signals of these names.
 
     Args:
-        course: all runs.
-        runs: slice of them.
-        names: of the signals.
-        gain, memory: of all the linear laws, as for `LinearLaws`.
         dampers: of those runs, or None; the laws then return their commands.
     """
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]

@@ -35,8 +35,6 @@ class Laws(Protocol):
         Args:
             due: indices of the due controllers; a slice for all.
             which: the same as indices, ascending, shape (d,).
-            k: the step.
-            seen: the signals.
         """
         ...
 

@@ -227,7 +227,6 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
     The road is at `world/profile/<track>`, in place of the pieces under the wheels that stand for it in other viewers.
 
     Args:
-        recording: where to.
         run: what to log; frames that are not finite are left out.
         largest: force whose arrow has the full length [N].
     """
@@ -301,11 +300,7 @@ def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 
 
 def _solid(shape: Shape) -> rr.AsComponents:
-    """A shape as Rerun draws it.
-
-    Raises:
-        ValueError: the form is not one of those that `Shape` allows.
-    """
+    """A shape as Rerun draws it."""
     looks: dict[str, Any] = {
         "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun writes w last
         "colors": [(255 * shape.rgba).round().astype(np.uint8)],

@@ -373,11 +373,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
 
 def _check_complete(path: Path) -> None:
-    """Reads the table of contents, which Rerun writes last: it writes in a thread, and raises nothing on a full disk.
-
-    Raises:
-        OSError: the table is missing.
-    """
+    """Reads the table of contents, which Rerun writes last: it writes in a thread, and raises nothing on a full disk."""
     try:
         with warnings.catch_warnings(action="error"):
             rerun.chunk.RrdReader(path).store()

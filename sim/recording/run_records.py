@@ -58,8 +58,6 @@ def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Sc
     actuator on the tendon NAME beside it, and a cylinder that has the name of a tendon as a tyre of that tendon's length.
 
     Args:
-        vehicle: the vehicle.
-        road: its road.
         physics: the response, at equidistant sample times from 0.
         qpos: generalized positions, shape (T, nq).
     """
@@ -103,8 +101,6 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
     """The road's profiles, one for all wheels that run in each other's track; none of a rig, whose posts are bodies.
 
     Args:
-        vehicle: the vehicle.
-        road: its road.
         places: where its wheels stand, shape (r, 3) [m].
         time: of the frames [s], shape (F,).
         heights: of the road under the wheels at that time [m], shape (F, r).
@@ -180,7 +176,6 @@ def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dic
 
     Args:
         command_line: `python -m sim.COMMAND ...`, which does the same again.
-        vehicle: as it was read.
         timestep: [s].
     """
     return {
@@ -220,9 +215,7 @@ def record_runs(
     """Records the runs of a command, as `sim.recording.files.record` does.
 
     Args:
-        folder: where to.
         command_line: see `common_metadata`.
-        vehicle: as it was read.
         controllers: names of those that were run.
         runs: by the names that they have in the log.
         result: as `--json` prints it.

@@ -72,11 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _reported(
     options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
 ) -> "Page":
-    """The page of a report, written, with its figures where they are asked for.
-
-    Raises:
-        InputError: what is asked for cannot be reported.
-    """
+    """The page of a report, written, with its figures where they are asked for."""
     from models.common.command import versions
     from models.common.files import made_folder, together
     from models.figures.page import write_page

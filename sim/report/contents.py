@@ -35,7 +35,6 @@ def page(scope: Scope, provenance: dict[str, str], beside: Beside) -> Page:
     """The whole report.
 
     Args:
-        scope: what it is about.
         provenance: where it comes from, in words.
         beside: processes for what does not depend on anything else here.
     """

@@ -185,10 +185,8 @@ def frequency_section(
 
     Args:
         scope: what the report is about.
-        lines: of linear controllers.
         sweeps: of the same; none in a quick report.
         speed: [m/s].
-        own: of laws in Python.
     """
     figure = replace(
         sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own), name="frequency-responses"

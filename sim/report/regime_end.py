@@ -63,7 +63,6 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     """Where the linear regime ends over bumps of this length, speed and track; None where none of an allowed height ends it.
 
     Args:
-        vehicle: the vehicle.
         controller: its controller, whose loop is stable.
         bump: its height does not matter.
         time: equidistant sample times from 0 [s].

@@ -26,8 +26,6 @@ def summary(
 
     Args:
         scope: what the report is about.
-        runs: over the paper's bump.
-        ends: of the linear regimes.
         rides: over random roads; none in a quick report.
     """
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}

@@ -100,11 +100,7 @@ class Beside:
         return results
 
     def _elsewhere(self, piece: bytes) -> Any:
-        """Returns the result of a piece from a process.
-
-        Raises:
-            OSError, EOFError: it has ended, as it does where a piece fails: whoever does it here hears why.
-        """
+        """Returns the result of a piece from a process."""
         if not self._idle:
             raise EOFError
         process = self._idle.pop()

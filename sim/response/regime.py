@@ -271,8 +271,6 @@ def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Arra
     """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
-        vehicle: the vehicle.
-        response: of one run.
         factors: also negative, as over a hole; shape (N,).
     """
     detector = EndDetector([vehicle] * len(factors), response.time, predicted=True)

@@ -149,7 +149,6 @@ def difference(physics: Response, sampled: Response) -> Response:
     """Returns the difference of two responses over the sampled one's peak, dimensionless; the verdict takes the largest.
 
     Args:
-        physics: a run in MuJoCo.
         sampled: its exact sampled response, at the same times.
 
     Returns:

@@ -135,7 +135,6 @@ def look_closer(agreement: Agreement, small: Smaller, physics: Response) -> Agre
     """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
 
     Args:
-        agreement: the run's.
         small: what is predicted over the same road at `SMALL` of its height.
         physics: what MuJoCo did over that.
     """

@@ -23,7 +23,6 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     As they act: held over a step at what they are midway through it.
 
     Args:
-        vehicle: its parameters count.
         road: with loads, or without.
         time: equidistant sample times [s], shape (T,).
     """
@@ -62,11 +61,6 @@ def written_forces(names: Sequence[str], forces: Array) -> bytes:
 
 def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """Reads forces [N], shape (T, m), from text.
-
-    Args:
-        content: the text.
-        names: of the forces.
-        samples: required number.
 
     Raises:
         InputError: the text has other forces, or another number of samples.

@@ -95,7 +95,6 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
 
     Args:
         loop: of the vehicle and its controller, at the timestep of the road's samples.
-        road: what the vehicle meets.
         most_states: of a loop, its delayed forces among them, of which eigenvalues are still taken.
 
     Raises:
@@ -133,8 +132,6 @@ def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Pre
     """Predicts the responses to the forces that a law in Python requested in a run from rest.
 
     Args:
-        controller: its controller.
-        road: what the vehicle meets.
         asked: requested forces [N], shape (T, m).
     """
     from sim.linear.forced_response import forced_continuous_response, forced_response
@@ -193,9 +190,6 @@ def predict_switched(
     For a law that is not linear there is no continuous loop, and `continuous` is the same response.
 
     Args:
-        controller: its controller.
-        road: what the vehicle meets.
-        physics: the run of MuJoCo.
         near: largest difference of physics, over a peak, that explains a different decision.
         asked: the commands of a law in Python, shape (T, 2 m).
     """
@@ -261,8 +255,6 @@ def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: 
 
     Args:
         controller: a law in Python, or any controller of a vehicle with adjustable dampers.
-        road: what the vehicle meets.
-        physics: the run of MuJoCo.
         asked: its requested forces, see `PhysicsRuns`.
     """
     vehicle = road.vehicle
@@ -279,8 +271,6 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Sma
     """Predicts a run at a share of its road's height: proportional, as far as it is linear.
 
     Args:
-        share: of the height.
-        prediction: over the whole road.
         physics: the MuJoCo run at that share of the road, whose decisions adjustable dampers follow.
     """
     vehicle = prediction.vehicle

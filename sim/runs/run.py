@@ -214,11 +214,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
 
 def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
-    """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file.
-
-    Raises:
-        InputError: it names the signal, and those that are measured.
-    """
+    """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file."""
     measured = {name for controller in (*controllers, *vehicle.controllers.values()) for name in controller.measured}
     how = vehicle.implementation
     for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
@@ -232,9 +228,6 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: A
     """Runs every controller over the road, from rest, and compares.
 
     Args:
-        vehicle: the vehicle.
-        controllers: its controllers.
-        road: the road.
         time: equidistant sample times from 0 [s], see `sample_times`.
     """
     _check_noise(vehicle, controllers)
@@ -280,7 +273,6 @@ def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> lis
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        physics: the responses in MuJoCo.
     """
     pairs = list(zip(predictions, physics, strict=True))
     runs = [Run(prediction, response, compare(prediction, response)) for prediction, response in pairs]
@@ -336,7 +328,6 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
     """Returns the driver that repeats a run.
 
     Args:
-        prediction: of the run.
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
         share: of the forces of a law in Python.
     """

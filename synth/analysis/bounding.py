@@ -41,7 +41,6 @@ def certify_tightly(
     For gains without an X, as from a descent. `certify` checks a given X, or leaves the gain without a bound.
 
     Args:
-        plant: n states, m inputs.
         G: the gain from measurements (6), or a state gain, shape (m, n).
         lower_bound: on the norm of any controller of the gain's kind.
         by_itself: as for `certify`.

@@ -47,7 +47,6 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float,
     """Returns the left side of (21), shape (n + d, n + d); bordered by n with a step. With Y = 0 it is (20) for the plant.
 
     Args:
-        plant: n states, m inputs, d controlled outputs.
         X: shape (n, n), symmetric.
         Y: shape (m, n).
         eta: gamma^-2.
@@ -68,7 +67,6 @@ def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array,
     """Returns the left side of (20) for the loop A + B G, C + D G, or its discrete form; by integers, every entry rounded once.
 
     Args:
-        plant: n states, m inputs, d controlled outputs.
         G: shape (m, n), or a gain from measurements.
         X: shape (n, n), symmetric.
         eta: gamma^-2.
@@ -324,7 +322,6 @@ def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: flo
     The matrix of (20), see `certificate.py`, is computed from the given numbers without rounding.
 
     Args:
-        plant: n states, m inputs.
         G: shape (m, n), or a gain from measurements.
         X: shape (n, n); its symmetric part counts.
         eta: gamma^-2.

@@ -70,7 +70,6 @@ def zero_limit(
     """Returns the largest norm that zeros in the right half plane prove, and approximations of these; 0 and none if none do.
 
     Args:
-        plant: n states, m inputs.
         Cy: shape (q, n); None for state feedback and more, for which only the zeros from u to z count.
         inequalities: of the plant, and of the transposed one, if they are known already.
         Dyw: shape (q, r); zero if it is not given.

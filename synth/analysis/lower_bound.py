@@ -85,10 +85,7 @@ def prove_lower_bound(
     """Returns the bound that dual certificates prove. Before the end of the path it is weaker by (2 n + d) mu, but easier.
 
     Args:
-        plant: n states, m inputs.
-        state: of the plant.
         Cy: shape (q, n); given with an observer.
-        observer: of the transposed plant.
         Dyw: shape (q, r); zero if it is not given.
 
     Raises:

@@ -59,7 +59,6 @@ def read_proof(
 
     Args:
         record: see `to_record`.
-        plant: n states.
         Cy: of the measurements, shape (q, n); any number of rows.
         kept: number of controller states, which are in X too.
         Dyw: from w to the measurements, shape (q, r); zero if it is not given.

@@ -90,9 +90,7 @@ def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma
     """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
 
     Args:
-        plant: n states, m inputs.
         pieces: of the period: duration [s], and the selection of the k held inputs that act, shape (m, k).
-        gamma: the level.
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None

@@ -54,7 +54,6 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
         loop: stable.
         angle: of the disturbance from sample to sample [rad]; NaN for a disturbance and a z within one period alone.
         parts: of every piece of the period.
-        degree: of the polynomials.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
@@ -307,8 +306,6 @@ class _Search:
 
         Args:
             angle: [rad].
-            level: to start from.
-            below: a level that is too low.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

@@ -246,7 +246,6 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence
     """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
 
     Args:
-        plant: n states, m inputs.
         Cy: shape (q, n). Default: every state is measured.
         states: names of the states. Default: x1, x2, ...
     """
@@ -273,7 +272,6 @@ def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
     holds for its differences, in which z = 1 is 0.
 
     Args:
-        plant: n states, m inputs.
         Cy: shape (q, n).
     """
     where = stability(plant.A, plant.dt)

@@ -87,7 +87,6 @@ def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> 
     """Returns the transposed plant: its state feedback is the injection of y = C_y x + Dyw w, and w and z are exchanged.
 
     Args:
-        plant: n states, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero if it is not given.
     """

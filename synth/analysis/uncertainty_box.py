@@ -190,7 +190,6 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
     """Returns True if X satisfies (20) at every corner of a box, beyond rounding.
 
     Args:
-        gain: its loops.
         box: with at most `MOST` uncertain factors.
         X: shape (n, n), symmetric to the last bit.
         eta: gamma^-2.

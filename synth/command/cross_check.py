@@ -76,7 +76,6 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     """Clarabel's answer to the problem that a controller comes from, or None for one that comes from none.
 
     Args:
-        designer: of the vehicle.
         controller: as it was designed, not refined.
         zero_l: whether with L = 0.
     """

@@ -41,9 +41,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     """Designs, checks, saves and prints what is asked for; returns the command's exit code.
 
     Args:
-        vehicle: the vehicle.
         names: of the controllers asked for; empty for `--check`, which finds its own.
-        options: of the command.
 
     Raises:
         InputError: options that this vehicle has nothing for, or files that cannot be written.

@@ -16,12 +16,7 @@ ROOM = 1.5  # times a band that is shown whole
 
 
 def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
-    """The figure; None where no loop is stable.
-
-    Args:
-        vehicle: the vehicle.
-        rows: of the table.
-    """
+    """The figure; None where no loop is stable."""
     stable = [row for row in rows if row.controller is not None and row.controller.certificate.stable]
     if not stable:
         return None

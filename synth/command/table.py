@@ -158,7 +158,6 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
     """Which norms `--refine` lowers by more than the table's last digit, and the command for it; empty where none.
 
     Args:
-        rows: of the table.
         vehicle: as `--vehicle` was given.
     """
     worth = [row for row in rows if row.worth]

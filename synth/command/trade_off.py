@@ -89,11 +89,7 @@ def others_of(vehicle: Vehicle) -> list[str]:
 
 
 def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
-    """The one controller that is asked for, or the usual one.
-
-    Raises:
-        InputError: several are asked for, or one that there is not.
-    """
+    """The one controller that is asked for, or the usual one."""
     if asked is None:
         return usual(vehicle)
     if len(asked) > 1:
@@ -107,11 +103,7 @@ def usual(vehicle: Vehicle) -> str:
 
 
 def _numbers(found: Front, asked: Sequence[int] | None) -> list[int]:
-    """The points that are saved.
-
-    Raises:
-        InputError: one is not there.
-    """
+    """The points that are saved."""
     for i in asked or ():
         if i > len(found.points):
             raise InputError(f"--point {i}: the front has {len(found.points)} points; give one from 1 to {len(found.points)}")

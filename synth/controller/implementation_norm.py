@@ -27,7 +27,6 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
     Args:
         vehicle: with the controller's implementation.
-        controller: its controller.
         timestep: of the runs [s]; the sample period if the vehicle gives none.
     """
     ideal = controller.certificate.norm.value

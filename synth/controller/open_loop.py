@@ -91,8 +91,6 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
     """Returns the open loop for a sample period.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         period: [s].
     """
     model = with_lag(vehicle)

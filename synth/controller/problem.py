@@ -62,7 +62,6 @@ def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant
     """Returns the problem that a controller with these measured signals is designed for and judged with.
 
     Args:
-        vehicle: the vehicle.
         measured: the q signals.
         hardware: sensor noise, actuator lag and loads.
         plant: `generalized_plant` for its actuators, if it is known already.
@@ -102,7 +101,6 @@ def generalized_plant(
     are the last.
 
     Args:
-        vehicle: the vehicle.
         bandwidth: corner frequency of its actuators' lag [rad/s]; None for forces that act at once.
         acting: behind a lag, z weights the acting control force, as in the built system. Else it weights the requested force,
             which the controller decides.
@@ -141,7 +139,6 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
     """Returns the names of the states of a vehicle's plant: the vehicle's own, then those of its filters.
 
     Args:
-        vehicle: the vehicle.
         bandwidth: as for `generalized_plant`.
     """
     model = vehicle.linear_model.behind_lag(bandwidth)
@@ -161,7 +158,6 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
-        vehicle: the vehicle.
         signals: the q signals.
         bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
 

@@ -53,7 +53,6 @@ def two_steps_or_descent(
         Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
 
     Raises:
-        InputError, InfeasibleError: as `two_step_design`.
         DesignError: neither finds a gain whose certificate holds; the message says why. A certificate may be without a bound,
             where rounding leaves no proof of one, as for the large gains of 60 states; then the result says so.
     """

@@ -172,11 +172,7 @@ class _Problem:
         return np.eye(C_i.shape[1]) - np.linalg.pinv(C_i) @ (C_i - self.Cy)
 
     def two_steps(self, f: float) -> tuple[Array, float]:
-        """The gain in the given units, and its bound as Clarabel has it.
-
-        Raises:
-            InfeasibleError, DesignError: as `first_step`.
-        """
+        """The gain in the given units, and its bound as Clarabel has it."""
         rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
         blocks = together(self.pattern)
         eye = np.eye(n)

@@ -142,7 +142,6 @@ def descended(problem: HeldProblem, known: Sequence[Array], near: float) -> tupl
     """The best gain that descent finds, and its norm, infinite where no start is stable.
 
     Args:
-        problem: what is designed for.
         known: gains to start from, shapes (m, q); the line through the first is searched.
         near: a guess of the norm.
     """
@@ -219,7 +218,6 @@ def held_design(problem: HeldProblem, near: float, known: Sequence[Array] = ()) 
     """The two steps, or the first alone where all states are measured.
 
     Args:
-        problem: what is designed for.
         near: a level to start from, as the norm of the continuous design.
         known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
 
@@ -277,11 +275,7 @@ def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Ar
 
 
 def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """K by the two steps and its level; L (14) also makes forces on their way follow a gain for forces that act at once.
-
-    Raises:
-        DesignError: there is none.
-    """
+    """K by the two steps and its level; L (14) also makes forces on their way follow a gain for forces that act at once."""
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
     fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")
@@ -352,9 +346,6 @@ def _level(
 
     Where it ends below 1 at every level above what happens within one period, that is the level. What has no solution at a level
     far above has none below.
-
-    Raises:
-        DesignError: it ends at no level.
     """
     below, above, level, grow = 0.0, math.inf, start, GROW
     seen = list[tuple[float, float]]()

@@ -105,7 +105,6 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
     """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
 
     Args:
-        plant: n states, m inputs.
         states: names of the states; x1, x2, ... without them.
     """
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
@@ -212,10 +211,6 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
     """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own
     units.
 
-    Args:
-        plant: n states, m inputs.
-        states: names of the states, for messages.
-
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
         DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
@@ -246,10 +241,8 @@ def state_design(
     """State feedback, the optimum of (22).
 
     Args:
-        plant: n states, m inputs.
         path: of `state_path`, if it is there already.
         lower_bound: what no controller of this kind can beat, for the certificate.
-        states: names of the states, for messages.
 
     Raises:
         InfeasibleError, DesignError: as `state_path`, or no certificate holds.
@@ -376,11 +369,7 @@ def two_step_design(
 
 @numerics()
 def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
-    """Remark 4: (25) with L = 0, in one step.
-
-    Raises:
-        InputError, InfeasibleError, DesignError: as `two_step_design`.
-    """
+    """Remark 4: (25) with L = 0, in one step."""
     Cy, kept = measurement(plant, Cy)
     problem, units = posed(plant), own_units(plant, Cy)
     rows, measured = units.rows(Cy[kept])
@@ -391,11 +380,7 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
 
 
 def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
-    """C_y, checked, and which of its rows do not follow from those before them.
-
-    Raises:
-        InputError: see `measurement_matrix`.
-    """
+    """C_y, checked, and which of its rows do not follow from those before them."""
     Cy = measurement_matrix(Cy, len(plant.A))
     return Cy, independent_rows(plant, Cy)
 

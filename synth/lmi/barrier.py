@@ -231,10 +231,7 @@ def newton(
     """Minimises from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
 
     Args:
-        barrier: of the feasible set.
-        p: the start.
         c: the slope of what is minimised beside the barrier.
-        tolerance: of the Newton decrement.
         leave: whether a point that short steps led to is too far away for these coordinates.
         here: the barrier's derivatives at the start, where they are known.
 

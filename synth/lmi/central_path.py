@@ -99,7 +99,6 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
     """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
 
     Args:
-        plant: n states, m inputs; continuous or discrete.
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
         mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
@@ -157,11 +156,7 @@ def _border(step: float) -> str:
 
 
 def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
-    """A point of the path of what z sees as one of the whole plant.
-
-    Raises:
-        DesignError: rounding leaves no X of the whole.
-    """
+    """A point of the path of what z sees as one of the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)

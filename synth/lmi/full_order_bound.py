@@ -208,9 +208,6 @@ def _inside(plant: GeneralizedPlant) -> Array:
 
     It is the inverse of the solution of a Riccati equation in which z is joined by the states and the inputs, in the plant's own
     units and of the size of what there is: what is inside then is so without, and it is the same whatever units are given.
-
-    Raises:
-        LinAlgError: there is none, as where the plant cannot be stabilised.
     """
     units = own_units(plant)
     own = units.into(plant)

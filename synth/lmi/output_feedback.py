@@ -14,12 +14,10 @@ def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPo
     """The central path of (22). Its last point is the optimal state-feedback controller u = G_s x, with G_s = Y X^-1 (3) as K.
 
     Args:
-        plant: n states, m inputs.
         mu: see `central_path`.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised.
-        DesignError: see `central_path`.
     """
     n = len(plant.A)
     return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
@@ -36,7 +34,6 @@ def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     It is decided in the plant's own units of the states and for rows of length one, so that no unit decides it.
 
     Args:
-        plant: n states.
         Cy: shape (q, n), no row zero.
     """
     return independent(Cy * own_units(plant, Cy).states)
@@ -73,7 +70,6 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: 
     """The central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
-        plant: n states, m inputs.
         Cy: observed output y = C_y x, shape (q, n), full row rank.
         L: shape (n - q, q): (14), or zero for the one-step design that remark 4 speaks of.
         Q: basis of the nullspace of C_y, shape (n, n - q).
@@ -81,7 +77,6 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: 
 
     Raises:
         InfeasibleError: (25) has no solution with eta > 0 for this L.
-        DesignError: see `central_path`.
     """
     try:
         return central_path(plant, Q, r_matrix(Cy, Q, L), mu)

@@ -57,7 +57,6 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
     bordered matrix of `certificate.py` that is to be negative.
 
     Args:
-        plant: n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q).
         gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound that (25) has for that gain.
@@ -174,9 +173,6 @@ def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
         pattern: where K may be other than zero, of bools, shape (m, q).
-
-    Raises:
-        InfeasibleError, DesignError: as `first_step`.
     """
     import cvxpy as cp
 

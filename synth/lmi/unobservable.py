@@ -94,7 +94,6 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float = 0.0) -> Un
     """What z need not see of a plant, without changing (12); None where it is nothing.
 
     Args:
-        plant: n states, m inputs.
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
         step: of a plant in differences; 0 of a continuous one.

@@ -37,7 +37,6 @@ def on_larger_plant(
     """Returns the plant with a law's states, and the law as a static gain on it; a static law without noise changes nothing.
 
     Args:
-        plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         law: continuous as the plant, or discrete, k states, on y = C_y x + Dyw w.
         Dyw: shape (q, r); zero if it is not given.
@@ -164,7 +163,6 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
     """A system from [w; u] to [z; y] as a plant with C_y (q, n) and Dyw (q, r): y = C_y x + Dyw w.
 
     Args:
-        system: n states.
         disturbances: r, how many of its inputs are w; they come first.
         controlled: d, how many of its outputs are z; they come first.
 

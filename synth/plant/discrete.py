@@ -63,7 +63,6 @@ def mapped(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Mapp
     """Returns the continuous image of a discrete plant and its measurements; a continuous plant is its own image.
 
     Args:
-        plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero if it is not given.
 

@@ -196,8 +196,6 @@ def real_matrix(value: object, name: str, expected: str) -> Array:
 
     Args:
         value: the matrix, or nested lists.
-        name: of the matrix, for messages.
-        expected: its shape, for messages.
 
     Raises:
         InputError: the matrix fails the check; the message names it.
@@ -253,7 +251,6 @@ def measurement_matrices(plant: GeneralizedPlant, Cy: object, Dyw: object = None
     """Returns C_y and Dyw of y = C_y x + Dyw w after a check, shapes (q, n) and (q, r).
 
     Args:
-        plant: n states, r disturbances.
         Cy: a row for each measured signal.
         Dyw: likewise; zero if it is not given.
 

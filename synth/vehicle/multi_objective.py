@@ -141,15 +141,7 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
 
 
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
-    """The signal of a bound for roads of given energy, on the states of what is minimised.
-
-    Args:
-        where: the bound, for messages.
-        vehicle, entry, bound: what it is of.
-
-    Raises:
-        InputError: the road's height, which has no energy, or noise reaches it at once.
-    """
+    """The signal of a bound for roads of given energy, on the states of what is minimised."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.signal)]):
         raise InputError(
@@ -167,15 +159,7 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
 
 
 def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
-    """The road of a bound.
-
-    Args:
-        where: the bound, for messages.
-        vehicle, bound: what it is of.
-
-    Raises:
-        InputError: it is none, or has no end.
-    """
+    """The road of a bound."""
     from models.roads.choice import choose_road  # it knows every kind of road and load, and their files
 
     where = f"{where} road = {bound.road!r}"
@@ -206,15 +190,10 @@ def goals_design(
     """The controller of a section with goals.
 
     Args:
-        vehicle: the vehicle.
-        entry: its section.
-        goals: its goals.
         posed: what its certificate is of: z of `[performance]` at all frequencies.
-        lower_bound: of that.
         told: called with what is reached, as it is.
 
     Raises:
-        InputError: see `goal_problem`.
         DesignError: there is none.
         InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
@@ -279,14 +258,9 @@ def promises_of(
     """What a given gain keeps of the goals of its section.
 
     Args:
-        vehicle: the vehicle.
-        entry: the section.
-        goals: its goals.
-        law: the gain.
         search: whether the ratio to what each vehicle of a family has at its own best, which takes designs, is asked for.
 
     Raises:
-        InputError: see `goal_problem`.
         DesignError: a vehicle of the family has nothing within the bounds by itself, where the ratio to that is asked for.
     """
     asked = goal_problem(vehicle, entry, goals)

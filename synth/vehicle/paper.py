@@ -181,11 +181,7 @@ def absolute_states(plant: GeneralizedPlant) -> GeneralizedPlant:
 
 
 def remark_4(designer: Designer) -> list[WithoutL]:
-    """L = 0 for both controllers, with both choices of states.
-
-    Args:
-        designer: of the paper's vehicle.
-    """
+    """L = 0 for both controllers, with both choices of states."""
     found = []
     for states, plant, turned in (
         ("(30)", designer.plant, np.eye(4)),
@@ -204,11 +200,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
 
 @numerics()
 def remark_5(designer: Designer) -> list[Way]:
-    """The two steps beside a genetic algorithm, for both controllers.
-
-    Args:
-        designer: of the paper's vehicle.
-    """
+    """The two steps beside a genetic algorithm, for both controllers."""
     found, plant = [], designer.plant
     for name, Cy in CY.items():
         begin = time.process_time()

@@ -45,11 +45,8 @@ def refined(
     """The controller of an entry with a lower norm.
 
     Args:
-        vehicle: the vehicle.
-        entry: its section.
         posed: what it is judged with.
         start: what is refined; None where the two steps find no gain: then it is the best that any start leads to.
-        lower_bound: of that problem.
 
     Raises:
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.

@@ -39,9 +39,7 @@ def sampled_design(
 
     Args:
         vehicle: it says how often its computer acts, and how late.
-        entry: what is measured.
         posed: what its ideal loop is judged with.
-        lower_bound: of that loop.
         ideal: gives the controller that is designed for it, which this one is not worse than, or a DesignError.
 
     Raises:

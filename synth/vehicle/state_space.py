@@ -80,11 +80,7 @@ def from_state_space(
 
 
 def _sample_period(system: Any) -> float | None:
-    """The seconds between samples of a system; None of a continuous one.
-
-    Raises:
-        InputError: it is sampled, and does not say how often.
-    """
+    """The seconds between samples of a system; None of a continuous one."""
     period = getattr(system, "dt", None)
     if period is True:
         raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")

@@ -68,7 +68,6 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     """The minimum load of every wheel under every controller.
 
     Args:
-        vehicle: the vehicle.
         controllers: of which each has a loop that decays.
         timestep: [s].
     """

@@ -34,7 +34,6 @@ def sweep_figure(
 
     Args:
         vehicle: the vehicle; the signals it weighs are drawn.
-        sweeps: one per controller.
         amplitude: largest height of the roads [m], for the caption.
         timestep: [s], for the caption.
         speed: forward velocity [m/s].

@@ -55,7 +55,6 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
     """The same of whole periods of a sinusoid, once all else has decayed.
 
     Args:
-        vehicle: the vehicle.
         response: some periods and nothing else.
         omega: frequency of the road [rad/s].
     """
@@ -76,7 +75,6 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
     held.
 
     Args:
-        vehicle: the vehicle.
         response: whole periods and one sample before them, which gives the first leap.
     """
     model = vehicle.linear_model
@@ -249,9 +247,6 @@ def fit(
     """Complex amplitude of every line in every signal, shape (F,) each, from the last samples of a run.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
-        response: of one run.
         omega: lines [rad/s], shape (F,).
         samples: how many samples are fitted.
         besides: other lines [rad/s] that are in it, and are not asked for.

@@ -79,8 +79,6 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
     """The measured signal that is furthest from its final variance when measuring begins; None for an unstable loop.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         road: the spectrum of the road; how rough it is does not matter.
         timestep: of the sampled loop [s].
         start: when measuring begins [s]; rounded to a sample of the controller, as is when a rear wheel comes onto the road.
@@ -181,8 +179,6 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
         window: duration of the measurement [s].
@@ -280,7 +276,6 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
         at_steps: amplitudes by source at every step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
         timestep: from step to step [s].
-        weigh: the weighting.
     """
     steps = np.arange(len(at_steps))[:, None]
     turn = np.exp(1j * omega * timestep * steps)[..., None, None]

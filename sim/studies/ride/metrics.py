@@ -137,8 +137,6 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
     """Returns the angles of the linear loop at rest under the loads of a time [s], in degrees; empty if it has no rest.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         road: with the loads.
         time: of the loads [s].
     """

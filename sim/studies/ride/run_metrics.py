@@ -26,7 +26,6 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
     """Every IRI of what a vehicle drives over in a run.
 
     Args:
-        vehicle: its track width counts.
         road: of a distance, or of time.
         time: of the samples, from 0 [s], shape (T,).
     """

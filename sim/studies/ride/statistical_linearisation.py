@@ -135,11 +135,9 @@ def remainder(
 
     Args:
         vehicle: linear, with the lines of e curves.
-        controller: its controller.
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
         fastest: rate of the fastest oscillation of its loop [rad/s].
-        pulls: the curves.
         index: of each curve's argument among the vehicle's outputs, shape (e,).
         means: initial means of the arguments, shape (e,).
         lines: slopes of the vehicle in place of the curves, shape (e,).
@@ -210,7 +208,6 @@ def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tup
 
     Args:
         rho: correlations, shape (T, e, e).
-        answer: what lies under the responses to forces from time to time, likewise.
         c: of every curve its Hermite coefficients, shape (e, degrees).
         deviations: shape (e,).
     """
@@ -265,8 +262,6 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     converge.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
     """

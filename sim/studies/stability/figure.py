@@ -44,9 +44,7 @@ def margins_figure(
 
     Args:
         vehicle: the vehicle, its controller ideal.
-        controller: its controller.
         loop: all its loops at once.
-        fragile: its margin of errors.
         box: the controller on other vehicles, or None if the kind has no variations.
         timestep: of the physics [s].
     """

@@ -102,7 +102,6 @@ def cut_sampled(
 
     Args:
         vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        controller: its controller.
         period: from sample to sample [s].
         actuators: those that are cut; None for all.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.

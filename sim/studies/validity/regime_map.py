@@ -130,8 +130,6 @@ def validity(
     """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         bumps: N of them.
         time: equidistant sample times from 0 [s].
         progress: is told how many cells are done.
@@ -247,8 +245,6 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     The times are for every bump as it is, and 1 % lower and higher, shape (N, 3, E).
 
     Args:
-        vehicle: the vehicle.
-        unit: of one run for every length and speed.
         heights: of the bumps [m], shape (N,).
         column: index of their runs, shape (N,).
     """

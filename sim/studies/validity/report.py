@@ -114,8 +114,6 @@ def envelope_figure(
     """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
         cells: of the grid, the second axis running faster.
         axes: vertical and horizontal.
         fixed: what is not varied.

@@ -26,7 +26,6 @@ def alike(landscape: Landscape, x: Array) -> Array:
     """M, shape (m q, m q): with x + M t for the point, t has these coordinates.
 
     Args:
-        landscape: of the plant.
         x: a stable point.
     """
     A, C = landscape.loop(x)
@@ -57,7 +56,6 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
 
     Args:
         landscape: whose points they are of.
-        x: the point.
         free: which entries of a point may be other than zero, by index.
     """
     try:

@@ -17,7 +17,6 @@ def free_moves(plant: GeneralizedPlant, Cy: Array, K: Array, share: float) -> tu
     """For each measurement the largest gain on it, and how far that entry may fall and rise.
 
     Args:
-        plant: n states, m inputs.
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
         share: how much the norm may rise, relative.

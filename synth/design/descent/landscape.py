@@ -234,7 +234,6 @@ class Landscape:
         """The norm and where it peaks [rad/s]; infinite where the loop is unstable, or not finite itself.
 
         Args:
-            x: a point.
             above: the search ends early, with a lower bound, once the norm is known to exceed this.
         """
         loop = self._closed(x)

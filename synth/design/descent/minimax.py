@@ -38,7 +38,6 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
         function: (x, above) -> value and slope. Where the value exceeds `above` it may be any such number, and the slope None.
         x: where to start; the value there is finite.
         rounds: at most this many.
-        target: enough.
     """
     value, slope = function(x, np.inf)
     assert slope is not None
@@ -106,11 +105,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
 
 
 def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Array, rounds: int) -> Iterator[tuple[Array, float]]:
-    """The points of one stage, ever lower, and the norm there.
-
-    Raises:
-        ValueError: rounding leaves no model of the norm.
-    """
+    """The points of one stage, ever lower, and the norm there."""
     M = alike(landscape, x)
     steepest = float(np.linalg.norm(landscape.slope(x, at) @ M)) / height if height > 0 else 0.0
     M = M / (steepest or 1.0)  # a unit of t is of the size of a step
@@ -226,11 +221,7 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
 
 
 def _non_negative(matrix: Array, target: Array) -> Array:
-    """Non-negative least squares, shape (k,) for a matrix of shape (N, k).
-
-    Raises:
-        LinAlgError: rounding leaves no solution.
-    """
+    """Non-negative least squares, shape (k,) for a matrix of shape (N, k)."""
     try:
         return optimize.nnls(matrix, target, maxiter=30 * matrix.shape[1])[0]
     except (ValueError, RuntimeError) as error:  # what is not finite, and what does not come to an end

@@ -126,7 +126,6 @@ def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | No
     """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
 
     Args:
-        plant: n states, m inputs.
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
         Dyw: shape (q, r); zero where it is not given.

@@ -41,7 +41,6 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
     """The best stable sample of every decade of size that has one, smallest first, each of shape (m q,).
 
     Args:
-        landscape: of the plant.
         limit: largest entries, shape (m q,).
     """
     generator, count = np.random.default_rng(SEED), _count(landscape)
@@ -58,11 +57,9 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
     """The best stable sample of those that differ from a point by random factors, one for every entry; None where none is stable.
 
     Args:
-        landscape: of the plant.
         x: the point, shape (m q,).
         limit: largest entries, shape (m q,).
         factor: standard deviation of the logarithms.
-        seed: of the samples.
     """
     factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
     return lowest(landscape, np.clip(x * factors, -limit, limit))
@@ -72,7 +69,6 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
     """The point with the smallest norm among the first stable ones of many, shape (m q,); None where none is stable.
 
     Args:
-        landscape: of the plant.
         points: shape (N, m q).
     """
     stable = points[:0]
@@ -110,11 +106,7 @@ EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w doe
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Points that come closest to the state feedback of a Riccati equation, shape (m q,) each; none where rounding leaves none.
-
-    Args:
-        landscape: of the plant.
-    """
+    """Points that come closest to the state feedback of a Riccati equation, shape (m q,) each; none where rounding leaves none."""
     A, Cy, C, D = landscape.A, landscape.Cy, landscape.C, landscape.D
     n, m = landscape.B.shape
     unit = size(A) / size(landscape.B)  # of the forces, with which they move the states as fast as these move
@@ -149,7 +141,6 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
     """Points where the loop is stable, one or none from each start: from u = 0, which is the first, and random points.
 
     Args:
-        landscape: of the plant.
         limit: largest entries, shape (m q,).
         starts: those to try, by number.
     """
@@ -168,8 +159,6 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
     """A stable point from one start, or None: another start may lead to one.
 
     Args:
-        landscape: of the plant.
-        x: the start.
         limit: largest entries, shape (m q,).
         patient: by the second descent alone; otherwise it only takes over where the first ends.
     """

@@ -42,10 +42,8 @@ def named_design(
 
     Args:
         name: "full", "lqr", "lqg" or "h2".
-        plant: n states, m inputs.
         Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
         lower_bound: what no controller from these measurements beats.
-        states: names of the states, for messages.
         noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
         Dyw: shape (q, r), for "full" and "h2"; None for zero.
 

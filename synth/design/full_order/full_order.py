@@ -42,7 +42,6 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
 
     Args:
         law: continuous.
-        where: the mapped plant.
         dt: seconds between samples.
 
     Raises:

@@ -145,9 +145,7 @@ def quadratic_design(
 
     Args:
         name: "lqr", "lqg" or "h2".
-        plant: n states, m inputs.
         Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
-        states: names of the states, for messages.
         noise: of each measurement, for "lqg"; None where there is none.
         Dyw: shape (q, r), for "h2"; None for zero.
 
@@ -181,11 +179,8 @@ def _design(
     """The best in the mean.
 
     Args:
-        plant: n states, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r).
-        states: their names, for messages.
-        all_known: whether y is the whole state, and the law a gain.
         noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
     """
     check_posed(plant)
@@ -220,11 +215,7 @@ def widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
 
 
 def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
-    """K of the u = K x that makes the mean square of C x + D u and of `more` u the smallest, shape (m, n).
-
-    Raises:
-        DesignError: there is none that is stable beyond rounding.
-    """
+    """K of the u = K x that makes the mean square of C x + D u and of `more` u the smallest, shape (m, n)."""
     if not B.shape[1]:  # no force does anything
         return np.zeros((0, len(A)))
     weight = D.T @ D + more.T @ more

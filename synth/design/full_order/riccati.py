@@ -63,7 +63,6 @@ def central_law(plant: GeneralizedPlant, Cy: Array, Dyw: Array, gamma: float) ->
         plant: n states, m inputs, r disturbances, d controlled outputs; D of rank m.
         Cy: shape (q, n).
         Dyw: shape (q, r), of rank q.
-        gamma: to be undercut.
 
     Raises:
         InfeasibleError: no law does, or rounding hides it.

@@ -23,7 +23,6 @@ def in_band(posed: Posed, band: Band) -> Posed:
     """The plant whose norm is at least that in the band; the plant itself for all frequencies.
 
     Args:
-        posed: n states.
         band: from and to [rad/s].
     """
     if band == EVERYWHERE:

@@ -62,7 +62,6 @@ class Term(ABC):
 
         Args:
             x: where the support was made.
-            support: of this term.
             weights: of all its functions, shape (F,).
         """
         return np.zeros((len(x), len(x)))

@@ -173,7 +173,6 @@ def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Error
     """The goals and the bounds.
 
     Args:
-        problem: what is asked for.
         full: the landscape whose points are those of all terms.
         errors: with each of which norms and decay count; peaks count without.
         rate: the decay that is asked for [rad/s]; 0 for none.

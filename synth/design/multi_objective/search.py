@@ -34,7 +34,6 @@ def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: A
 
     Args:
         landscapes: of the plants, with the same points.
-        x: the start.
         free: which entries of a point may move, by index.
     """
     rate = float(np.abs(np.linalg.eigvals(landscapes[0].A)).max()) or 1.0

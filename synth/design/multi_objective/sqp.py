@@ -82,7 +82,6 @@ class Terrain:
         """Of a point.
 
         Args:
-            x: the point.
             above: the search ends early where goal (1 + penalty excess) is known to exceed this.
             penalty: see above.
         """
@@ -152,8 +151,6 @@ def descend(
     """From a point where all loops are stable to one that is lower: within the bounds, if the start is or a way there is found.
 
     Args:
-        terrain: of the problem.
-        x: the start.
         M: coordinates in which all directions count alike, shape (N, N).
         rounds: at most.
         told: called with every new point.
@@ -188,12 +185,7 @@ class _Walk:
         return height.goal * (1 + self.penalty * max(height.excess, 0.0))
 
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
-        """The step of the model, the weights of its goals and bounds, and the fall that it promises.
-
-        Args:
-            goals: values over the goal at the point, less one, and slopes, in the walk's coordinates.
-            bounds: excesses and slopes.
-        """
+        """The step of the model, the weights of its goals and bounds, and the fall that it promises."""
         (v, s), (c, w) = goals, bounds
         values = np.append(0.0, self.penalty * c)  # no bound, or one of them
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])

@@ -35,7 +35,6 @@ class WorstErrors:
 
         Args:
             K: shape (m, q).
-            goal: what is known.
             rate: of the decay [rad/s]; 0 where there is none.
         """
         problem = self.problem

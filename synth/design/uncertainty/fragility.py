@@ -34,7 +34,6 @@ def rounding(
     """What is true of a law in each of `FORMATS`.
 
     Args:
-        law: the law.
         closed: what a law is a gain of.
         plant: without the law's states.
     """
@@ -45,7 +44,6 @@ def rounded(law: LinearLaw, to: str) -> LinearLaw:
     """A law with its matrices in another format.
 
     Args:
-        law: the law.
         to: "int16", each matrix over its largest entry; or "float16", each as it is, or over a power of two where it is beyond.
     """
     number = {"int16": _int16, "float16": _float16}[to]
@@ -217,7 +215,6 @@ def fragility_object(
     """Fragility as JSON has it: errors relative, None for what is infinite.
 
     Args:
-        found: of a law.
         rounding: of the same.
         measured: its q signals.
         forces: m of them.

@@ -24,7 +24,6 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
 
     Args:
         gain: its loops, in continuous time, the middle one stable.
-        box: of errors.
         low, high: the band [rad/s]; `high` may be infinite.
         unit: about how large the bound is.
     """
@@ -43,11 +42,7 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
 
 
 def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, spare: float) -> ParameterDependentKYP:
-    """P, Q and W of the least bound, in coordinates and units in which all numbers have size one.
-
-    Raises:
-        DesignError: the solver finds none.
-    """
+    """P, Q and W of the least bound, in coordinates and units in which all numbers have size one."""
     import cvxpy as cp  # 0.9 s, and only this function needs it
 
     loops, middle = gain.loops(box.corners), gain.loops(box.middle)

@@ -42,7 +42,6 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
     """Parts that fill a box, each with a proof that all its loops are stable; None where none is found.
 
     Args:
-        gain: its loops.
         box: of as many free factors as `MOST_UNKNOWNS` allows.
     """
     if unknowns(gain, box) > MOST_UNKNOWNS:
@@ -81,8 +80,6 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDepe
     """What satisfies the inequality at all corners of a box; None where there is nothing, or next to nothing.
 
     Args:
-        gain: its loops.
-        box: of errors.
         gamma: a bound on its norms; infinite for stability alone.
 
     Raises:

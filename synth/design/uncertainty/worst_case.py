@@ -167,7 +167,6 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     """An X that satisfies (20) at all corners of a box, shape (n, n); None where there is none, or next to none.
 
     Args:
-        gain: its loops.
         box: of no more than `certificate.box.MOST` free factors.
         start: X > 0 to start from, as near as is known, shape (n, n).
         eta: gamma^-2.
@@ -285,12 +284,6 @@ def _proof(parts: Parts, bound: Callable[[], float]) -> BoxProof:
 
 def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
     """Parts with an X each that proves a bound; None where there is none, or that took too many trials.
-
-    Args:
-        heights: they know the largest norm met.
-        parts: that fill the box, some with an X.
-        bound: what it is now; it may grow with what is met.
-        left: how often an X may be looked for.
 
     Returns:
         The parts, and how often an X may still be looked for.

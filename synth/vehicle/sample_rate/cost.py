@@ -36,7 +36,6 @@ def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
 
     Args:
         vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        controller: its controller.
         delay: from a measurement to the force computed from it, in samples.
 
     Returns:
@@ -132,7 +131,6 @@ def cost(
 
     Args:
         vehicle: its `[implementation]` says how many samples forces are late, one if it says nothing of that, and no more.
-        controller: its controller.
         periods: ascending [s].
         designs: those of them for which the same is also designed anew, where it was designed in two steps.
         done: told how many periods are done.

@@ -184,7 +184,6 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
     """The figure.
 
     Args:
-        vehicle: the vehicle.
         costs: one per controller, at `drawn_periods`.
         periods: those that were asked for [s], which are marked.
     """

@@ -108,11 +108,9 @@ def front(
     """The front of a controller's static gains.
 
     Args:
-        vehicle: the vehicle.
         name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
         axes: two or three.
         others: names of controllers that are shown beside it.
-        count: designs, about.
         told: how many are done.
 
     Raises:

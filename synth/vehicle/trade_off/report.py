@@ -178,7 +178,6 @@ def front_figure(found: Front, measured: Array | None = None) -> Figure:
     """The figure.
 
     Args:
-        found: the front.
         measured: its marked points in MuJoCo, shape (M, K), NaN where they were not; None where nobody drove them.
     """
     panels = tuple(_panel(found, limit, measured) for limit in found.limits)
