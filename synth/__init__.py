@@ -1,4 +1,4 @@
-"""What a controller is: LMIs over any linear plant, and certificates. Nothing below `controller/` knows a vehicle.
+"""Controllers: LMIs over any linear plant, and certificates. Nothing below `controller/` knows a vehicle.
 
 Public names, imported when they are first used; all units are SI:
 

@@ -1,1 +1,1 @@
-"""What `python -m synth` does: its options, tables, pictures and files."""
+"""The command `python -m synth`: its options, tables, pictures and files."""

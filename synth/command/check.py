@@ -15,10 +15,10 @@ from synth.vehicle.designer import Designer
 
 
 def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
-    """A row for every gain or law of the vehicle file, or for those asked for.
+    """Returns a row for every gain or law of the vehicle file, or for the requested ones.
 
     Raises:
-        InputError: a name is unknown or has none, there is none at all, or a certificate is malformed.
+        InputError: a name is unknown or has no gain or law, the file has none, or a certificate is malformed.
     """
     vehicle = designer.vehicle
     gains = [name for name, entry in vehicle.controllers.items() if entry.law is not None]

@@ -22,15 +22,15 @@ TOLERANCE = 1e-5  # relative in gamma: Clarabel stops at 1e-8 in eta against ent
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What Clarabel says of a design.
+    """The comparison of a design with Clarabel's solution.
 
     Attributes:
         problem: "(22)" or "(25)".
         ours: the optimal gamma by the central path.
-        optimum_gap: how far from it our gain was taken, relative.
-        theirs: the optimal gamma by Clarabel; None where it gave none.
-        attained: the same with our gain fixed; None likewise.
-        said: its own words where it did not simply solve both; else empty.
+        optimum_gap: relative distance of our gain from that optimum.
+        theirs: the optimal gamma by Clarabel; None if it failed.
+        attained: the same with our gain fixed; None if it failed.
+        said: the solver's status if it did not solve both problems, or empty.
     """
 
     problem: str
@@ -42,17 +42,17 @@ class CrossCheck:
 
     @property
     def apart(self) -> float | None:
-        """How far their optimum lies above ours, relative."""
+        """Relative excess of their optimum over ours."""
         return self.theirs / self.ours - 1 if self.theirs is not None else None
 
     @property
     def above(self) -> float | None:
-        """How far what our gain attains lies above their optimum, relative."""
+        """Relative excess of our gain's gamma over their optimum."""
         return self.attained / self.theirs - 1 if self.attained is not None and self.theirs is not None else None
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What does not agree, in words."""
+        """The disagreements, in words."""
         found = []
         if self.apart is not None and abs(self.apart) > TOLERANCE:
             found.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
@@ -62,7 +62,7 @@ class CrossCheck:
 
     @property
     def text(self) -> str:
-        """What it came to, in words."""
+        """The result in words."""
         if self.theirs is None:
             return f"no second witness: {self.said}"
         assert self.apart is not None

@@ -38,13 +38,13 @@ FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
 
 def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
-    """Designs, checks, saves and prints what is asked for; returns the command's exit code.
+    """Runs the command: designs, checks, saves and prints controllers. Returns the exit code.
 
     Args:
-        names: of the controllers asked for; empty for `--check`, which finds its own.
+        names: of the requested controllers; empty for `--check`, which chooses its own.
 
     Raises:
-        InputError: options that this vehicle has nothing for, or files that cannot be written.
+        InputError: options that do not apply to this vehicle, or files that cannot be written.
     """
     check_outputs({"picture": options.picture, "save": options.save}, vehicle.files, options.json)
     if options.save:
@@ -133,21 +133,21 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 
 def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
-    """Whether a controller of that name is given a gain here, which can be saved."""
+    """Returns True if this command designs a gain for the controller; only such gains can be saved."""
     if name == "passive":
         return False
     return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
 def _kept(stopped: InterruptedDesign) -> Row:
-    """What there was when Ctrl-C came."""
+    """Returns the table row of a design that was interrupted."""
     controller = stopped.controller
     notes_of = (*notes(controller), stopped.said)
     return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.broken))
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
-    """A controller, designed as asked for, or why it could not be."""
+    """Returns the row of a designed controller, or of the failure."""
     if options.refine and name != "passive":
         return _refined_row(designer, name, options.zero_l)
     try:
@@ -184,7 +184,7 @@ def _built(vehicle: Vehicle, row: Row) -> Row:
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
-    """A controller with a lower norm, and what was traded for it; where there is none, the one that is refined."""
+    """Returns the row of a refined controller and its trade-off, or of the unrefined one if refining fails."""
     try:
         refined = designer.refine(name, zero_l)
     except DesignError as error:
@@ -198,9 +198,9 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
-    """By state: the largest gain on it, and how far that may fall and rise by itself for FLAT of gamma; None is any distance.
+    """Returns, by state, the largest gain on it and how far that gain may fall and rise for FLAT of gamma; None for any distance.
 
-    Of the state feedback that is designed, which need not be the end of its path; of the one in the table where it is there.
+    The gain is the state feedback of the table if it has one, or the designed one, which need not be the end of its path.
     """
     shown = [row.controller for row in rows if row.name == "state" and row.controller is not None]
     try:
@@ -217,7 +217,7 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
 
 
 def _limit(limit: LowerBound, held: bool) -> str:
-    """What no control force changes, in words; or, where a mode is there that has to be held, none that makes the loop stable."""
+    """Returns the bound that no control force changes, in words; with a mode to be held, for stabilising forces only."""
     if not limit.gamma:
         return "limit: none; at every frequency control forces can change all of z's response to the road"
     if held:  # beside the mode a force may change all

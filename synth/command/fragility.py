@@ -12,13 +12,13 @@ from synth.design.uncertainty.problem import scaled_gain
 
 @dataclass(frozen=True, eq=False)
 class Fragile:
-    """What is found of a controller.
+    """The fragility of a controller.
 
     Attributes:
-        found: the errors that it bears.
-        rounding: what is true of it with its numbers as computers hold them, by format.
-        measured: its signals.
-        forces: of the vehicle.
+        found: the errors that it tolerates.
+        rounding: certificates with rounded coefficients, by number format.
+        measured: measured signals.
+        forces: names of the vehicle's forces.
     """
 
     found: Fragility
@@ -33,12 +33,12 @@ class Fragile:
 
     @property
     def record(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The fragility as JSON."""
         return fragility_object(self.found, self.rounding, self.measured, self.forces)
 
 
 def fragile(vehicle: Vehicle, controller: Controller | None) -> Fragile | None:
-    """How fragile a controller is; None where there is none, or none whose loop it makes and keeps stable."""
+    """Computes the fragility of a controller. Returns None without a controller, a gain or a stable loop."""
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
     posed = controller.problem(vehicle)

@@ -34,10 +34,10 @@ examples:
 
 
 def asked(arguments: Sequence[str] | None) -> Namespace:
-    """What is asked for.
+    """Parses and checks the options.
 
     Raises:
-        InputError: bad options, or some that do not go together.
+        InputError: bad options, or options that exclude each other.
     """
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):

@@ -16,7 +16,7 @@ ROOM = 1.5  # times a band that is shown whole
 
 
 def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
-    """The figure; None where no loop is stable."""
+    """Returns the figure of frequency responses, or None if no loop is stable."""
     stable = [row for row in rows if row.controller is not None and row.controller.certificate.stable]
     if not stable:
         return None
@@ -61,7 +61,7 @@ def _bands(vehicle: Vehicle, rows: Sequence[Row]) -> list[tuple[float, float]]:
 
 
 def _levels(vehicle: Vehicle, row: Row) -> list[tuple[tuple[float, float], float]]:
-    """What is proved in the bands of a controller's goals, without errors."""
+    """Returns the proved levels in the bands of a controller's goals, without errors."""
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
     if goals is None or row.controller is None or goals.family:
         return []

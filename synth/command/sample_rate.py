@@ -75,5 +75,5 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
 
 
 def _only(one: Cost, periods: Sequence[float]) -> Cost:
-    """At those of its rates that were asked for."""
+    """Returns the cost at the requested rates only."""
     return replace(one, rates=tuple(at for at in one.rates if at.period in periods))

@@ -16,7 +16,7 @@ SUFFIX = "_designed"
 
 
 def check_save(vehicle: Vehicle, names: Sequence[str]) -> None:
-    """Whether designs of these names can be added: asked before the work.
+    """Checks before the design that controllers of these names can be added.
 
     Raises:
         InputError: there is nothing to write, or a name is taken.

@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One line of the table.
+    """A line of the table.
 
     Attributes:
         name: of the controller.
-        controller: None where it could not be designed.
-        notes: what else there is to say of it.
-        failures: claims that do not hold, or why there is no design; empty where all is well.
-        worth: what `--refine` lowers the norm by at least, relative; 0 where it is nothing to speak of.
-        witness: what a second solver says of the design, where it was asked.
-        sampled: the norm as implemented, where the vehicle file says how.
-        fragile: the errors that it bears, where they were asked for.
+        controller: None if its design failed.
+        notes: on the controller.
+        failures: claims that do not hold, or the reason of a failed design.
+        worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
+        witness: result of a second solver, if requested.
+        sampled: the norm as implemented, if the vehicle file has an implementation.
+        fragile: the tolerated errors, if requested.
     """
 
     name: str
@@ -79,7 +79,7 @@ def row_object(row: Row) -> dict[str, Any]:
 
 
 def _hardware_object(controller: Controller) -> dict[str, Any]:
-    """What of sensors and actuators a norm is with; nothing where it is with none."""
+    """Returns noise, loads and lag of a norm as JSON; empty without any."""
     hardware = controller.hardware
     noise = {"noise": dict(zip(controller.measured, hardware.noise, strict=True))} if hardware.noise else {}
     noise |= {"loads": dict(hardware.loads)} if hardware.loads else {}
@@ -106,7 +106,7 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, str]:
-    """What stands under each heading of a loop that is stable, if only with its computer."""
+    """Returns the table cells of a loop that is stable, in continuous time or sampled."""
     norm, bound, below = certificate.norm, certificate.bound, certificate.lower_bound
     return {
         "bound": f"{bound:.7g}" if bound is not None else "-",
@@ -120,7 +120,7 @@ def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, s
 
 
 def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
-    """One controller in full."""
+    """Returns the lines of a controller in full."""
     if row.controller is None:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
@@ -155,7 +155,7 @@ def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
 
 
 def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
-    """Which norms `--refine` lowers by more than the table's last digit, and the command for it; empty where none.
+    """Returns the norms that `--refine` lowers by more than the table's last digit, and the command; empty if none.
 
     Args:
         vehicle: as `--vehicle` was given.
@@ -172,7 +172,7 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
 
 
 def verdict_lines(rows: Sequence[Row]) -> list[str]:
-    """Whether every claim holds, or which controllers have one that does not; and which are lost as their computer runs them."""
+    """Returns the verdict: the controllers with claims that fail, and those that are unstable as implemented."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     said = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
     said = f"not every claim holds: {', '.join(wrong)}" if wrong else said

@@ -89,7 +89,7 @@ def others_of(vehicle: Vehicle) -> list[str]:
 
 
 def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
-    """The one controller that is asked for, or the usual one."""
+    """Returns the requested controller, or the usual one."""
     if asked is None:
         return usual(vehicle)
     if len(asked) > 1:
@@ -98,7 +98,7 @@ def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
 
 
 def usual(vehicle: Vehicle) -> str:
-    """The controller of a front where none is asked for: I, or the first that there is."""
+    """Returns the default controller of a front: I, or the first of the file."""
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 

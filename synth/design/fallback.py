@@ -44,17 +44,17 @@ def two_steps_or_descent(
     always: bool = False,
     Dyw: Array | None = None,
 ) -> Design:
-    """What `two_step_design` finds; where that cannot be followed to its end, what descent does, with the reason.
+    """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
     Args:
         plant, Cy, lower_bound, states: as for `two_step_design`.
-        path: gives that of (22) if it is there already, or says why there is none.
-        always: descend where the second problem has no solution, too.
+        path: returns the central path of (22) if it is known already, or raises.
+        always: descend also if the second problem has no solution.
         Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
 
     Raises:
-        DesignError: neither finds a gain whose certificate holds; the message says why. A certificate may be without a bound,
-            where rounding leaves no proof of one, as for the large gains of 60 states; then the result says so.
+        DesignError: neither finds a gain whose certificate holds; the message gives the reason. A certificate may lack a bound
+            if rounding leaves no proof, as for the large gains of 60 states; then the result says so.
     """
     two_steps = None
     try:

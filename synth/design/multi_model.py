@@ -1,4 +1,4 @@
-"""One static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
+"""A common static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
 
 1. State feedback for all of them: W of the LMIs with C_y = I.
 2. L (14) with W' in the place of X, so that the W of the first step has the form that the second asks for; then the LMIs with
@@ -57,7 +57,7 @@ class SlackDesign:
 
     @property
     def proved(self) -> float:
-        """What no plant's norm exceeds, proved without the solver."""
+        """The bound on the norms of all plants, proved without the solver."""
         return max(each.bound or np.inf for each in self.certificates)
 
 
@@ -128,7 +128,7 @@ def slack_design(
 def _checked(
     plants: Sequence[GeneralizedPlant], Cys: Sequence[Array], structure: Array | None, f: Sequence[float]
 ) -> tuple[list[Array], Array]:
-    """What each plant measures, and where K may be other than zero, of bools, shape (m, q)."""
+    """Returns the checked C_y of each plant, and the structure of K as bools, shape (m, q)."""
     if not plants or len(plants) != len(Cys):
         raise InputError(f"{len(plants)} plants and {len(Cys)} matrices C_y; give at least one plant, and a C_y for each")
     for plant in plants:

@@ -40,17 +40,16 @@ from synth.plant.units import own_units
 
 @dataclass(frozen=True, eq=False)
 class HeldProblem:
-    """A plant whose m forces are held from sample to sample and come some samples late.
+    """A plant whose m forces are held from sample to sample and delayed by some samples.
 
-    The states of a level's plant are the plant's, and the forces of samples before that are still on their way, or that what is
-    measured has in it, the last first. No gain acts on those: a computer that fed back what it asked for would be a law with
-    states.
+    The states of a level's plant are the plant's, and the previous forces that are still delayed or part of a measurement, the
+    last first. No gain acts on these: a controller with feedback of its own output would be a law with states.
 
     Attributes:
         plant: continuous, n states.
         Cy: shape (q, n).
-        through: what the force that has acted until a sample does in what is measured there, shape (q, m).
-        pieces: of the sample period: two where forces come a fraction of one late.
+        through: feedthrough from the force before a sample to the measurements, shape (q, m).
+        pieces: of the sample period: two if the delay has a fraction of a period.
     """
 
     plant: GeneralizedPlant
@@ -65,12 +64,12 @@ class HeldProblem:
 
     @property
     def before(self) -> int:
-        """How many samples before one the force was computed that has acted until it."""
+        """Age in samples of the force that acts just before a sample."""
         return self.pieces[-1].late + 1
 
     @cached_property
     def remembered(self) -> int:
-        """How many samples back forces count."""
+        """Number of previous forces among the states."""
         return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
 
     @cached_property
@@ -95,7 +94,7 @@ class HeldProblem:
         return SampledLoop(self.plant, self.pieces, asked, memory, np.eye(len(memory), m))
 
     def at(self, gamma: float) -> GeneralizedPlant | None:
-        """The discrete plant whose norm is below 1 where the L2 gain of the loop is below a level; None where none can be."""
+        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""
         (n, m), k = self.plant.B.shape, self.remembered
         count = len(self.pieces)
         held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
@@ -159,7 +158,7 @@ def descended(problem: HeldProblem, known: Sequence[Array], near: float) -> tupl
 
 
 def _down(problem: HeldProblem, K: Array, norm: float) -> tuple[Array, float]:
-    """From a stable K as `refine` goes: below a level is a norm below 1 of its plant."""
+    """Descends from a stable K by `refine` on the plants of falling levels."""
     for _ in range(DESCENTS):
         plant = problem.at(norm)
         if plant is None:
@@ -275,7 +274,7 @@ def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Ar
 
 
 def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """K by the two steps and its level; L (14) also makes forces on their way follow a gain for forces that act at once."""
+    """Returns K by the two steps and its level; L (14) is also chosen so that delayed forces follow an undelayed gain."""
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
     fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")

@@ -60,11 +60,11 @@ class StaticDesign:
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: what is true of it, with the gap to what no controller beats if that is known.
-        two_steps: the paper's two steps; None where they find no gain.
-        without: why they find none; empty where they find one.
+        certificate: with the gap to the lower bound if that is known.
+        two_steps: the paper's two steps; None if they find no gain.
+        without: why they find no gain, or empty.
         origin: the start that led to the gain, in words.
-        starts: how many stable starts there were.
+        starts: number of stable starts.
     """
 
     gain: Array
@@ -137,7 +137,7 @@ def descended(
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
 ) -> StaticDesign:
-    """The same where the two steps are gone already: their design, or why there is none."""
+    """Designs a static gain by descents, given the result of the two steps or the reason of their failure."""
     search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
     candidates = search.starts()
     starts = len(candidates)
@@ -271,7 +271,7 @@ class _Search:
         return min([candidate, *moved], key=lambda each: each.norm)
 
     def reached(self, candidate: Candidate, to: float = REACHED) -> bool:
-        """Whether a candidate is this close to what no controller beats, or zero."""
+        """Returns True if a candidate is this close to the lower bound, or to zero."""
         return candidate.norm <= max(self.beaten_by_none * (1 + to), self.nothing)
 
     def edges(self, x: Array, rounds: int) -> Array:

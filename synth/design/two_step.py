@@ -31,13 +31,13 @@ INSTEAD = "designed against a disturbance of every state that z sees"
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A problem that has an optimum.
+    """A well-posed problem (22).
 
     Attributes:
-        plant: to be designed for; the given one, but in the two cases above.
-        case: what is the case of a gain designed for it, in words; empty where neither is.
-        best: a state gain that nothing beats, shape (m, n), where one is known.
-        best_case: what is the case of that gain.
+        plant: to be designed for; the given one, unless its problem is degenerate.
+        case: degeneracy of the given problem, in words, or empty.
+        best: an optimal state gain, shape (m, n), if one is known.
+        best_case: degeneracy that makes that gain optimal, in words.
     """
 
     plant: GeneralizedPlant
@@ -52,7 +52,7 @@ class Posed:
 
 @functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
 def posed(plant: GeneralizedPlant) -> Posed:
-    """The problem (22) of a plant, or one beside it; what is the case, and what is beside it, does not depend on units.
+    """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
 
     Raises:
         InputError: the plant has no state.
@@ -140,7 +140,7 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
 
 
 def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant, Array]:
-    """What `unseen` leaves of a plant for (22): its coordinates, shape (n, k), its plant; and the gain that hides the rest."""
+    """Returns coordinates (n, k) and plant of the part that `unseen` leaves for (22), and the gain that hides the rest."""
     kept, parts = np.eye(len(plant.A)), []
     while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
@@ -151,7 +151,7 @@ def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant
 
 
 def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
-    """Whether inputs drive anything outside a set of states; or `what` of them does, where that is given."""
+    """Returns True if inputs drive states outside a subspace, or if their given part `what` is not zero."""
     outside = inputs - inside @ (inside.T @ inputs) if what is None else what
     return bool(np.any(np.linalg.norm(outside, axis=0) > RANK * np.linalg.norm(inputs, axis=0)))
 
@@ -182,14 +182,14 @@ class Design:
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: what is true of it.
-        state_step_gap: how far from the optimum of (22), relative in gamma, the X was taken that L (14) comes from: 0 at the
-            limit of the central path, more where the second problem is infeasible from there.
-        optimum_gap: how far from the optimum of its own problem, relative in gamma, the gain was taken: 0 at the limit, more
-            where the optimum is reached only by gains beyond any actuator.
+        certificate: of its loop.
+        state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
+            central path, more if the second problem is infeasible from there.
+        optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
+            gains beyond any actuator reach the optimum.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
-        case: what is the case where (22) has no optimum, or every gain is one, in words; else empty.
-        instead: how else the gain was found, and why the two steps did not lead to one, in words; empty where they did.
+        case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
+        instead: the fallback method and why the two steps found no gain, in words, or empty.
         moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
             times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
             of 40 states; but the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a

@@ -88,7 +88,7 @@ def _beside(blocks: Sequence[Block]) -> Block:
 
 @functools.cache
 def _upper(sizes: tuple[int, ...]) -> tuple[Array, Array, Array]:
-    """Where the upper triangles of blocks and the diagonal lie in a flat symmetric matrix, and weights that keep their norm."""
+    """Returns indices of the blocks' upper triangles and the diagonal in a flat symmetric matrix, and norm-preserving weights."""
     of = np.repeat(np.arange(len(sizes)), sizes)
     rows, columns = np.nonzero(np.triu(of[:, None] == of))
     return rows * len(of) + columns, np.arange(len(of)) * (len(of) + 1), np.where(rows == columns, 1.0, np.sqrt(2.0))
@@ -121,7 +121,7 @@ class Factored(ABC):
         """Eigenvalues r of the blocks' change in their own metric: along p + t step, log det changes by sum log(1 + t r)."""
 
     def lowest(self, slope: float, step: Array) -> float:
-        """How far to go along a step to where the sum, with a slope beside it, is lowest."""
+        """Returns the step length that minimises the sum with an added slope."""
         return _lowest(slope, self.rates(step))
 
 
@@ -139,12 +139,12 @@ class Local(Factored):
     W: list[Array]
 
     def rates(self, step: Array) -> Array:
-        """As `Factored.rates`."""
+        """Returns `Factored.rates`."""
         return np.concatenate([_eigenvalues(step @ W) for W in self.W])
 
 
 class Derivatives(Protocol):
-    """What gives the derivatives at a point: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
+    """A barrier with derivatives at a point: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
 
     def at(self, p: Array) -> Factored | None:
         """The derivatives at a point, or None outside the feasible set."""
@@ -191,19 +191,19 @@ class RaisedLocal(Factored):
     less: float
 
     def half(self, c: Array) -> Array:
-        """As `Factored.half`."""
+        """Returns `Factored.half`."""
         return self._lessened(self.here.half(c))
 
     def solve(self, half: Array) -> Array:
-        """As `Factored.solve`."""
+        """Returns `Factored.solve`."""
         return self.here.solve(self._lessened(half.copy()))
 
     def rates(self, step: Array) -> Array:
-        """As `Factored.rates`, and the logarithm's, once."""
+        """Returns `Factored.rates` and that of the logarithm, once."""
         return np.append(self.here.rates(step), self.per * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
-        """As `Factored.lowest`, where the logarithm has its weight."""
+        """Returns `Factored.lowest` with the weight of the logarithm."""
         rates = self.rates(step)
         weights = np.ones(len(rates))
         weights[-1] = self.weight
@@ -286,6 +286,6 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
 
 
 def boundary(here: Factored, step: Array) -> float:
-    """How far a step may go before a block becomes singular: the largest t with p + t step feasible."""
+    """Returns the largest t with p + t step feasible, at which a block becomes singular."""
     smallest = float(here.rates(step).min())
     return -1 / smallest if smallest < 0 else np.inf

@@ -151,7 +151,7 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
 
 
 def _border(step: float) -> str:
-    """Where modes lie that neither decay nor grow."""
+    """Returns the name of the stability boundary."""
     return "unit circle" if step else "imaginary axis"
 
 
@@ -165,7 +165,7 @@ def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
 
 
 def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
-    """How many entries X, Y and eta of (12) have: of (22), or of (25) with as many columns of Q."""
+    """Returns the number of unknowns in X, Y and eta of (12): of (22), or of (25) with `free` columns of Q."""
     n, m = len(plant.A), plant.independent_inputs().shape[1]
     q = n - free
     return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
@@ -213,7 +213,7 @@ class _Path:
         return self.basis.plant
 
     def find_feasible_point(self) -> None:
-        """A strictly feasible point, or the proof that there is none.
+        """Finds a strictly feasible point, or raises if none exists.
 
         Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
         such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until
@@ -306,7 +306,7 @@ class _Path:
             rest, (barrier, start, here) = following, moved
 
     def _entered(self, rest: float) -> tuple[Raised, Array, Factored | None]:
-        """What is minimised for a rest, in the current coordinates; the current point, and the derivatives there if inside."""
+        """Returns the barrier of a rest in the current coordinates, the current point, and its derivatives if feasible."""
         barrier, n, m = Raised(self._barrier(), 1 / rest), self.basis.n, self.basis.m
         start = self.basis.pack(np.eye(n), np.zeros((m, n)), self.eta)
         return barrier, start, barrier.at(start)
@@ -324,7 +324,7 @@ class _Path:
         return None
 
     def _far(self, p: Array) -> bool:
-        """Whether X has become so different from I that other coordinates are needed."""
+        """Returns True if X is so far from I that new coordinates are needed."""
         sizes = lapack.dsyevd(self.basis.unpack(p)[0], compute_v=0)[0]  # pyright: ignore[reportAttributeAccessIssue]
         return bool(sizes[-1] > FAR * sizes[0])
 
@@ -391,7 +391,7 @@ class _Path:
 
 
 def next_rest(mu: Any, mu_end: float) -> Any:
-    """Where the path rests next, mu over eta: hundredfold steps where it is nearly straight, the same rests for every plant.
+    """Returns the next mu over eta of the path: hundredfold steps if it is nearly straight, the same rests for every plant.
 
     Args:
         mu: relative to eta; one, or an array of them.

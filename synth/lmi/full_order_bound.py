@@ -1,4 +1,4 @@
-"""How good output feedback of any order can be: the Gahinet-Apkarian LMIs, their central path, and the bound that it proves.
+"""Lower bounds on output feedback of any order: the Gahinet-Apkarian LMIs, their central path, and the bound it proves.
 
     minimise t   over the plant's `SynthesisInequality` for (X, eta), that of the transposed plant for (S, t), and
                  [S J2 J1'; J1 J2' X] > 0,  [eta 1; 1 t] > 0
@@ -105,7 +105,7 @@ def find_lower_bound(
 
 
 def _for_state_feedback(plant: GeneralizedPlant, one: SynthesisInequality, path: Sequence[CentralPoint]) -> LowerBound:
-    """What the dual of (22) proves: by the path of the side where that is another one, or the only one that is there."""
+    """Returns the bound of the dual of (22), from the path of the inequality if it is smaller than (22), or (22) has no path."""
     found = _along_the_walk(plant, None, one, None) if len(one.J) < len(plant.A) or not path else LowerBound(0.0)
     return found if found.gamma else _sharpest(one, None, _of_state_feedback(plant, path))
 
@@ -122,7 +122,7 @@ def _along_the_walk(
 
 
 def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
-    """What no control force changes, as a bound; 0 at no frequency where control can change all."""
+    """Returns the bound from the invariant point, which no control force changes; 0 if control can change all."""
     limit = invariant_limit(plant)
     return LowerBound(limit[0], limit_at=limit[1]) if limit is not None else LowerBound(0.0)
 
@@ -204,7 +204,7 @@ def _walk(
 
 
 def _inside(plant: GeneralizedPlant) -> Array:
-    """X inside the plant's `SynthesisInequality`, for some eta.
+    """Returns X that satisfies the plant's `SynthesisInequality`, for some eta.
 
     It is the inverse of the solution of a Riccati equation in which z is joined by the states and the inputs, in the plant's own
     units and of the size of what there is: what is inside then is so without, and it is the same whatever units are given.
@@ -243,14 +243,14 @@ class _Face:
         return 0.5 / (float(np.linalg.norm(np.linalg.solve(inside, self.b), 2)) ** 2 or 0.5)
 
     def steps(self) -> Array:
-        """What each unknown of X multiplies in -He(Q X U'), shape (N, k, k)."""
+        """Returns the coefficients of the unknowns of X in -He(Q X U'), shape (N, k, k)."""
         U, Q = self.U @ self.T, self.Q @ self.T
         half = np.einsum("ki,li->ikl", Q[:, self.rows], U[:, self.columns])
         half[self.rows != self.columns] += np.einsum("ki,li->ikl", Q[:, self.columns], U[:, self.rows])[self.rows != self.columns]
         return -half - half.swapaxes(1, 2)
 
     def units(self) -> Array:
-        """What each unknown multiplies in X, shape (N, a, a)."""
+        """Returns the coefficients of the unknowns in X, shape (N, a, a)."""
         index, E = np.arange(len(self.rows)), np.zeros((len(self.rows), *self.T.shape))
         E[index, self.rows, self.columns] = E[index, self.columns, self.rows] = 1
         return E

@@ -29,9 +29,9 @@ def nullspace(Cy: Array) -> Array:
 
 
 def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
-    """Which rows of C_y do not follow from those before them, ascending; (9) needs full row rank.
+    """Returns the indices of rows of C_y that do not follow from earlier ones, ascending; (9) needs full row rank.
 
-    It is decided in the plant's own units of the states and for rows of length one, so that no unit decides it.
+    The states have the plant's own units and the rows length one, so that no unit decides.
 
     Args:
         Cy: shape (q, n), no row zero.

@@ -30,7 +30,7 @@ from synth.plant.numerics import DesignError, InfeasibleError
 
 @dataclass(frozen=True, eq=False)
 class LmiSolution:
-    """What the solver returned: one point of the optimal face, up to its tolerance.
+    """The solver's solution: one point of the optimal face, up to its tolerance.
 
     Attributes:
         X: shape (n, n).
@@ -127,7 +127,7 @@ NOTHING = 1e-8  # of the size of X: an eta below that is zero to Clarabel's tole
 
 @dataclass(frozen=True, eq=False)
 class SlackSolution:
-    """What the solver returned.
+    """The solver's solution with a slack variable.
 
     Attributes:
         W: the slack variable, shape (n, n), regular.
@@ -141,9 +141,9 @@ class SlackSolution:
 
 
 def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: Array) -> SlackSolution:
-    """State feedback: maximises eta subject to the LMIs of all plants, W and Y free. Its K is one from all states, shape (m, n).
+    """Maximises eta subject to the LMIs of all plants for state feedback, W and Y free, with K of shape (m, n).
 
-    With blocks in W_R the second step can have this W only if C_y W C_y', which W_R then is, has them: this is asked for here.
+    W_R = C_y W C_y' must have the blocks that the second step needs: this is a constraint here.
 
     Args:
         plants: continuous, alike in states and inputs.
@@ -192,7 +192,7 @@ def _ratio(Y: Any, W: Any) -> Array:
 
 
 def together(pattern: Array) -> Array:
-    """Which measurements one block of W_R may join: those that the same inputs use. Ones and zeros, shape (q, q)."""
+    """Returns a mask of the measurements that one block of W_R may join, as the same inputs use them, shape (q, q)."""
     return np.all(pattern[:, :, None] == pattern[:, None, :], axis=0).astype(float)
 
 

@@ -67,7 +67,7 @@ class _Slack:
         self.units()
 
     def units(self) -> None:
-        """What every unknown multiplies: those of X above its diagonal, of W_Q, W_R, Y_R by rows, and eta."""
+        """Computes the coefficients of the unknowns: X above its diagonal, W_Q, W_R, Y_R by rows, and eta."""
         (n, q), m = self.R.shape, self.plant.B.shape[1]
         above = np.triu_indices(n)
         of_x, of_wq, of_wr, of_y = len(above[0]), (n - q) * n, q * q, m * q
@@ -101,7 +101,7 @@ class _Slack:
         return F0, F
 
     def follow(self) -> list[CentralPoint]:
-        """From W = X to the limit."""
+        """Follows the central path from W = X to its limit."""
         n = len(self.R)
         F0, F = self.matrix()
         barrier, p = Barrier([(-F0, -F)]), np.zeros(self.size)

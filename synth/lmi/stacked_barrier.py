@@ -48,7 +48,7 @@ class StackedBarrier:
         return X[self.rows, self.columns]
 
     def change(self, X: Array, t: float) -> Array:
-        """What X and t add to S of every loop, shape (V, n + d, n + d)."""
+        """Returns the change of every loop's S by X and t, shape (V, n + d, n + d)."""
         V, k, n = self.shape
         S, left = np.tile(t * np.eye(k), (V, 1, 1)), self.system @ X
         S[:, :, :n] -= left
@@ -104,7 +104,7 @@ class StackedLocal(Factored):
     alone: Array
 
     def rates(self, step: Array) -> Array:
-        """As `Factored.rates`."""
+        """Returns `Factored.rates`."""
         X = self.barrier.matrix(step)
         of_loops = np.linalg.eigvalsh(self.inverse @ self.barrier.change(X, step[-1]) @ self.inverse.swapaxes(1, 2))
         return np.concatenate([of_loops.ravel(), np.linalg.eigvalsh(self.alone @ X @ self.alone.T)])

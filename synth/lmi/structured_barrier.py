@@ -66,12 +66,12 @@ class Basis:
 
     @property
     def X(self) -> Array:
-        """What each unknown multiplies in X, shape (N, n, n)."""
+        """Coefficients of the unknowns in X, shape (N, n, n)."""
         return _units(self.n, self.m, self.free)[0]
 
     @property
     def Y(self) -> Array:
-        """What each unknown multiplies in Y, shape (N, m, n)."""
+        """Coefficients of the unknowns in Y, shape (N, m, n)."""
         return _units(self.n, self.m, self.free)[1]
 
     @functools.cached_property
@@ -107,7 +107,7 @@ class Basis:
 
 @functools.cache
 def places(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """Where the unknowns but the last stand in [X; Y]: those of X_Q and X_R above the diagonal, then those of Y_R, by rows."""
+    """Returns the positions in [X; Y] of all unknowns but eta: X_Q and X_R above the diagonal, then Y_R, by rows."""
     rows, columns = np.triu_indices(n)
     inside = (rows >= free) | (columns < free)  # no unknown couples the two blocks
     index, q = np.arange(m * (n - free)), max(n - free, 1)
@@ -119,7 +119,7 @@ def places(n: int, m: int, free: int) -> tuple[Array, Array]:
 
 @functools.cache
 def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
-    """What each unknown multiplies in X and in Y."""
+    """Returns the coefficients of the unknowns in X and in Y."""
     rows, columns = places(n, m, free)
     units, index = np.zeros((len(rows) + 1, n + m, n)), np.arange(len(rows))
     units[index, rows, columns] = 1
@@ -132,7 +132,7 @@ def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
 
 
 def direction(size: int, value: float) -> Array:
-    """Of so many unknowns the last one, eta, times a value, shape (size,)."""
+    """Returns the vector of unknowns that is a value at the last one, eta, else 0, shape (size,)."""
     c = np.zeros(size)
     c[-1] = value
     return c
@@ -375,7 +375,7 @@ class StructuredLocal(Factored):
     bases: list[Array]
 
     def rates(self, step: Array) -> Array:
-        """As `Factored.rates`."""
+        """Returns `Factored.rates`."""
         unknown = self.barrier.matrix(step)
         changes = []
         for part, U in zip(self.barrier.constraints, self.bases, strict=True):

@@ -38,7 +38,7 @@ class Unseen:
         whole: the plant in them, with F in the loop.
         narrow: from the coordinates that R spans to those that the rest's R does, shape (q', q).
         F: the gain on the former, shape (m, q).
-        step: of a plant in differences; 0 of a continuous one.
+        step: of a plant in differences [s]; 0 for a continuous one.
     """
 
     rest: GeneralizedPlant
@@ -91,12 +91,12 @@ class Unseen:
 
 
 def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float = 0.0) -> Unseen | None:
-    """What z need not see of a plant, without changing (12); None where it is nothing.
+    """Removes states that can be made unobservable from z without changing (12). Returns None if there are none.
 
     Args:
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        step: of a plant in differences; 0 of a continuous one.
+        step: of a plant in differences [s]; 0 for a continuous one.
     """
     a = Q.shape[1]
     T = np.hstack([Q, R])
@@ -185,7 +185,7 @@ def _null(M: Array) -> Array:
 
 
 def _turned(out: Array, own: Array) -> Array:
-    """What is orthogonal, in coordinates T x, to all that `out` is orthogonal to; a dual basis of `out`, shape (n, k).
+    """Returns the dual basis of `out` that is orthogonal, in coordinates T x, to the complement of `out`, shape (n, k).
 
     Args:
         out: orthonormal, shape (n, k).

@@ -92,7 +92,7 @@ def check_supported(entry: ControllerEntry, what: str, error: type[InputError] =
 
 
 class Shared:
-    """Of one vehicle with one kind of actuators; all of it is done when first needed.
+    """The plant, central path and bounds that designs for one vehicle and its actuators share, computed when first used.
 
     Attributes:
         plant: the plant, without noise.
@@ -115,11 +115,11 @@ class Shared:
 
     @cached_property
     def beyond_control(self) -> LowerBound:
-        """What no control force changes, whatever is measured, and however well."""
+        """Lower bound from the invariant point, which holds for any measurements without noise."""
         return bound_beyond_control(self.plant)
 
     def problem(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> Problem:
-        """What a controller that measures these signals with that noise is designed for.
+        """Returns the design problem of a controller that measures these signals with that noise.
 
         Raises:
             InputError: a signal this vehicle has not.
@@ -127,7 +127,7 @@ class Shared:
         return problem(self.vehicle, measured, replace(self.hardware, noise=noise), self.plant)
 
     def lower_bound(self, measured: Sequence[str], noise: tuple[float, ...] = ()) -> LowerBound:
-        """What no controller that measures these signals with that noise beats, of whatever order; of none, state feedback."""
+        """Returns the lower bound for controllers of any order with these signals and noise; without any, for state feedback."""
         key = tuple(measured), noise
         if key not in self._bounds:
             posed = self.problem(*key)
@@ -152,7 +152,7 @@ class Designer:
         self._shared: dict[Hardware, Shared] = {IDEAL: Shared(vehicle)}
 
     def shared(self, hardware: Hardware = IDEAL) -> Shared:
-        """What designs for such actuators, under such loads, share."""
+        """Returns the data that designs for these actuators and loads share."""
         key = replace(hardware, noise=())
         if key not in self._shared:
             self._shared[key] = Shared(self.vehicle, key)
@@ -175,15 +175,15 @@ class Designer:
 
     @property
     def beyond_control(self) -> LowerBound:
-        """What no control force changes, whatever is measured."""
+        """Lower bound from the invariant point, which holds for any measurements."""
         return self.shared().beyond_control
 
     def problem(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> Problem:
-        """What a controller that measures these signals is designed for and judged with."""
+        """Returns the problem that a controller with these measured signals is designed for and judged with."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
     def lower_bound(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> LowerBound:
-        """What no controller that measures these signals beats, of whatever order; for none of them, full state feedback."""
+        """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
     def design(self, name: str, zero_l: bool = False, told: "Told" = lambda goal, within: None) -> Controller:
@@ -225,7 +225,7 @@ class Designer:
             raise type(error)(f"controller {name!r}: {error}") from error
 
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
-        """A static gain for the ideal loop, or the DesignError that says why there is none."""
+        """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
         shared = self.shared(entry.hardware)
         if entry.name == "state" and not self.vehicle.filtered:
             found = state_design(self.plant, self.state_path, lower_bound)
@@ -303,7 +303,7 @@ class Designer:
         return refined(self.vehicle, entry, posed, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
-        """By how much `refine` lowers a designed controller's norm at least, relative; 0 where not by what seven digits show."""
+        """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""
         if (
             not controller.designed
             or not controller.measured
@@ -316,7 +316,7 @@ class Designer:
         return worth(self.vehicle, controller, self.problem(controller.measured, controller.hardware))
 
     def checked(self, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
-        """What is true of a law of the file by the proofs that its certificate brings, and what of that does not hold, in words.
+        """Recomputes the certificate of a law of the file from its proofs. Returns it with the claims that fail, in words.
 
         Raises:
             InputError: the certificate is malformed.
@@ -327,7 +327,7 @@ class Designer:
             raise self.vehicle.found_wrong(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
-        """What is to be designed or certified under a name."""
+        """Returns the entry to be designed or certified under a name."""
         name, model = unicodedata.normalize("NFC", str(name)), self.vehicle.linear_model
         if name == "passive":
             return ControllerEntry(name, (), static_law(np.zeros((len(model.inputs), 0))))
@@ -342,7 +342,7 @@ def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, 
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:
-    """One controller of a vehicle; `Designer` shares work between several."""
+    """Designs one controller of a vehicle; `Designer` shares work between several."""
     return Designer(vehicle).design(name)
 
 

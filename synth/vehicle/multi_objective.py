@@ -50,11 +50,10 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
 
 
 def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
-    """What a section with goals asks for, its members' own bests left open.
+    """Returns the problem of a section with goals, without the individual optima of its members.
 
     Raises:
-        InputError: a road that is none or has no end, or a member or a measurement that cannot be. The message names the vehicle
-            file, and the bound.
+        InputError: an unknown or endless road, or an impossible member or measurement. The message names the file and the bound.
     """
     try:
         return _goal_problem(vehicle, entry, goals)
@@ -159,7 +158,7 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
 
 
 def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
-    """The road of a bound."""
+    """Returns the road of a bound."""
     from models.roads.choice import choose_road  # it knows every kind of road and load, and their files
 
     where = f"{where} road = {bound.road!r}"
@@ -190,11 +189,11 @@ def goals_design(
     """The controller of a section with goals.
 
     Args:
-        posed: what its certificate is of: z of `[performance]` at all frequencies.
+        posed: the problem of its certificate: z of `[performance]` at all frequencies.
         told: called with what is reached, as it is.
 
     Raises:
-        DesignError: there is none.
+        DesignError: no controller was found.
         InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
     asked = goal_problem(vehicle, entry, goals)
@@ -243,7 +242,7 @@ def _controller(
 
 
 def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
-    """What is the case beside a band, where nothing bounds that."""
+    """Returns a note if a norm in a band is minimised and no bound limits the norm outside the band."""
     if not goals.minimise.narrow or any(isinstance(bound, NormBound) and not bound.norm.narrow for bound in goals.bounds):
         return ()
     return (
@@ -255,13 +254,13 @@ def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
 def promises_of(
     vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool = True
 ) -> tuple[Promise, ...]:
-    """What a given gain keeps of the goals of its section.
+    """Verifies a given gain against the goals of its section.
 
     Args:
-        search: whether the ratio to what each vehicle of a family has at its own best, which takes designs, is asked for.
+        search: include the ratio to each vehicle's own optimum in a family, which takes designs.
 
     Raises:
-        DesignError: a vehicle of the family has nothing within the bounds by itself, where the ratio to that is asked for.
+        DesignError: a vehicle of the family has no gain within the bounds by itself, if its ratio is included.
     """
     asked = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:
@@ -270,11 +269,11 @@ def promises_of(
 
 
 def price(asked: GoalProblem, found: GoalDesign) -> tuple[str, ...]:
-    """What a structure costs, against the gain that has every entry, designed likewise; nothing where that is the same gain.
+    """Returns a note on the cost of a structure, compared with a full gain; empty if the structure is full.
 
     Args:
         asked: the problem, with the structure.
-        found: its design, from which that of the whole gain starts, too.
+        found: its design, from which the design of the full gain starts, too.
     """
     whole = replace(asked, structure=np.ones_like(asked.structure))
     if np.all(asked.structure):
@@ -299,7 +298,7 @@ def with_bests(asked: GoalProblem) -> GoalProblem:
 
 
 def searched(asked: GoalProblem, told: Told = lambda goal, within: None) -> GoalDesign:
-    """What the engine finds, from the two steps of some members, and what it finds itself."""
+    """Runs the search, started from two-step designs of some members and from its own starts."""
     return design_for_goals(asked, _two_steps(asked), told, lambda: _slack(asked))
 
 
@@ -325,7 +324,7 @@ def _two_steps(asked: GoalProblem) -> list[Array]:
 
 
 def remarks(found: GoalDesign) -> tuple[str, ...]:
-    """What there is to say of a search."""
+    """Returns notes on a search."""
     if found.refused is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (

@@ -1,4 +1,4 @@
-"""What the paper prints of its designs, (40)-(60), and its remarks 4 and 5 say of other ways to a gain; ours beside it.
+"""Comparison with the paper's printed designs, (40)-(60), and with its remarks 4 and 5 on other ways to a gain.
 
 Remark 4: with the states (30) problem (25) has no solution for L = 0. With z_s, z_u and their velocities, as in [33], it has one
 for controller I and none for II. There the road's height is w, for its velocity would need a state more; z is the same.
@@ -102,7 +102,7 @@ PRINTED = (
 
 
 def is_the_papers(vehicle: Vehicle) -> bool:
-    """Whether a vehicle has the parameters (33) and weights (38)."""
+    """Returns True if a vehicle has the parameters (33) and weights (38)."""
     paper = read_vehicle("quarter_car")
     return not vehicle.filtered and vehicle.parameters == paper.parameters and vehicle.performance == paper.performance
 
@@ -121,7 +121,7 @@ def ours(designer: Designer) -> dict[str, Array | float]:
 
 
 def entry_of(quantity: Array | float, entry: tuple[int, int] | None) -> float:
-    """One number of a quantity."""
+    """Returns an entry of a matrix, or the number itself if `entry` is None."""
     return float(np.asarray(quantity)[entry] if entry is not None else quantity)
 
 
@@ -140,9 +140,9 @@ class WithoutL:
     Attributes:
         controller: I or II.
         states: "(30)" or "[33]".
-        gain: K, shape (1, q); None where (25) has no solution for L = 0.
+        gain: K, shape (1, q); None if (25) has no solution for L = 0.
         bound: gamma of (25); None likewise.
-        best: gamma of (22) for the same plant, what no gain beats.
+        best: gamma of (22) for the same plant, a lower bound for any gain.
     """
 
     controller: str

@@ -13,7 +13,7 @@ from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadrati
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
-    """The noise of each measurement that says something of the state, for LQG; None where there is none.
+    """Returns the noise of each measurement that depends on the state, for LQG; None without noise.
 
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
     """
@@ -23,7 +23,7 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
 
 
 def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesign:
-    """What a section's `design` comes to, its law on what the sensors read.
+    """Returns the quadratic design of a section, with its law on sensor readings.
 
     Args:
         vehicle: its weights, and the noise of its sensors.

@@ -19,12 +19,12 @@ from synth.plant.augmented import on_larger_plant
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A controller whose norm was lowered, and what that took.
+    """A controller whose norm was lowered, and its refinement.
 
     Attributes:
         controller: the refined one, with its certificate.
-        start: what it was refined from; None where the two steps find no gain.
-        origin: where the descent began instead, in words; empty where at `start`.
+        start: the controller before refinement; None if the two steps find no gain.
+        origin: other start of the descent, in words; empty if it began at `start`.
         refinement: the norms before and after, the growth of the gain, and what was refused.
     """
 
@@ -35,18 +35,18 @@ class Refined:
 
     @property
     def traded(self) -> str:
-        """What was traded, in words."""
+        """The trade-off of the refinement, in words."""
         return f"refined: {f'from {self.origin}; ' if self.origin else ''}{self.refinement.traded}"
 
 
 def refined(
     vehicle: Vehicle, entry: ControllerEntry, posed: Problem, start: Controller | None, lower_bound: LowerBound
 ) -> Refined:
-    """The controller of an entry with a lower norm.
+    """Returns the controller of an entry with a lower norm.
 
     Args:
-        posed: what it is judged with.
-        start: what is refined; None where the two steps find no gain: then it is the best that any start leads to.
+        posed: the problem that it is judged with.
+        start: the controller to refine; None if the two steps find no gain: then the best result of other starts is returned.
 
     Raises:
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
@@ -72,7 +72,7 @@ def refined(
 
 
 def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
-    """By how much refining lowers a stable controller's norm at least, relative; 0 where not by what seven digits show."""
+    """Returns the relative decrease of a stable controller's norm that refining reaches at least; 0 below seven digits."""
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
@@ -83,5 +83,5 @@ def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
 
 
 def _gain(vehicle: Vehicle, controller: Controller, posed: Problem, kept: list[int]) -> Array:
-    """Its gain on those of the measurements that the others follow from, shape (m, len(kept))."""
+    """Returns the controller's gain on the independent measurements, shape (m, len(kept))."""
     return from_some(controller.law_on_states(vehicle).D, posed.Cy, kept)

@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
-    """What such a controller is designed for: the vehicle with its filters and its actuators' lag, and what is read of it.
+    """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
 
     Raises:
         InputError: the vehicle has no sample period.
@@ -35,7 +35,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
 def sampled_design(
     vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, ideal: Callable[[], Controller]
 ) -> Controller:
-    """The gain, with the certificate of its ideal loop and a word on that of the sampled one.
+    """Designs a gain for the sampled loop. Returns it with the certificate of its ideal loop and a remark on the sampled one.
 
     Args:
         vehicle: it says how often its computer acts, and how late.
@@ -44,7 +44,7 @@ def sampled_design(
 
     Raises:
         InputError: the vehicle has no sample period.
-        DesignError: there is none.
+        DesignError: no gain was found.
     """
     known = []
     with contextlib.suppress(DesignError):

@@ -1,4 +1,4 @@
-"""What a gain keeps of its goals, each proved without what found it: norms in bands, decay, peaks, errors, families."""
+"""Verification of a gain against its goals, independent of the search: norms in bands, decay, peaks, errors, families."""
 
 import itertools
 from collections.abc import Sequence
@@ -35,12 +35,12 @@ NEAR = 1.01  # times what is met: a bound that is so close needs no other
 
 @dataclass(frozen=True, eq=False)
 class Worst:
-    """A norm with the worst errors.
+    """A norm with the worst errors, between two bounds.
 
     Attributes:
-        found: the largest met.
-        proved: what none exceeds; infinite where that is not known.
-        errors: at which it was met.
+        found: the largest norm found.
+        proved: proved upper bound; infinite if none is known.
+        errors: with which `found` occurs.
     """
 
     found: float
@@ -50,13 +50,13 @@ class Worst:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A gain, and what it is judged by.
+    """The verification of one gain.
 
     Attributes:
-        vehicle, entry, goals: what was asked for.
-        asked: the same in the plant's language.
+        vehicle, entry, goals: the section with its goals.
+        asked: the goals as a problem on plants.
         K: shape (m, q).
-        known: worst norms that were computed already.
+        known: cache of worst norms.
     """
 
     vehicle: Vehicle
@@ -68,7 +68,7 @@ class Judged:
 
     @property
     def names(self) -> list[str]:
-        """Of the members of the family, in words; one empty text where there is none."""
+        """Names of the members of the family, in words; one empty text without a family."""
         return [member_text(i, member) for i, member in enumerate(self.goals.family)] or [""]
 
     def promises(self) -> tuple[Promise, ...]:
@@ -135,7 +135,7 @@ class Judged:
 
     @property
     def count(self) -> int:
-        """Of the members of the family."""
+        """Number of members of the family."""
         return len(self.asked.members)
 
     def worst_whole(self, i: int, asked: NormGoal) -> Worst:
@@ -149,7 +149,7 @@ class Judged:
         return Worst(found.found, proved, Errors(found.readings, found.forces))
 
     def worst_in_band(self, i: int, asked: NormGoal) -> Worst:
-        """The norm of a member in a band with the worst errors: met, and proved by what moves with them, or through a filter."""
+        """Returns the worst norm of a member in a band, proved by a parameter-dependent matrix or behind a filter."""
         posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
         best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
         tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.none]
@@ -186,7 +186,7 @@ class Judged:
         return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
 
     def stable(self, posed: Posed, enough: float) -> bool:
-        """Whether one plant is proved to be stable with all errors: by itself, or by a bound on its norm."""
+        """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
         tolerance = self.asked.tolerance
         if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces):
             return True
@@ -225,7 +225,7 @@ def member_text(i: int, member) -> str:
 
 
 def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
-    """What the norm in a band is proved to be at most, by what moves with the errors; infinite where that proves nothing."""
+    """Returns the proved bound on a norm in a band by parameter-dependent matrices; infinite if nothing is proved."""
     if band == EVERYWHERE:
         return bound_throughout(gain, box, unit)
     proof = proof_in_band(gain, box, *band, unit) if stable_throughout(gain, box) is not None else None

@@ -1,4 +1,4 @@
-"""How flat an optimum is: how far each entry of a gain may move by itself before the norm has risen by a given share.
+"""Flatness of an optimum: the change of each entry of a gain, by itself, that raises the norm by a given share.
 
 The paper's optimum is attained on a whole face of gains; near it the norm says next to nothing about which gain to take.
 """

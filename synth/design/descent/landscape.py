@@ -51,7 +51,7 @@ class Loop:
         A, Bw, C, Dw: A + B K C_y, Bw + B K Dyw, C + D K C_y and Dw + D K Dyw.
         poles: shape (n,).
         residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
-            responses cheap; None where eigenvectors lose too many digits.
+            responses cheap; None if eigenvectors lose too many digits.
     """
 
     A: Array
@@ -187,7 +187,7 @@ class Landscape:
         return self.Bw + self.B @ through, self.Dw + self.D @ through
 
     def ports(self, x: Array) -> Ports:
-        """What a change of the gain at a point acts through; the last is remembered."""
+        """Returns the matrices through which a change of the gain acts at a point; the last result is cached."""
         if not self.through:
             return self.straight
         key = x.tobytes()
@@ -371,7 +371,7 @@ class Landscape:
         return np.unique(np.concatenate([np.abs(climbed(partial(self._gains, loop), left, middle, right, gains[top])), beyond]))
 
     def moving(self, omega: Array) -> Array:
-        """Whether a peak at these frequencies moves with the gain: at zero it stays, as the gain is even."""
+        """Returns True for frequencies at which a peak moves with the gain: at zero it stays, as the gain is even."""
         return omega > 0
 
     def _gains(self, loop: Loop, omega: Array) -> Array:

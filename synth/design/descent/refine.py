@@ -28,14 +28,14 @@ SEEN = 1e-6  # relative: what a table of seven digits shows
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What a refinement reached, and what it traded.
+    """The result of a refinement and its trade-off.
 
     Attributes:
         gain: K, shape (m, q).
         before: the norm it started from.
         after: the norm it ended at.
-        growth: largest entry of the gain, after over before, each in the units in which the loop counts it.
-        refused: what one more stage would have bought of gamma, relative, and its growth; None where there is nothing to buy.
+        growth: largest entry of the gain in the loop's own units, after over before.
+        refused: relative decrease of gamma by one more stage, and its growth of the gain; None if gamma would not decrease.
     """
 
     gain: Array
@@ -46,7 +46,7 @@ class Refinement:
 
     @property
     def traded(self) -> str:
-        """What was traded, in words."""
+        """The trade-off in words."""
         text = f"gamma {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain times {self.growth:.3g}"
         if self.refused is not None:
@@ -63,7 +63,7 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
         plant: n states, m inputs.
         Cy: shape (q, n).
         K: shape (m, q).
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -123,12 +123,12 @@ def _own(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> flo
 
 @numerics()
 def worth_refining(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> float:
-    """What `refine` lowers the norm by at least, relative: as far as its first rounds go, which are quick.
+    """Returns the relative decrease of the norm that `refine` reaches at least, from its first rounds, which are quick.
 
     Args:
         Cy: shape (q, n).
         K: a stabilising gain, shape (m, q).
-        Dyw: shape (q, r); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
     """
     landscape = Landscape(plant, Cy, Dyw)
     x = landscape.point(K)

@@ -1,4 +1,4 @@
-"""Where a search over static gains starts: from gains of every size, from a Riccati equation, and from a gain that stabilises.
+"""Starts of a search over static gains: random gains of every size, a Riccati equation, and a stabilising gain.
 
 Poles of small matrices cost microseconds, descents cost tenths of a second. So random gains are drawn from every decade of size
 up to the largest allowed, each with a size of its own for every input and measurement. Half of them have rank one, as gains that
@@ -54,7 +54,7 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
 
 
 def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
-    """The best stable sample of those that differ from a point by random factors, one for every entry; None where none is stable.
+    """Returns the best stable sample around a point, with a random factor for every entry; None if no sample is stable.
 
     Args:
         x: the point, shape (m q,).
@@ -66,7 +66,7 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
 
 
 def lowest(landscape: Landscape, points: Array) -> Array | None:
-    """The point with the smallest norm among the first stable ones of many, shape (m q,); None where none is stable.
+    """Returns the point with the smallest norm among the first stable ones, shape (m q,); None if none is stable.
 
     Args:
         points: shape (N, m q).
@@ -86,7 +86,7 @@ def lowest(landscape: Landscape, points: Array) -> Array | None:
 
 
 def _count(landscape: Landscape) -> int:
-    """How many samples there are of a kind."""
+    """Returns the number of samples of a kind."""
     return max(FEWEST, int(SAMPLES * min(1.0, (WIDE / len(landscape.A)) ** 3)))
 
 
@@ -106,7 +106,7 @@ EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w doe
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Points that come closest to the state feedback of a Riccati equation, shape (m q,) each; none where rounding leaves none."""
+    """Returns points closest to the state feedback of a Riccati equation, shape (m q,) each; none if rounding prevents it."""
     A, Cy, C, D = landscape.A, landscape.Cy, landscape.C, landscape.D
     n, m = landscape.B.shape
     unit = size(A) / size(landscape.B)  # of the forces, with which they move the states as fast as these move

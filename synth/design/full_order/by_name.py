@@ -38,13 +38,13 @@ def named_design(
     noise: Sequence[float] | None = None,
     Dyw: Array | None = None,
 ) -> NamedDesign:
-    """A controller designed as one of these names says.
+    """Designs a controller by one of these methods.
 
     Args:
         name: "full", "lqr", "lqg" or "h2".
-        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
-        lower_bound: what no controller from these measurements beats.
-        noise: of each measurement, for "lqg", see `lqg_design`; None where there is none.
+        Cy: shape (q, n); for "lqr" as many rows as states.
+        lower_bound: for controllers from these measurements.
+        noise: of each measurement, for "lqg", see `lqg_design`; None without noise.
         Dyw: shape (q, r), for "full" and "h2"; None for zero.
 
     Raises:

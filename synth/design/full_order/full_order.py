@@ -69,12 +69,12 @@ MOST = 100  # numbers of a law with which a descent takes seconds
 
 
 def descents(search: Search, start: Traded | None, fastest: float) -> list[Traded]:
-    """What descents find: a static gain, and a law of as many states as the start's; none of a plant that is too large.
+    """Returns the results of descents: a static gain, and a law of the start's order; empty if the plant is too large.
 
     Args:
-        search: of the plant, in whose own units it is descended.
-        start: the law to descend from; None where there is none.
-        fastest: times the plant's own speed: what a pole may be.
+        search: of the plant, whose own units are used.
+        start: the law to descend from, or None.
+        fastest: largest pole, times the plant's own speed.
     """
     own, found = search.own, list[Traded | None]()
     n, (q, m) = len(own.plant.A), (len(own.Cy), own.plant.B.shape[1])
@@ -104,15 +104,15 @@ DEADBEAT = 4.0  # over dt: so fast is z = -1/3 on the map, and z = 0 half as fas
 
 @dataclass(frozen=True, eq=False)
 class FullOrderDesign:
-    """A full-order controller, and what nearer ones would cost.
+    """A full-order controller, and its alternatives.
 
     Attributes:
-        law: on y = C_y x + Dyw w; as many states as the plant, but for those that would do next to nothing.
-        certificate: what is true of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
-        trade: the controllers that no other beats in norm and speed, the slowest first; empty where what was asked for was found.
-            Of a discrete plant they are those for the continuous one that it is mapped to.
-        remark: how near it came and why no nearer, in words; empty where it is as near as was asked for.
-        stable: whether the law is, by itself; one that is not grows while its loop is open, as when a force is at its limit.
+        law: on y = C_y x + Dyw w; as many states as the plant, without negligible ones.
+        certificate: of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
+        trade: the Pareto front of norm and speed, the slowest first; empty if the controller is within the requested distance of
+            the bound. For a discrete plant they belong to its continuous image.
+        remark: distance from the bound and its reason, in words; empty if it is within the requested one.
+        stable: True if the law itself is stable; an unstable one grows while its loop is open, as when a force saturates.
     """
 
     law: LinearLaw
@@ -202,7 +202,7 @@ def full_order_design(
 
 
 def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:
-    """How near a controller came to a bound, and what a nearer one would cost; empty where it is near."""
+    """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
     above = f"{percent(best.norm / bound - 1)} above the lower bound" if bound else "no lower bound is proved"

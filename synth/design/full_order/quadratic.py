@@ -32,13 +32,13 @@ ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a
 
 @dataclass(frozen=True, eq=False)
 class QuadraticDesign:
-    """A controller that is the best in the mean.
+    """A quadratically optimal controller.
 
     Attributes:
         law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
-        h2_norm: root of the mean square of z under white noise w, and LQG's noise, with what was given alone; Dw left out.
-        certificate: what is true of its loop in the worst case of w. LQG's noise is none of it: in the worst case it has no rms.
-        remark: what had to be assumed, in words; empty where nothing had.
+        h2_norm: rms of z under white noise w and LQG's noise, of the given plant without regularisation; Dw left out.
+        certificate: of its loop for the worst case of w, without LQG's noise, which has no rms in the worst case.
+        remark: assumptions in words, or empty.
     """
 
     law: LinearLaw
@@ -141,16 +141,16 @@ def quadratic_design(
     noise: Sequence[float] | None = None,
     Dyw: Array | None = None,
 ) -> QuadraticDesign:
-    """One of these by its name, its law on y = C_y x.
+    """Designs an LQR, LQG or H2 controller by its name, with a law on y = C_y x.
 
     Args:
         name: "lqr", "lqg" or "h2".
-        Cy: shape (q, n); for "lqr" as many rows as states, which it is of.
-        noise: of each measurement, for "lqg"; None where there is none.
+        Cy: shape (q, n); for "lqr" as many rows as states.
+        noise: of each measurement, for "lqg"; None without noise.
         Dyw: shape (q, r), for "h2"; None for zero.
 
     Raises:
-        DesignError: LQR is asked for where not every state is measured.
+        DesignError: not every state is measured for LQR.
         InputError, InfeasibleError, DesignError: as `lqr_design`, `lqg_design` and `h2_design`.
     """
     if name != "lqr":
@@ -215,7 +215,7 @@ def widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
 
 
 def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
-    """K of the u = K x that makes the mean square of C x + D u and of `more` u the smallest, shape (m, n)."""
+    """Returns K of the u = K x that minimises the mean square of C x + D u and `more` u, shape (m, n)."""
     if not B.shape[1]:  # no force does anything
         return np.zeros((0, len(A)))
     weight = D.T @ D + more.T @ more

@@ -217,7 +217,7 @@ class Traded:
 
     @property
     def trouble(self) -> tuple[bool, float]:
-        """What is to be small where norms are alike: a law that grows by itself is worst, for a force may be cut off."""
+        """Sort key of laws with similar norms: stable laws first, as a force may be cut off, then by speed."""
         return not self.stable, self.speed_up
 
 
@@ -254,7 +254,7 @@ class Search:
         self.fastest, _ = speed(plant)
 
     def near(self, fastest: float) -> Traded | None:
-        """The controller within WITHIN of the bound with the least trouble, and not too fast; None where there is none."""
+        """Returns the first controller by `trouble` within WITHIN of the bound and not too fast, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
@@ -270,7 +270,7 @@ class Search:
         return min(slow, key=lambda each: each.trouble, default=None)
 
     def reaches(self, target: float, share: float, gamma: float, found: list[Traded]) -> bool:
-        """Whether the controller of a share for some gamma has a norm of at most the target; then it is among what was found."""
+        """Appends the controller of a share for some gamma to `found` and returns True if its norm is at most the target."""
         each = self.traded(share, gamma)
         if each is None or each.norm * self.own.norm > target:
             return False
@@ -288,7 +288,7 @@ class Search:
         return found + self.slower(found, fastest)
 
     def slower(self, found: Sequence[Traded], fastest: float) -> list[Traded]:
-        """Those that are too fast, without the poles of the law that make them so; none where the loop is lost by that."""
+        """Returns the too fast controllers without the fast poles of their laws, if their loops stay stable."""
         left = list[Traded]()
         for each, part in product([each for each in found if each.speed_up > fastest], PARTS):
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
@@ -311,13 +311,13 @@ class Search:
         return high
 
     def traded(self, share: float, gamma: float) -> Traded | None:
-        """The controller of a share for some gamma, with its loop's norm; None where that is not stable, or there is none."""
+        """Returns the controller of a share for some gamma, with its norm; None if it does not exist or is not stable."""
         with contextlib.suppress(InputError):  # infeasible, or an entry is too large for a law
             return self.judged(share, self.law(share, gamma))
         return None
 
     def judged(self, share: float, law: LinearLaw) -> Traded | None:
-        """A law in own units with the norm of its loop; None where that is not stable.
+        """Returns a law in own units with the norm of its loop, or None if the loop is not stable.
 
         Raises:
             InputError: an entry is too large for a law in the units given.

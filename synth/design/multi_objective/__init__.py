@@ -1,1 +1,1 @@
-"""One norm as small as it can be within bounds on others, for one plant or several, with errors."""
+"""Multi-objective design: one norm minimised within bounds on others, for one plant or several, with errors."""

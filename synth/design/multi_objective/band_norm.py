@@ -50,7 +50,7 @@ class BandLandscape(Landscape):
 
     @property
     def narrow(self) -> bool:
-        """Whether the band is not the whole axis."""
+        """True if the band is not the whole axis."""
         return self.band != EVERYWHERE
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
@@ -99,7 +99,7 @@ class BandLandscape(Landscape):
         return np.unique(np.concatenate([ends, np.clip(inside, *self.band)]))
 
     def moving(self, omega: Array) -> Array:
-        """Whether a peak at these frequencies moves with the gain: not those at the ends of the band."""
+        """Returns True for frequencies at which a peak moves with the gain: not at the ends of the band."""
         low, high = self.band
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
@@ -119,7 +119,7 @@ class BandLandscape(Landscape):
         return np.real(poles[kept]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:
-        """Those frequencies that lie in the band, and its finite ends, ascending."""
+        """Returns the frequencies within the band and its finite ends, ascending."""
         low, high = self.band
         omega = omega[np.isfinite(omega) & (omega > low) & (omega < high)]
         return np.unique(np.concatenate([[low], omega, [high] if np.isfinite(high) else []]))

@@ -14,14 +14,14 @@ from synth.plant.numerics import numerics, up_to_rounding
 
 @dataclass(frozen=True, eq=False)
 class GoalDesign:
-    """What the search ended with.
+    """The result of a multi-objective design.
 
     Attributes:
         gain: K, shape (m, q).
-        goal: the largest norm met, or ratio.
-        refused: what twice the gain would have bought of it, relative; None where nothing.
-        errors: the errors that decided, beside none.
-        problem: what was asked for.
+        goal: the largest norm, or ratio, that was found.
+        refused: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
+        errors: the active errors, beside no errors.
+        problem: the solved problem.
     """
 
     gain: Array
@@ -32,10 +32,10 @@ class GoalDesign:
 
     @cached_property
     def unproved(self) -> tuple[int, ...]:
-        """The members, by index, of which it is not proved that every loop of the tolerance is stable: proved when first asked.
+        """Indices of the members whose stability with all errors of the tolerance is not proved; computed when first used.
 
-        No error that was met makes one unstable; where the proof is too large to be tried, as of many errors of a large plant,
-        `synth.design.uncertainty.worst_case.worst_norm` may have another.
+        No error that was found makes a loop unstable. If the proof is too large, as for many errors of a large plant,
+        `synth.design.uncertainty.worst_case.worst_norm` may prove it.
         """
         tolerance, found = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
@@ -48,10 +48,10 @@ class GoalDesign:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with the best so far within all bounds.
+    """Ctrl-C during a search, with the best design so far within all bounds.
 
     Attributes:
-        best: of what the search had met.
+        best: design found so far.
     """
 
     def __init__(self, best: GoalDesign) -> None:
@@ -66,18 +66,18 @@ def design_for_goals(
     told: Told = lambda goal, within: None,
     otherwise: Callable[[], Iterable[Array]] = lambda: (),
 ) -> GoalDesign:
-    """The best gain that the search finds.
+    """Searches the best gain of a multi-objective problem.
 
     Args:
-        problem: what is asked for.
-        starts: gains to start from, shape (m, q) each, beside those that it finds itself.
-        told: called with every new point.
-        otherwise: gives others, where none of those leads to stable loops; they may take their time.
+        problem: goals, bounds and plants.
+        starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
+        told: called with the goal, and True if all bounds are kept, at every new point.
+        otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
-        InputError: a decay is asked for of a discrete plant.
-        DesignError: none makes all loops stable, or none keeps all bounds; the message says which bound is in the way.
-        Interrupted: by Ctrl-C, once there is something to keep.
+        InputError: a decay is required for a discrete plant.
+        DesignError: no gain makes all loops stable, or keeps all bounds; the message names the violated bounds.
+        Interrupted: by Ctrl-C, once a design is feasible.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""What is minimised or bounded, each as a function of the gain: its value, and smooth functions that support it from below.
+"""Objectives and bounds as functions of the gain: their values, and smooth functions that support them from below.
 
 A point x is a gain in the coordinates of a `Landscape`, the same for all terms of a problem.
 """
@@ -88,7 +88,7 @@ class Gain(Term):
         return self._made(x, support.cuts, touching=False)
 
     def curvature(self, x: Array, support: Support, weights: Array) -> Array:
-        """Of the peaks that the cuts belong to."""
+        """Returns the curvature of the peaks that the cuts belong to."""
         active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
         if not active.any():
             return np.zeros((len(x), len(x)))
@@ -106,7 +106,7 @@ class Decay(Term):
         self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Of the slowest pole."""
+        """Returns the value of the slowest pole."""
         if not np.all(np.isfinite(self.landscape.loop(x)[0])):
             return np.inf
         return 2 + float(self.landscape.decays(x)[0].max()) / self.rate

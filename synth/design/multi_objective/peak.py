@@ -79,7 +79,7 @@ class RoadPeak(Term):
         return Support(values, slopes, np.full(len(found), touching), list(found))
 
     def _moved(self, x: Array, k: int) -> Array:
-        """How the signal at a time moves with the entries of K, shape (m, q)."""
+        """Returns the gradient of the signal at a time by the entries of K, shape (m, q)."""
         states, _, _, _ = self._signal(x)
         (A, c), driven, h = self.driven.loop(self._gain(x)), self.driven, self.response.h
         measured = states[: k + 1] @ driven.Cy.T
@@ -159,7 +159,7 @@ def largest_over_road(driven: Driven, K: Array) -> Peak:
 
 
 def _beside_kinks(response: Response, y: Array, at_ends: Array) -> float:
-    """What the signal does not exceed within the steps that have a kink."""
+    """Returns a bound on the signal within the steps that have a kink."""
     highest, before, into = 0.0, 0.0, -1
     slope = 0.0
     for end, piece in zip(at_ends, response.pieces, strict=True):

@@ -56,12 +56,12 @@ class Posed:
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One plant of a family.
+    """A plant of a family, with its signals.
 
     Attributes:
         posed: the plant with the z of each norm.
-        driven: the plant on roads, each with the signal that is bounded there.
-        signals: those of the first of `posed` that are bounded for roads of given energy.
+        driven: the plant on roads, each with its bounded signal.
+        signals: signals of the first of `posed` with a bound for roads of given energy.
     """
 
     posed: tuple[Posed, ...]
@@ -97,18 +97,18 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class GoalProblem:
-    """The least over K of the largest norm over members and errors, within bounds.
+    """The problem of minimising over K the largest norm over members and errors, within bounds.
 
     Attributes:
-        members: of the family; one where there is none.
-        minimise: what is minimised.
+        members: of the family; one without a family.
+        minimise: the minimised norm.
         norms: bounds on norms.
-        decay: all poles lie left of minus this [rad/s]; None for anywhere in the left half plane.
+        decay: all poles lie left of minus this [rad/s]; None for the open left half plane.
         peaks: the largest magnitude of each member's driven signals.
-        gain: the largest entry of K; None where nothing says.
+        gain: the largest entry of K; None if unbounded.
         tolerance: the largest errors.
-        structure: which entries of K may be other than zero, shape (m, q).
-        bests: what each member has at its own best, for the largest ratio to it instead of the largest norm; None for that.
+        structure: mask of the entries of K that may be nonzero, shape (m, q).
+        bests: individual optima of the members, to minimise the largest ratio to them; None to minimise the largest norm.
     """
 
     members: tuple[Member, ...]
@@ -123,12 +123,12 @@ class GoalProblem:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of K."""
+        """Shape of K."""
         return self.structure.shape
 
     @property
     def has_errors(self) -> bool:
-        """Whether there may be any."""
+        """True if the tolerance is not zero."""
         return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
 
     @property
@@ -156,12 +156,12 @@ class GoalProblem:
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: Errors, like: Landscape | None) -> BandLandscape:
-        """Of a member's plant with errors."""
+        """Returns the landscape of a member's plant with errors."""
         posed = errors.on(self.members[i].posed[which])
         return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like)
 
     def nominal(self) -> BandLandscape:
-        """Of the first member without errors: its points are those of all."""
+        """Returns the landscape of the first member without errors, which defines the points of all."""
         return self.landscape(0, self.minimise.which, self.minimise.band, self.none, None)
 
 
@@ -170,7 +170,7 @@ AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itsel
 
 
 def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Errors], rate: float) -> tuple[list[Term], list[Term]]:
-    """The goals and the bounds.
+    """Returns the goals and the bounds of a problem for some errors.
 
     Args:
         full: the landscape whose points are those of all terms.

@@ -171,7 +171,7 @@ class Response:
         return np.real(modes @ vectors.T), np.real(ends @ vectors.T)
 
     def _modal(self, values: Array, driven: Array, nodes: Array, lengths: Array) -> Array:
-        """What the road adds to the modes over steps of T lengths, or of one, shape (T, n)."""
+        """Returns the contribution of the road to the modes over steps of T lengths, or of one, shape (T, n)."""
         kernel = lengths[:, None, None] * self.w[:, None] * np.exp(lengths[:, None, None] * values * (1 - self.s[:, None]))
         return ((nodes @ driven.T) * kernel).sum(axis=1)
 

@@ -107,7 +107,7 @@ class Search:
         return x, height, refused
 
     def interrupted(self) -> tuple[Array, Height] | None:
-        """The best so far within all bounds, of those that no errors met make unstable; None where there is none."""
+        """Returns the best feasible point that no error found so far destabilises, or None."""
         for x in (self.least[0] if self.least is not None else None, self.sure):
             if x is not None and (height := self.terrain.height(x)).within and not self.worst.unstable(self.full.gain(x)):
                 return x, height
@@ -125,7 +125,7 @@ class Search:
             self.least = x, height
 
     def norms(self) -> list[Gain]:
-        """What is minimised, of every loop."""
+        """The minimised norms of all loops."""
         return [term for term in self.terrain.goals if isinstance(term, Gain)]
 
     def moved(self, x: Array, height: Height) -> None:
@@ -164,7 +164,7 @@ class Search:
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
     def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
-        """Starts whose loops are all stable, the best first, whatever errors were met."""
+        """Returns starts by increasing cost whose loops are stable with all errors found so far."""
         for _ in range(TURNS):
             ranked = self.ranked(points) or self.ranked([self.stabilised(x) for x in points])
             if not ranked:
@@ -188,7 +188,7 @@ class Search:
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
     def glanced(self, x: Array) -> tuple[Array, Height]:
-        """Some rounds further down; without a bound on the gain, with at most twice the gain."""
+        """Descends for a few iterations. If the gain is unbounded, it may at most double."""
         whole = self.terrain.limit
         if self.problem.gain is None:
             self.terrain.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
@@ -218,7 +218,7 @@ class Search:
         return best, terrain.height(best)
 
     def stable(self, x: Array) -> tuple[Array, Height]:
-        """The point, or one further on where all loops are stable, those with errors that were met since among them."""
+        """Returns the point, or another at which all loops are stable, also with the errors added since."""
         sure = [] if self.sure is None else [self.sure]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
@@ -233,7 +233,7 @@ class Search:
         return height.goal * (1 + RANK * max(height.excess, 0.0))
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
-        """Those where all loops are stable, the best first; of those that are alike one."""
+        """Returns the stabilising points by increasing cost, without duplicates."""
         heights = [(self.cost(x, self.noted(x)), i) for i, x in enumerate(points)]
         stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
         kept: list[tuple[float, Array]] = []
@@ -280,7 +280,7 @@ class Search:
         return x, height
 
     def sharpened(self, x: Array, height: Height) -> bool:
-        """Whether errors were met that make it worse, which count from now on."""
+        """Looks for gain errors that worsen the point, activates them and returns True if there were any."""
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), height.goal, self.rate)
@@ -291,19 +291,19 @@ class Search:
         return bool(fresh)
 
     def fresh(self, errors: Iterable[Errors]) -> list[Errors]:
-        """Those of them that do not count yet, each once."""
+        """Returns the errors that are not active yet, without duplicates."""
         met = {each.key for each in self.met}
         return list({each.key: each for each in errors if each.key not in met}.values())
 
     def count(self, errors: Sequence[Errors]) -> None:
-        """From now on they do."""
+        """Activates the errors: adds their objectives and bounds to the problem."""
         self.met += errors
         goals, bounds = terms_with(self.problem, self.full, errors, self.rate)
         self.terrain.goals += goals
         self.terrain.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
     def drawn_tighter(self, x: Array) -> bool:
-        """Whether a peak over a road, looked at closely, passes a bound that was kept; it then counts as so much smaller."""
+        """Recomputes the road peaks accurately. Tightens each bound that is exceeded and returns True if there was one."""
         tighter = False
         for term in self.terrain.bounds:
             if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
@@ -314,6 +314,6 @@ class Search:
         return tighter
 
     def in_the_way(self, x: Array) -> str:
-        """Which bounds cannot be kept, and by how much, as far as the search found."""
+        """Returns the message with the bounds that the search could not keep, and by how much."""
         passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.terrain.passed(x).items())
         return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"

@@ -23,11 +23,11 @@ KEPT = 1e-9  # relative: what is passed by less is kept, as bounds are drawn tig
 
 @dataclass(frozen=True)
 class Height:
-    """Where a point stands.
+    """The merit of a point.
 
     Attributes:
-        goal: the largest value of a goal; infinite where a loop is unstable.
-        excess: by how much the worst bound is passed, relative; negative within all.
+        goal: the largest value of a goal; infinite if a loop is unstable.
+        excess: relative violation of the worst bound; negative if all are kept.
     """
 
     goal: float
@@ -35,7 +35,7 @@ class Height:
 
     @property
     def within(self) -> bool:
-        """Whether all bounds are kept."""
+        """True if all bounds are kept."""
         return self.excess <= KEPT
 
 
@@ -66,7 +66,7 @@ class Terrain:
         self._known: tuple[bytes, dict[tuple[int, float], float]] = b"", {}  # values at one point, by term and unit
 
     def value(self, term: Term, x: Array, above: float = np.inf) -> float:
-        """Of a term at a point, as `Term.value` has it; those of the last point are remembered."""
+        """Returns `Term.value` of a term at a point; values of the last point are cached."""
         at = x.tobytes()
         if self._known[0] != at:
             self._known = at, {}
@@ -79,7 +79,7 @@ class Terrain:
         return known[key]
 
     def height(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Height:
-        """Of a point.
+        """Returns the merit of a point.
 
         Args:
             above: the search ends early where goal (1 + penalty excess) is known to exceed this.
@@ -105,7 +105,7 @@ class Terrain:
         return {name: share for name, share in excess.items() if share > KEPT}
 
     def model(self, x: Array, height: Height, depth: float) -> Model:
-        """What supports the goals within a share of the largest, and the bounds that are near."""
+        """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
         goals, bounds = [], []
         for i, term in enumerate(self.goals):
             value = self.value(term, x)
@@ -148,10 +148,10 @@ def descend(
     enough: float = 0.0,
     settled: float = -np.inf,
 ) -> tuple[Array, Height]:
-    """From a point where all loops are stable to one that is lower: within the bounds, if the start is or a way there is found.
+    """Descends from a point at which all loops are stable, within the bounds if the start is or a way there is found.
 
     Args:
-        M: coordinates in which all directions count alike, shape (N, N).
+        M: coordinates in which all directions have equal weight, shape (N, N).
         rounds: at most.
         told: called with every new point.
         enough: of the goal; it ends there.
@@ -167,7 +167,7 @@ def descend(
 
 
 class _Walk:
-    """One descent."""
+    """The state of one descent."""
 
     def __init__(self, terrain: Terrain, x: Array, M: Array, settled: float) -> None:
         self.terrain, self.x, self.M, self.settled = terrain, x, M, settled
@@ -208,7 +208,7 @@ class _Walk:
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
 
     def step(self) -> bool:
-        """One round; whether there may be another."""
+        """Performs one iteration. Returns True if another may follow."""
         terrain, x, M = self.terrain, self.x, self.M
         if self.failures > 8 or self.height.goal <= 1e-300:
             return False
@@ -278,7 +278,7 @@ class _Walk:
         return (v - s @ t, s), (c - w @ t, w)
 
     def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
-        """Of the functions that touch at the point, with the weights of the model."""
+        """Returns the curvature of the functions that are active at the point, with the weights of the model."""
         total = np.zeros((len(self.x), len(self.x)))
         for terms, supports, weights, unit in (
             (self.terrain.goals, fresh.goals, of_goals, self.height.goal),

@@ -20,7 +20,7 @@ SEED = 20261122
 
 
 class WorstErrors:
-    """Of one problem."""
+    """The search for the worst gain errors of a multi-objective problem."""
 
     def __init__(self, problem: GoalProblem) -> None:
         self.problem = problem
@@ -29,9 +29,9 @@ class WorstErrors:
         self.landscape = cache(self._landscape)
 
     def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, Errors]]:
-        """For every member, and for what is minimised, every bound on a norm and the decay: the worst errors met.
+        """Yields the worst errors of every member for the goal, every bound on a norm and the decay.
 
-        Each with how far it is beyond: past 1 lies what is worse than the goal that is known, or than the bound.
+        Each comes with its value relative to the known goal or the bound: above 1 it is worse.
 
         Args:
             K: shape (m, q).
@@ -78,7 +78,7 @@ class WorstErrors:
         return min(2 + real / rate, NOT_STABLE), errors
 
     def unstable(self, K: Array) -> list[Errors]:
-        """Errors that make a loop unstable, the worst of each member; none where none were met."""
+        """Returns the worst errors of each member whose loop they destabilise."""
         if not len(self.free):
             return []
         found = (self.slowest(i, K) for i in range(len(self.problem.members)))
@@ -134,6 +134,6 @@ class WorstErrors:
 
 
 def worst_of_norm(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, K: Array) -> tuple[float, Errors]:
-    """The largest value met of one member in a unit, of a norm or, for None, of the decay, and the errors; of a gain (m, q)."""
+    """Returns a member's largest value found, of a norm or, for None, the decay, and its errors, for a gain of shape (m, q)."""
     worst = WorstErrors(problem)
     return worst.of_decay(i, unit, K) if norm is None else worst.of_norm(i, norm, unit, K)

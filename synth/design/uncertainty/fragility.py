@@ -1,4 +1,4 @@
-"""How fragile a law is: how far its readings, forces and numbers may be off, and what that costs; in words and as JSON has it.
+"""Fragility of a law: tolerated errors of its readings, forces and coefficients, and their cost, in words and as JSON.
 
 Each amount stands between two: a box of errors in which it is proved that all is well, and errors that were met, at which it is
 not. A gain of one force is off in its entries: an error of that force is one of all readings at once. Of several forces each may
@@ -31,10 +31,10 @@ FORMATS = ("int16", "float16")
 def rounding(
     law: LinearLaw, closed: Callable[[LinearLaw], tuple[GeneralizedPlant, Feedback]], plant: GeneralizedPlant
 ) -> dict[str, Certificate]:
-    """What is true of a law in each of `FORMATS`.
+    """Returns the certificates of a law with coefficients rounded to each of `FORMATS`.
 
     Args:
-        closed: what a law is a gain of.
+        closed: returns the plant and the gain of a law.
         plant: without the law's states.
     """
     return {to: certify_tightly(*closed(rounded(law, to)), by_itself=plant) for to in FORMATS}
@@ -75,13 +75,13 @@ LOOSELY = 4.0  # times the largest norm met in a box: a bound on it is tried the
 
 @dataclass(frozen=True, eq=False)
 class Borne:
-    """How large errors may be, relative.
+    """The margin of relative errors.
 
     Attributes:
-        proved: errors up to this, in whatever combination, do no more than they may; 0 where nothing is proved.
-        bound: what no norm exceeds up to there; infinite where nothing is proved.
-        found: the smallest errors met that do more; infinite where none up to 1 do.
-        readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 where none do, along the worst way.
+        proved: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
+        bound: on the norm for these errors; infinite if nothing is proved.
+        found: size of the smallest harmful errors found; infinite if none up to 1 are.
+        readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
     """
 
     proved: float
@@ -93,12 +93,12 @@ class Borne:
 
 @dataclass(frozen=True, eq=False)
 class Fragility:
-    """How large errors of readings and forces a loop bears.
+    """The errors of readings and forces that a loop tolerates.
 
     Attributes:
         norm: without errors.
-        stable: until it is unstable.
-        within: by share of the norm, until it costs that.
+        stable: margin of stability.
+        within: margin by allowed relative increase of the norm.
     """
 
     norm: float
@@ -108,10 +108,10 @@ class Fragility:
 
 @numerics()
 def fragility(gain: ScaledGain) -> Fragility:
-    """How large errors a loop bears that is stable without any.
+    """Computes the errors that a loop tolerates, which is stable without errors.
 
     Raises:
-        ValueError: it is not.
+        ValueError: the loop is unstable without errors.
     """
     heights = Heights(gain)
     norm = heights.norm(_at(gain, 0.0))
@@ -128,7 +128,7 @@ def box_of_all(gain: ScaledGain, amount: float) -> Box:
 
 
 def worst_met(gain: ScaledGain, amount: float) -> float:
-    """The largest norm met with errors of all readings, and of several forces, up to an amount; infinite where unstable."""
+    """Returns the largest norm found with errors of readings and several forces up to an amount; infinite if unstable."""
     heights = Heights(gain)
     climb(heights, box_of_all(gain, amount))
     return heights.highest
@@ -149,7 +149,7 @@ def _rays(heights: Heights) -> Array:
 
 
 def _borne(heights: Heights, rays: Array, level: float) -> Borne:
-    """How large errors may be until a norm exceeds a level; of an infinite one, until the loop is unstable."""
+    """Returns the margin until the norm exceeds a level; for an infinite level, until the loop is unstable."""
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)
     for _ in range(TURNS):
@@ -197,7 +197,7 @@ def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Arr
 
 
 def _edge(heights: Heights, ray: Array, low: float, high: float, level: float) -> float:
-    """Where between two amounts along a ray a level is exceeded, which is not at the first and is at the second."""
+    """Bisects the amount along a ray at which a level is exceeded, between one that keeps it and one that does not."""
     while high - low > EXACT * high:
         middle = (low + high) / 2
         over = heights.exceeds(_at(heights.gain, middle * ray), level)
@@ -238,7 +238,7 @@ def fragility_object(
 
 
 def whose(found: Fragility) -> str:
-    """What is off."""
+    """Returns the erroneous quantities in words."""
     return "readings and forces" if len(found.stable.forces) > 1 else "readings"
 
 
@@ -249,7 +249,7 @@ def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> s
 
 
 def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
-    """How fragile a law is, in a sentence."""
+    """Returns the fragility of a law as a sentence."""
     stable, text = found.stable, "fragile: "
     if math.isfinite(stable.found):
         text += f"unstable with {whose(found)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
@@ -259,7 +259,7 @@ def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[s
 
 
 def proved_text(found: Fragility) -> str:
-    """What is proved of errors, and what they are not."""
+    """Returns the proved margins in words."""
     stable = found.stable
     text = "that it is stable with errors is not proved"
     if stable.proved:
@@ -272,7 +272,7 @@ def proved_text(found: Fragility) -> str:
 
 
 def rounding_text(norm: float, rounding: Mapping[str, Certificate]) -> str:
-    """What rounding a law's numbers does to its norm, in a sentence."""
+    """Returns the effect of rounded coefficients on the norm as a sentence."""
     said = []
     for name, one in rounding.items():
         if not one.stable:

@@ -1,4 +1,4 @@
-"""Whether all loops of a box of errors are stable, proved by a Lyapunov function that moves with the errors.
+"""Stability proofs for all loops of a box of errors by a parameter-dependent Lyapunov function.
 
     minimise t   so that   (the inequality of `synth/analysis/uncertainty_box.py`)  <=  t I,   X_i > 0,
 
@@ -27,19 +27,19 @@ LARGEST = 1e3  # of X, F and G, where the middle's X is I: the inequality is hom
 
 
 def stable_with_errors(plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array) -> bool:
-    """Whether the loop is proved to be stable whatever the errors; arguments as for `worst_norm`."""
+    """Returns True if the loop is proved stable for all errors; arguments as for `worst_norm`."""
     gain = scaled_gain(plant, Cy, K)
     return stable_throughout(gain, box_of(gain, d, e)) is not None
 
 
 def unknowns(gain: ScaledGain, box: Box) -> int:
-    """How many unknowns the problem of a box has."""
+    """Returns the number of unknowns of the problem of a box."""
     n = len(gain.plant.A)
     return 2 ** len(box.free) * n * (n + 1) // 2 + 2 * n * n + 1
 
 
 def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDependentLyapunov]] | None:
-    """Parts that fill a box, each with a proof that all its loops are stable; None where none is found.
+    """Returns parts that fill a box, each with a stability proof of all its loops; None if no proof is found.
 
     Args:
         box: of as many free factors as `MOST_UNKNOWNS` allows.
@@ -63,7 +63,7 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
 
 
 def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
-    """A bound on all norms of a box that is proved, just above the largest norm met; infinite where none is found."""
+    """Returns a proved bound on all norms of a box, just above the largest norm found; infinite if none is proved."""
     if unknowns(gain, box) > MOST_UNKNOWNS:
         return np.inf
     for above in CLOSER:
@@ -77,7 +77,7 @@ def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
 
 
 def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDependentLyapunov | None:
-    """What satisfies the inequality at all corners of a box; None where there is nothing, or next to nothing.
+    """Returns matrices that satisfy the inequality at all corners of a box; None if it is infeasible, or nearly.
 
     Args:
         gamma: a bound on its norms; infinite for stability alone.

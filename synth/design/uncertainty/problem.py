@@ -14,17 +14,17 @@ from synth.plant.generalized import GeneralizedPlant, measurement_matrices, real
 def scaled_gain(
     plant: GeneralizedPlant, Cy: Array, law: Array | LinearLaw, Dyw: Array | None = None, through: Array | None = None
 ) -> ScaledGain:
-    """The loops of a law whose readings and forces are multiplied by factors; a law's own states are known as they are.
+    """Returns the loops of a law with factors on readings and forces; the law's own states have no errors.
 
     Args:
         plant: n states, m inputs; continuous or discrete, as the law.
         Cy: shape (q, n).
         law: u = K y, shape (m, q), or one with k states.
-        Dyw: shape (q, r); zero where it is not given.
-        through: what the forces do to the measurements at once, of a continuous plant, shape (q, m); zero where it is not given.
+        Dyw: shape (q, r); zero if it is not given.
+        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m). Default: zero.
 
     Raises:
-        InputError: a matrix has the wrong shape, or is none of real finite numbers.
+        InputError: a matrix has the wrong shape, or is not one of real finite numbers.
     """
     Cy, noise = measurement_matrices(plant, Cy, Dyw)
     (q, _), m = Cy.shape, plant.B.shape[1]
@@ -59,7 +59,7 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
 
 
 def errors_of(gain: ScaledGain, factors: Array) -> tuple[Array, Array]:
-    """By how much readings and forces are off under factors, relative, shapes (q,) and (m,)."""
+    """Returns the relative errors of readings and forces of given factors, shapes (q,) and (m,)."""
     start = gain.K.shape[1]
     return factors[: gain.readings] - 1, factors[start : start + gain.forces] - 1
 

@@ -35,7 +35,7 @@ SEED = 20261122
 
 
 class Heights:
-    """The norm over the factors of a gain; it remembers the highest that it met.
+    """The norm as a function of the factors of a gain, with the largest value found.
 
     Attributes:
         highest: the largest norm so far; infinite once a loop was unstable.
@@ -49,7 +49,7 @@ class Heights:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def exceeds(self, factors: Array, level: float) -> bool:
-        """Whether the norm under factors is above a level, or of an infinite one the loop unstable; it is not remembered."""
+        """Returns True if the norm exceeds a level, or, for an infinite level, if the loop is unstable; stores nothing."""
         try:
             point = self.landscape.point(self.gain.acting(factors))
         except np.linalg.LinAlgError:
@@ -74,7 +74,7 @@ class Heights:
         return self._known[key]
 
     def slope(self, factors: Array) -> Array:
-        """Of the norm over the factors where it is finite, shape (q + m,)."""
+        """Returns the gradient of a finite norm by the factors, shape (q + m,)."""
         gain, landscape = self.gain, self.landscape
         K, q = gain.acting(factors), gain.K.shape[1]
         by_acting = landscape.slope(landscape.point(K), self._peak(factors)[1]).reshape(K.shape) / landscape.scale
@@ -164,7 +164,7 @@ JOIN = 4  # corners that join in a round
 
 
 def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | None:
-    """An X that satisfies (20) at all corners of a box, shape (n, n); None where there is none, or next to none.
+    """Returns an X that satisfies (20) at all corners of a box, shape (n, n); None if it is infeasible, or nearly.
 
     Args:
         box: of no more than `certificate.box.MOST` free factors.
@@ -198,7 +198,7 @@ def _highest(loops: Loops, X: Array, eta: float) -> Array:
 
 
 def _for_all(loops: Loops, start: Array, eta: float) -> Array | None:
-    """An X that satisfies (20) of every loop; None where there is none."""
+    """Returns an X that satisfies (20) of every loop, or None."""
     T = np.linalg.cholesky(start)
     inverse = np.linalg.inv(T)
     own = Loops(inverse @ loops.A @ T, inverse @ loops.Bw, loops.C @ T, loops.Dw)
@@ -240,12 +240,12 @@ Parts = list[tuple[Box, Array | None]]  # of a box, each with an X of (20) if on
 
 
 def _trials(heights: Heights) -> int:
-    """How often an X is looked for at most, for one bound."""
+    """Returns the largest number of attempts to find X for one bound."""
     return max(FEWEST, TRIALS // len(heights.gain.plant.A) ** 2)
 
 
 def proof_near(heights: Heights, box: Box) -> BoxProof | None:
-    """A bound on a box just above the largest norm met, if one can be proved; what is met on the way is remembered, too."""
+    """Proves a bound on a box just above the largest norm found; stores larger norms found on the way."""
 
     def level(above: float) -> Callable[[], float]:
         return lambda: heights.highest * (1 + above)
@@ -359,12 +359,12 @@ class WorstNorm:
 
     @property
     def gap(self) -> float:
-        """How far what is proved lies above what is found, relative; infinite where nothing is proved."""
+        """Relative distance of the proved bound from the norm found; infinite if nothing is proved."""
         return self.proved / self.found - 1 if np.isfinite(self.proved) and self.found else np.inf
 
     @property
     def unstable(self) -> bool:
-        """Whether a loop in the box is unstable: with the errors that are named here."""
+        """True if a loop in the box is unstable: the one with these errors."""
         return bool(np.isinf(self.found))
 
 

@@ -1,1 +1,1 @@
-"""What slower computers cost a controller: its norm over the sample period, and where the loop is lost."""
+"""Cost of a low sample rate: the norm of a controller over the sample period, and its stability limit."""

@@ -1,4 +1,4 @@
-"""What slower computers cost a controller: the exact norm of its loop over the sample period, at once and late; and its end.
+"""Cost of a low sample rate: the exact norm of a loop over the sample period, undelayed and delayed, and its stability limit.
 
 The end is where, from the fastest computer on, the sampled loop is lost. Stability is that of the sampled loop itself. From one
 period that is tried to the next no mode of the vehicle or of the law turns by more than a tenth of a radian, as long as anything
@@ -32,14 +32,14 @@ CLOSE = 1e-12  # relative, of two periods
 
 
 def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
-    """The shortest sample period at which a loop is not stable [s]; infinite where there is none up to `LONGEST_PERIOD`.
+    """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
-        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
+        vehicle: sample period and delay of its `[implementation]` do not count.
         delay: from a measurement to the force computed from it, in samples.
 
     Returns:
-        0 where not even the fastest computer keeps it.
+        0 if the loop is unstable even at the highest rate.
     """
 
     def kept(period: float) -> bool:
@@ -59,7 +59,7 @@ def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
 
 
 def _between(kept: Callable[[float], bool], before: float, after: float) -> float:
-    """Where a loop is lost between a period at which it is kept and one at which it is not."""
+    """Bisects the period of stability loss between a stable and an unstable period."""
     while after - before > CLOSE * after:
         middle = (before + after) / 2
         before, after = (middle, after) if kept(middle) else (before, middle)
@@ -75,14 +75,14 @@ def _modes(vehicle: Vehicle, controller: Controller) -> Array:
 
 @dataclass(frozen=True)
 class AtRate:
-    """A controller on one computer.
+    """The norms of a controller at one sample rate.
 
     Attributes:
         period: of its samples [s].
-        prompt: the norm of the loop whose forces act at the sample.
-        late: of the one whose forces act `Cost.delay` samples late.
-        designed: of the one that is designed for this rate instead, at once; None where none is.
-        undesigned: why none is, where one was asked for; empty otherwise.
+        prompt: norm of the loop without delay.
+        late: norm of the loop with the delay `Cost.delay`.
+        designed: norm without delay of a controller designed for this rate; None without such a design.
+        undesigned: reason if that design was requested and failed, or empty.
     """
 
     period: float
@@ -94,17 +94,17 @@ class AtRate:
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """A controller on computers of several rates.
+    """The norms of a controller at several sample rates.
 
     Attributes:
         controller: the controller.
-        ideal: the norm of its continuous loop, with its actuators' lag and without noise; infinite where that is not stable.
-        lower_bound: a norm that no controller with these measurements beats, whatever its rate; None where none is known. It is
-            proved for time-invariant controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
-        delay: in samples, of the forces that are late.
+        ideal: norm of its continuous loop, with its actuators' lag and without noise; infinite if that is not stable.
+        lower_bound: on the norm with these measurements at any rate; None if unknown. It is proved for time-invariant
+            controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
+        delay: of the late forces, in samples.
         rates: ascending by period.
         lost: the shortest sample period at which the loop is not stable [s], see `lost_from`.
-        lost_late: the same where forces are late.
+        lost_late: the same for late forces.
     """
 
     controller: Controller
@@ -116,7 +116,7 @@ class Cost:
     lost_late: float
 
     def loss(self, norm: SampledNorm) -> float:
-        """By how much a norm is above the continuous loop's, relative; below 0 where it is less, infinite where it is lost."""
+        """Returns the relative excess of a norm over the continuous loop's; negative if it is less, infinite if unstable."""
         return norm.value / self.ideal - 1 if 0 < self.ideal < np.inf else np.nan if norm.stable else np.inf
 
 
@@ -127,13 +127,13 @@ def cost(
     designs: Collection[float] = (),
     done: Callable[[int], None] = lambda count: None,
 ) -> Cost:
-    """What these sample periods cost a controller.
+    """Computes the norms of a controller at these sample periods.
 
     Args:
-        vehicle: its `[implementation]` says how many samples forces are late, one if it says nothing of that, and no more.
+        vehicle: only the delay in samples of its `[implementation]` counts; default one.
         periods: ascending [s].
-        designs: those of them for which the same is also designed anew, where it was designed in two steps.
-        done: told how many periods are done.
+        designs: periods for which the controller is also designed anew, if it was designed in two steps.
+        done: called with the number of finished periods.
     """
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
     near, found = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
@@ -159,7 +159,7 @@ def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: floa
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
-    """Whether there is such a design for a sampled loop, too: of static gains without noise."""
+    """Returns True if the controller can be designed for a sampled loop, too: a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or supports(entry, "rates")
     return own and controller.law.acts and not any(controller.hardware.noise)
@@ -177,7 +177,7 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """What no controller beats that acts at once on what is: of those one that is late, or lags, is one."""
+    """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset."""
     if controller.hardware == IDEAL:
         return controller.certificate.lower_bound
     return Shared(vehicle).lower_bound(controller.measured).gamma or None

@@ -1,4 +1,4 @@
-"""What slower computers cost, in words, as `--json` has it, and drawn."""
+"""Reports on the cost of low sample rates: in words, as JSON, and as a figure."""
 
 import math
 import re
@@ -35,7 +35,7 @@ def cost_lines(one: Cost) -> list[str]:
 
 
 def _has_designs(one: Cost) -> bool:
-    """Whether it was designed anew for any rate, or that was tried."""
+    """Returns True if a design for any rate was made or tried."""
     return any(at.designed is not None or at.undesigned for at in one.rates)
 
 
@@ -49,7 +49,7 @@ def _undesigned_lines(one: Cost) -> list[str]:
 
 
 def about_lines(costs: Sequence[Cost]) -> list[str]:
-    """What the columns are."""
+    """Returns the explanation of the columns."""
     designs = any(_has_designs(one) for one in costs)
     more = "; designed: anew, for the loop of that rate" if designs else ""
     loses = "loses: by how much the norm lies above that in continuous time"
@@ -57,12 +57,12 @@ def about_lines(costs: Sequence[Cost]) -> list[str]:
 
 
 def late(one: Cost) -> str:
-    """How late forces are that are late, in words."""
+    """Returns the delay of the late forces, in words."""
     return samples_late(one.delay)
 
 
 def sentence(one: Cost) -> list[str]:
-    """What it comes to, in a sentence that goes over some lines."""
+    """Returns the result as a sentence, wrapped into lines."""
     name = one.controller.name
     if not math.isfinite(one.ideal):
         held = any(norm is not None and norm.stable for at in one.rates for norm in (at.prompt, at.late, at.designed))
@@ -78,7 +78,7 @@ def sentence(one: Cost) -> list[str]:
 
 
 def failures(one: Cost) -> list[str]:
-    """What does not hold of the norms, in words."""
+    """Returns the failures of the norms, in words."""
     name = one.controller.name
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
@@ -111,7 +111,7 @@ def cost_object(one: Cost) -> dict[str, Any]:
 
 
 def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
-    """A norm, what proves it, and what it loses; None where the loop is not stable."""
+    """Returns a norm with its proof and its loss as JSON; None if the loop is not stable."""
     if not norm.stable:
         return None
     return {
@@ -145,7 +145,7 @@ def _costs(one: Cost, norm: SampledNorm) -> str:
 
 
 def _ends(one: Cost) -> str:
-    """Where the loop is lost, at once and late."""
+    """Returns the stability limits without and with delay, in words."""
     if math.isinf(one.lost) and math.isinf(one.lost_late):
         return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
     slower_prompt = [at for at in one.rates if at.period > one.lost and at.prompt.stable]
@@ -154,7 +154,7 @@ def _ends(one: Cost) -> str:
 
 
 def _lost(period: float, again: Sequence[AtRate]) -> str:
-    """Where a loop is lost on the way from fast computers to slow ones, and which slower ones of the table keep it."""
+    """Returns the highest unstable rate in words, and the slower rates of the table that are stable again."""
     if math.isinf(period):
         return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
     said = f"loses stability at {1 / period:.3g} Hz" if period else f"is unstable even at {1e-3 / SHORTEST:g} kHz"
@@ -164,7 +164,7 @@ def _lost(period: float, again: Sequence[AtRate]) -> str:
 
 
 def _named(rates: Sequence[AtRate]) -> str:
-    """Some rates by their sample periods, the first of many."""
+    """Returns the sample periods of the first few rates, in words."""
     return some([f"{1e3 * at.period:g} ms" for at in rates])
 
 
@@ -175,17 +175,17 @@ PROMPT, LATE, DESIGNED, BEYOND = "#d62728", "#1f77b4", "#2ca02c", "#000000"
 
 
 def drawn_periods(periods: Sequence[float]) -> list[float]:
-    """Sample periods that a curve is drawn through: those asked for [s], ascending, and others between them."""
+    """Returns the sample periods of a curve [s], ascending: the requested ones, and others between them."""
     between = np.geomspace(periods[0], periods[-1], POINTS) if len(periods) > 1 else []
     return sorted({*periods, *np.clip(between, periods[0], periods[-1]).tolist()})
 
 
 def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[float]) -> Figure:
-    """The figure.
+    """Returns the figure of norms over the sample period.
 
     Args:
         costs: one per controller, at `drawn_periods`.
-        periods: those that were asked for [s], which are marked.
+        periods: requested ones [s], which are marked.
     """
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: norm of the loop as a computer closes it, over its sample period; a curve "

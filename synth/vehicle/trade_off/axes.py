@@ -1,4 +1,4 @@
-"""What a trade-off is between: axes, each a norm that is better the smaller it is, and proved; and their landscapes."""
+"""Axes of a trade-off, each a proved norm to be minimised, and their landscapes."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -32,14 +32,14 @@ NUMBER = r"\d+(?:\.\d*)?"
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One demand.
+    """An axis of a trade-off.
 
     Attributes:
         name: ride, travel, road_holding, force, band or tolerance.
-        norm: of what it is the norm, and in which band.
-        off: how far each reading may be off, relative; the axis is the worst norm then.
+        norm: its signals and band.
+        off: relative error of each reading; then the axis is the worst norm.
         meaning: on one line.
-        unit: of the norm: that of what is moved, per m/s of road velocity.
+        unit: of the norm, per m/s of road velocity.
     """
 
     name: str
@@ -55,10 +55,10 @@ class Axis:
 
 
 def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
-    """The axes of a text like `ride:travel` or `band=4-8:travel:force`.
+    """Returns the axes of a text like `ride:travel` or `band=4-8:travel:force`.
 
     Raises:
-        InputError: it names none, one or too many, one twice, one that is none, or one that this vehicle has nothing for.
+        InputError: the number of axes is wrong, or one is repeated, unknown, or without signals on this vehicle.
     """
     parts = [part.strip() for part in asked.split(":")]
     if not FEWEST <= len(parts) <= MOST:
@@ -144,7 +144,7 @@ def _edges(given: str) -> tuple[float, float]:
 
 
 def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
-    """Those of the body that `[performance]` weighs, with their weights."""
+    """Returns the body accelerations that `[performance]` weights, with their weights."""
     found = {
         name: weight
         for name, weight in vehicle.performance.items()
@@ -171,7 +171,7 @@ def _weighed(signals: Mapping[str, float]) -> str:
 
 
 def _unit(vehicle: Vehicle, signals: Mapping[str, float]) -> str:
-    """Of a norm of accelerations: weights of 1 leave it; others, or several units, leave none."""
+    """Returns the unit of a norm of accelerations, or "weighed" if weights or units differ."""
     units = {vehicle.kind.signal(name).unit.replace("s2", "s²") for name in signals}
     return f"{units.pop()} per m/s" if len(units) == 1 and set(signals.values()) == {1.0} else "weighed, per m/s"
 
@@ -213,10 +213,10 @@ def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
 
 
 def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
-    """Those whose largest norm an axis is: one for every corner of its errors, whose points are those of another one.
+    """Returns one norm landscape per vertex of an axis' errors, with the points of `like`. The axis is their largest norm.
 
     Raises:
-        InputError: there are too many.
+        InputError: the errors have too many vertices.
     """
     own = _posed(vehicle, axis, entry)
     plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw), like.shape

@@ -29,7 +29,7 @@ NOTHING = 1e-9  # of an axis' norm elsewhere: what is less is zero
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """A point that was met.
+    """An evaluated gain.
 
     Attributes:
         x: of the landscape.
@@ -43,10 +43,10 @@ class Met:
 
 
 class Trace:
-    """Of one problem.
+    """The continuation of the front of one problem.
 
     Attributes:
-        met: every point that a descent began or ended at, stable and finite.
+        met: every stable start and end of a descent with finite values.
     """
 
     def __init__(self, search: Search, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
@@ -80,7 +80,7 @@ class Trace:
                 raise DesignError(search.in_the_way(x))
 
     def look(self, x: Array) -> Met | None:
-        """Takes note of a point; None where its loop is unstable."""
+        """Evaluates and stores a point. Returns None if its loop is unstable."""
         values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
         if not np.all(np.isfinite(values)):
             return None
@@ -107,7 +107,7 @@ class Trace:
         return self._down(start, {k: float(unit[k]) for k in range(len(unit))}, {})
 
     def _end(self, k: int) -> Met:
-        """Of an axis."""
+        """Returns the end of the front on an axis."""
         start = min((each for each in self.met if each.excess <= KEPT), key=lambda each: float(each.values[k]))
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
@@ -160,17 +160,17 @@ def rays(ends: Array, count: int) -> Iterator[Array]:
 
 
 def rays_of(axes: int, count: int) -> int:
-    """How many rays there are between so many axes where about so many are asked for."""
+    """Returns the number of rays between the axes, near the requested count."""
     return count if axes == 2 else (_sides(count) + 1) * (_sides(count) + 2) // 2
 
 
 def _sides(count: int) -> int:
-    """Of a triangular lattice of about so many points."""
+    """Returns the number of intervals per side of a triangular lattice with about `count` points."""
     return max(1, round((np.sqrt(8 * count + 1) - 3) / 2))
 
 
 def undominated(values: Array) -> Array:
-    """Which rows, of shape (N, K), no other one is at least as good as in all; of those that are alike the first, shape (N,)."""
+    """Returns a mask of the undominated rows of shape (N, K), and the first of equal ones, shape (N,)."""
     if not len(values):
         return np.zeros(0, dtype=bool)
     no_worse = np.all(values[:, None] <= values[None], axis=-1)  # i than j

@@ -42,9 +42,9 @@ class Point:
     """A design on the front, or another controller beside it.
 
     Attributes:
-        controller: with its certificate, which is of `[performance]`.
-        norms: one to an axis.
-        travel: the largest suspension deflection over the paper's bump [m]; None where nobody asked, or there is none.
+        controller: with its certificate for `[performance]`.
+        norms: one per axis.
+        travel: the largest suspension deflection over the paper's bump [m]; None if not requested, or without suspension.
     """
 
     controller: Controller
@@ -53,7 +53,7 @@ class Point:
 
     @property
     def values(self) -> list[float]:
-        """Of the norms."""
+        """Values of the norms."""
         return [norm.value for norm in self.norms]
 
 
@@ -87,7 +87,7 @@ class Front:
 
     @property
     def values(self) -> Array:
-        """Of the points, shape (N, K)."""
+        """Norms of the points, shape (N, K)."""
         return np.array([point.values for point in self.points]).reshape(-1, len(self.axes))
 
     @property
@@ -203,12 +203,12 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
 
 
 def marked(count: int) -> list[int]:
-    """Those of so many points that stand for all, by index: evenly from the first to the last."""
+    """Returns the indices of representative points, evenly from the first to the last."""
     return sorted({round(i) for i in np.linspace(0, count - 1, MARKED)}) if count else []
 
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
-    """Where the designs are looked for."""
+    """Returns the continuation that searches the designs."""
     asked = goal_problem(vehicle, entry, entry.goals or Goals())
     posed, starts = asked.members[0].posed[0], []
     if entry.law is not None:
@@ -223,7 +223,7 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Tr
 
 
 def _judged(vehicle: Vehicle, entry: ControllerEntry):
-    """What tells of a gain what it keeps of its section's bounds."""
+    """Returns a function that verifies a gain against the specifications of its section."""
     if entry.goals is None:
         return lambda K: ()
     goals = entry.goals
@@ -250,7 +250,7 @@ def _others(
 
 
 def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array, loads: Sequence[tuple[str, float]]) -> Iterator[Limit]:
-    """What bounds every two axes."""
+    """Yields the lower bound of every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
     bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
     units = np.median(values, axis=0) if len(values) else np.ones(len(axes))

@@ -29,12 +29,12 @@ DOWN = 1 - 1e-12  # of a norm that a line is drawn through: for the rounding of 
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """What bounds two axes.
+    """The lower bound on two axes.
 
     Attributes:
         axes: their indices.
-        weights: of both, shape (M, 2).
-        norms: what no controller's norm of the stack so weighed lies below, shape (M,).
+        weights: of both axes in a stacked z, shape (M, 2).
+        norms: lower bounds on the norm of each stack, shape (M,).
     """
 
     axes: tuple[int, int]
@@ -42,7 +42,7 @@ class Limit:
     norms: Array
 
     def least(self, first: Array) -> Array:
-        """What the second axis cannot be below where the first is so much, shape (N,); NaN where the first cannot be that."""
+        """Returns the lower bound on the second axis for values of the first, shape (N,); NaN for impossible values."""
         with np.errstate(all="ignore"):
             left = (self.norms**2)[:, None] - (self.weights[:, :1] * first) ** 2
             of = np.where(self.weights[:, 1:] > 0, np.sqrt(np.maximum(left, 0.0)) / self.weights[:, 1:], 0.0)
@@ -50,19 +50,19 @@ class Limit:
         return np.where(never, np.nan, of.max(axis=0, initial=0.0) * DOWN)
 
     def share(self, values: Array) -> Array:
-        """How far points, of shape (N, 2), lie outside all ellipses, shape (N,): 1 on the line, more beyond it."""
+        """Returns the scale of points, shape (N, 2), relative to the bound, shape (N,): 1 on the line, more beyond it."""
         reached = np.sqrt((np.asarray(values) ** 2) @ (self.weights**2).T)
         with np.errstate(all="ignore"):
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
 def nothing(pair: tuple[int, int]) -> Limit:
-    """Of two axes of which nothing is known."""
+    """Returns the empty bound of two axes."""
     return Limit(pair, np.zeros((0, 2)), np.zeros(0))
 
 
 def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[Limit]:
-    """Of every two axes, one after another.
+    """Returns the bounds of every two axes, one after another.
 
     Args:
         plants: of each axis, alike but for z.
@@ -92,7 +92,7 @@ def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair
 
 @numerics()
 def _anywhere(plant: GeneralizedPlant) -> float:
-    """What no controller beats at all frequencies together."""
+    """Returns the lower bound on the norm over all frequencies; 0 if none is found."""
     try:
         return find_lower_bound(plant, beyond_control=bound_beyond_control(plant)).gamma
     except DesignError:
@@ -101,5 +101,5 @@ def _anywhere(plant: GeneralizedPlant) -> float:
 
 @numerics()
 def _at_some(plant: GeneralizedPlant, band: Band) -> float:
-    """What no control force changes somewhere in a band."""
+    """Returns the largest bound in a band that no control force changes."""
     return max(limit_at(plant, float(omega)) for omega in np.linspace(*band, IN_BAND))

@@ -43,7 +43,7 @@ def front_lines(found: Front) -> list[str]:
 
 
 def sentences(found: Front) -> list[str]:
-    """What it comes to, a sentence each."""
+    """Returns the results, a sentence each."""
     ends = ", ".join(
         f"{axis.name} from {min(values):.5g} to {max(values):.5g}"
         for axis, values in zip(found.axes, found.values.T.tolist(), strict=True)
@@ -135,7 +135,7 @@ def _limit_object(found: Front, limit: Limit) -> dict[str, Any]:
 
 
 def _limit_texts(found: Front) -> list[str]:
-    """How near the front comes to the line, a sentence for every two axes."""
+    """Returns the distance of the front from the lower bound, a sentence for every two axes."""
     texts = []
     for limit in found.limits:
         first, second = (found.axes[k].name for k in limit.axes)
@@ -158,7 +158,7 @@ def _gain(point: Point) -> str:
 
 
 def _indices(found: Front) -> list[tuple[int, int]]:
-    """Of the entries of the gain."""
+    """Returns the indices of the gain's entries."""
     m, q = found.points[0].controller.gain.shape
     return [(i, j) for i in range(m) for j in range(q)]
 
@@ -175,10 +175,10 @@ DESIGNS, LINE, MEASURED = "#1f77b4", "#000000", "#d62728"
 
 
 def front_figure(found: Front, measured: Array | None = None) -> Figure:
-    """The figure.
+    """Returns the figure of a front.
 
     Args:
-        measured: its marked points in MuJoCo, shape (M, K), NaN where they were not; None where nobody drove them.
+        measured: its marked points in MuJoCo, shape (M, K), NaN for missing ones; None if they were not driven.
     """
     panels = tuple(_panel(found, limit, measured) for limit in found.limits)
     kind = found.vehicle.kind.name.replace("_", " ")
@@ -189,7 +189,7 @@ def front_figure(found: Front, measured: Array | None = None) -> Figure:
 
 
 def line(limit: Limit, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
-    """What nobody crosses, within a range of both axes: from the upper left to the lower right."""
+    """Returns the curve of the lower bound within ranges of both axes, from the upper left to the lower right."""
     first, second = np.linspace(*x, FINE), np.linspace(*y, FINE)
     turned = Limit((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
     a, b = np.append(first, turned.least(second)), np.append(limit.least(first), second)
