@@ -13,7 +13,6 @@ from synth.analysis.norm import hinf_norm
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_design, lqr_design
-from synth.design.full_order.velocity_estimator import leaky_integrator_law
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
@@ -178,29 +177,3 @@ def test_refused():
         lqg_design(plant, Cy, [-0.1] * len(Cy))
     with pytest.raises(InputError, match="no disturbance"):
         lqr_design(replace(plant, Bw=0 * plant.Bw))
-
-
-def loop_with_accelerometer(corner: float) -> GeneralizedPlant:
-    """The paper's quarter car with the printed gain of I on its deflection and its integrated accelerometer."""
-    vehicle = read_vehicle("quarter_car")
-    Cy, through = vehicle.linear_model.rows(("suspension_deflection", "sprung_acceleration"))
-    law = leaky_integrator_law(np.array([[10824.0, -2071.0]]), [1], corner).fed_back(through)
-    larger, G = on_larger_plant(generalized_plant(vehicle), Cy, law)
-    return larger.closed_loop(G)
-
-
-def test_leaky_integrator():
-    """As the corner falls the loop becomes that of the gain on the velocity itself, 7.8432; above it the law is that gain."""
-    norms = {corner: hinf_norm(loop_with_accelerometer(corner)).value for corner in (1e-5, 0.1, 1.0)}
-    assert norms[1e-5] == pytest.approx(7.843188, abs=2e-4)  # the norm of the printed gain, and the corner
-    assert abs(norms[0.1] - 7.843188) < abs(norms[1.0] - 7.843188)
-    K, corner, s = np.array([[3.0, -2.0, 5.0], [0.0, 7.0, 1.0]]), 0.5, 400j
-    law = leaky_integrator_law(K, [2, 0], corner)
-    response = law.C @ np.linalg.solve(s * np.eye(2) - law.A, law.B.astype(complex)) + law.D
-    np.testing.assert_allclose(response * np.array([s, 1, s]), K, atol=2 * 5 * corner / abs(s))  # omega_c over omega
-    np.testing.assert_array_equal(law.C @ np.linalg.solve(-law.A, law.B) + law.D, K / np.array([corner, 1, corner]))
-    for wrong in ([3], [0, 0], [-1]):
-        with pytest.raises(InputError, match="not different columns"):
-            leaky_integrator_law(K, wrong, corner)
-    with pytest.raises(InputError, match="without a leak offsets grow"):
-        leaky_integrator_law(K, [0], 0.0)

@@ -92,26 +92,6 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
     return BandNorm(norm.value, norm.peak_frequency, level, low, high, norm.gap, float(norm.rounding), found)
 
 
-@numerics()
-def stays_below(loop: GeneralizedPlant, low: float, high: float, level: float) -> bool:
-    """Returns True if no gain at a frequency from low to high exceeds a level, up to the rounding of eigenvalues.
-
-    Args:
-        loop: continuous or discrete.
-        low: as for `norm_in_band`.
-        high: likewise.
-        level: above 0.
-
-    Raises:
-        InputError: the band is empty, or the level is not positive and finite.
-        DesignError: a discrete loop has a pole at z = -1.
-    """
-    if not (_is_number(level) and 0 < level < np.inf):
-        raise InputError(f"level = {quoted(level)} is no gain to stay below; give a finite number above 0")
-    gain = _gain(loop, low, high)
-    return gain.on_axis is None and not _exceeded(gain, level)
-
-
 def check_band(low: float, high: float) -> None:
     """Raises an InputError if 0 <= low < high [rad/s] is violated."""
     if not (_is_number(low) and _is_number(high) and 0 <= low < high):
