@@ -10,7 +10,7 @@ from models.common.errors import InputError
 from models.kinds.kind import Parameters, Wheel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.roads.load import Load
-from models.roads.road import Road
+from models.roads.road import DerivedRoad
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 
@@ -18,26 +18,14 @@ WAYS = {HEAVE_LOAD.name: "goes up and down", PITCH_LOAD.name: "pitches", ROLL_LO
 
 
 @dataclass(frozen=True, eq=False)
-class Loaded(Road):
+class Loaded(DerivedRoad):
     """Road with loads. It has no spectrum: the loads act alike over every road of its class.
 
     Attributes:
-        road: the road.
         on_body: the loads.
     """
 
-    road: Road
     on_body: Sequence[Load]
-
-    @property
-    def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Speed on the road [m/s]."""
-        return self.road.speed
-
-    @property
-    def track(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Track of the road."""
-        return self.road.track
 
     @property
     def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -51,11 +39,6 @@ class Loaded(Road):
     def later(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns the delay of a wheel on the road [s]."""
         return self.road.later(wheel, parameters)
-
-    @property
-    def duration(self) -> float:
-        """Duration of the road [s]."""
-        return self.road.duration
 
     @property
     def points(self) -> bytes | None:
@@ -99,11 +82,6 @@ class Loaded(Road):
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the velocity of the road."""
         return self.road.velocity(t, side)
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Kinks of the road."""
-        return self.road.kinks
 
     def describe(self) -> dict[str, float | str]:
         """Returns the road's description, and its loads as texts that choose them again."""

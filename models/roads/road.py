@@ -194,17 +194,15 @@ class Bump(Road):
         return (t >= 0) & (t <= self.duration) & (not side or self.track in ("both", side))
 
 
-@dataclass(frozen=True)
-class ScaledRoad(Road):
-    """Road with multiplied heights.
+@dataclass(frozen=True, eq=False)
+class DerivedRoad(Road):
+    """Road made of another one: same speed, track, duration and kinks.
 
     Attributes:
-        road: the road.
-        factor: factor on its heights.
+        road: the other road.
     """
 
     road: Road
-    factor: float
 
     @property
     def speed(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -221,6 +219,22 @@ class ScaledRoad(Road):
         """Duration of the road [s]."""
         return self.road.duration
 
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Kinks of the road."""
+        return self.road.kinks
+
+
+@dataclass(frozen=True)
+class ScaledRoad(DerivedRoad):
+    """Road with multiplied heights.
+
+    Attributes:
+        factor: factor on its heights.
+    """
+
+    factor: float
+
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied height."""
         return self.factor * self.road.displacement(t, side)
@@ -228,11 +242,6 @@ class ScaledRoad(Road):
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied velocity."""
         return self.factor * self.road.velocity(t, side)
-
-    @property
-    def kinks(self) -> tuple[float, ...]:
-        """Kinks of the road."""
-        return self.road.kinks
 
     def describe(self) -> dict[str, float | str]:
         """Returns the road's description and the factor."""
