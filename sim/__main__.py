@@ -58,6 +58,7 @@ def roadproof() -> NoReturn:
     """Runs the installed `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
     asked = sys.argv[1:]
     sys.argv[0] = "-m"
+    Parser.by_verb = True
     interrupt.quiet_start()
     if asked and asked[0] in VERBS:
         del sys.argv[1]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from models.common.command import Parser
 from sim.__main__ import COMMANDS, VERBS, roadproof
 
 ROOT = Path(__file__).parent.parent
@@ -25,6 +26,18 @@ def test_it_is_installed():
     assert len(VERBS) == len(COMMANDS)
 
 
+@pytest.mark.parametrize(
+    ("called", "named"),
+    [(("bump",), "roadproof bump"), (("synth",), "roadproof synth"), ((), "roadproof")],
+)
+def test_an_error_names_the_command_as_it_was_called(called, named):
+    """Bad options are sent to the help page of what was typed: of the verb, or of the module."""
+    said = "roadproof: unrecognized arguments: --nonsense; see {} --help\n"
+    assert run("-c", CODE, *called, "--nonsense") == (2, "", said.format(named))
+    module = VERBS[called[0]] if called else "sim"
+    assert run("-m", module, "--nonsense") == (2, "", said.format(f"python -m {module}"))
+
+
 def test_a_verb_is_its_command():
     """A command says the same either way, bad input included, and its process has one thread of BLAS."""
     arguments = ("--controller", "nonsense")
@@ -41,6 +54,7 @@ def test_other_words(verb, code, monkeypatch, capsys):
     monkeypatch.setattr("models.common.interrupt.quiet_start", lambda: None)
     monkeypatch.setattr("models.common.interrupt.raise_from_now_on", lambda: None)
     monkeypatch.setattr("models.common.interrupt.ignore_from_now_on", lambda: None)
+    monkeypatch.setattr(Parser, "by_verb", False)  # afterwards as before
     monkeypatch.setattr(sys, "argv", ["roadproof", *verb.split()])
     with pytest.raises(SystemExit) as ended:
         roadproof()

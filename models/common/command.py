@@ -43,6 +43,8 @@ _kept: list[TextIO] = []  # stdout, once it is kept for the command
 class Parser(argparse.ArgumentParser):
     """Command-line parser: errors are one line, no option is empty, and none is given twice unless it says so."""
 
+    by_verb = False  # if `roadproof VERB` was called: its errors name the command so
+
     def __init__(self, prog: str, description: str, epilog: str = "") -> None:
         page = f"{prog.partition('.')[0]}/README.md"
         super().__init__(
@@ -75,7 +77,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raises bad options as one line; exit code 2."""
-        raise InputError(f"{message}; see {self.prog} --help")
+        called = re.sub(r"^python -m (sim\b\.?)?", "roadproof ", self.prog).rstrip() if self.by_verb else self.prog
+        raise InputError(f"{message}; see {called} --help")
 
     def add_controller_and_vehicle(self, default: str) -> None:
         """Adds the options `--controller`, which may be repeated, and `--vehicle`."""
