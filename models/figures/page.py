@@ -7,12 +7,13 @@ what is under the pointer. Jinja2 fills `page.html.jinja`.
 import base64
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+from models.common.columns import Column, T, cells, titles
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans, rgb
@@ -78,6 +79,11 @@ class Table:
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
             raise ValueError(f"headings of table {self.name!r} are not distinct: {', '.join(self.headings)}")
+
+    @classmethod
+    def of(cls, name: str, caption: str, columns: Sequence[Column[T]], ones: Iterable[T], words: int = 1) -> "Table":
+        """Returns the table of some results, a row each."""
+        return cls(name, caption, titles(columns), cells(columns, ones), words)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.columns import Column
 from models.figures.axis import axis_of
 from models.figures.figure import Curve, Figure, Marker, Panel, thinned
 from models.figures.page import Section, Table
 from models.roads.road import Bump
-from sim.physics.energy import BALANCED
-from sim.report.scope import BUMP_DURATION, Scope, number
+from sim.physics.energy import BALANCED, Energy
+from sim.report.scope import BUMP_DURATION, Scope
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
@@ -99,33 +100,20 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"Lines: {lines}{early}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
     )
     figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3)
-    rows = []
-    for name in signals:
-        rows += [
-            (
-                name.replace("_", " "),
-                vehicle.kind.signal(name).unit,
-                run.controller.name,
-                f"{min(run.agreement.until, *run.agreement.ended.values(), BUMP_DURATION):.4g}",
-                *(number(float(one.peak(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
-                *(number(float(one.rms(name)), ".5g") for one in (run.physics, run.sampled, run.continuous)),
-            )
-            for run in runs
-        ]
-    headings = (
-        "signal",
-        "unit",
-        "controller",
-        "linear until [s]",
-        "peak, MuJoCo",
-        "peak, sampled",
-        "peak, continuous",
-        "rms, MuJoCo",
-        "rms, sampled",
-        "rms, continuous",
+    columns: tuple[Column[tuple[str, Run]], ...] = (
+        Column("signal", lambda of: of[0].replace("_", " ")),
+        Column("unit", lambda of: vehicle.kind.signal(of[0]).unit),
+        Column("controller", lambda of: of[1].controller.name),
+        Column("linear until [s]", lambda of: min(of[1].agreement.until, *of[1].agreement.ended.values(), BUMP_DURATION), ".4g"),
+        Column("peak, MuJoCo", lambda of: of[1].physics.peak(of[0]), ".5g"),
+        Column("peak, sampled", lambda of: of[1].sampled.peak(of[0]), ".5g"),
+        Column("peak, continuous", lambda of: of[1].continuous.peak(of[0]), ".5g"),
+        Column("rms, MuJoCo", lambda of: of[1].physics.rms(of[0]), ".5g"),
+        Column("rms, sampled", lambda of: of[1].sampled.rms(of[0]), ".5g"),
+        Column("rms, continuous", lambda of: of[1].continuous.rms(of[0]), ".5g"),
     )
     caption = "Largest and root mean square values over the bump: in MuJoCo, and by both linear analyses."
-    table = Table("bump", caption, headings, tuple(rows), words=3)
+    table = Table.of("bump", caption, columns, [(name, run) for name in signals for run in runs], words=3)
     blur = scope.vehicle.implementation.blur.replace(" and ", " or ")
     unknown = f" or {blur}" if blur else ""
     response = "response" if scope.beyond else "linear response"
@@ -270,15 +258,18 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
 
 def _energy(runs: Sequence[Run]) -> Table:
     """Where the energy of every run came from and went to."""
-    rows = []
-    for run in runs:
-        if run.energy is not None:
-            found = run.energy
-            works = (found.road, found.actuators, found.stored, found.dissipated, found.turnover)
-            rows.append((run.controller.name, *(f"{work:.5g}" for work in works), f"{found.residual:.1e}"))
-    headings = ("controller", "road [J]", "actuators [J]", "stored [J]", "dissipated [J]", "turned over [J]", "left over")
+    columns: tuple[Column[tuple[str, Energy]], ...] = (
+        Column("controller", lambda of: of[0]),
+        Column("road [J]", lambda of: of[1].road, "{:.5g}".format),
+        Column("actuators [J]", lambda of: of[1].actuators, "{:.5g}".format),
+        Column("stored [J]", lambda of: of[1].stored, "{:.5g}".format),
+        Column("dissipated [J]", lambda of: of[1].dissipated, "{:.5g}".format),
+        Column("turned over [J]", lambda of: of[1].turnover, "{:.5g}".format),
+        Column("left over", lambda of: of[1].residual, "{:.1e}".format),
+    )
+    energies = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
     caption = "Where the energy of every run over the bump came from, and where it went."
-    return Table("energy", caption, headings, tuple(rows))
+    return Table.of("energy", caption, columns, energies)
 
 
 def _settles(scope: Scope, run: Run) -> bool:

@@ -1,63 +1,53 @@
 """The sections of a report on what was designed: gains, certificates, frequency responses, and the paper's numbers."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from models.common.printed import percent
+from models.common.columns import Column, cells, titles
 from models.figures.page import Section, Table
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
-from sim.report.scope import AMPLITUDE, Scope, number
-from sim.studies.frequency.describing_function import DescribingFunction
+from sim.report.scope import AMPLITUDE, NAME, Scope
+from sim.studies.frequency.describing_function import MOVING, DescribingFunction, Moving
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep
-from synth.analysis.specification import digits
+from synth.analysis.specification import Promise, digits
 from synth.controller.controller import Controller
-from synth.controller.report import against, failures_as_it_runs, judged_lines, notes_as_it_runs
+from synth.controller.report import (
+    BOUND,
+    GAP,
+    LOWER_BOUND,
+    NORM,
+    PEAK,
+    SLOWEST_POLE,
+    against,
+    failures_as_it_runs,
+    judged_lines,
+    notes_as_it_runs,
+)
 from synth.vehicle.designer import Designer
-from synth.vehicle.paper import BOX, PRINTED, SEED, entry_of, ours, remark_4, remark_5
+from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
 
-OWN_HEADINGS = ("controller", "signal", "unit", "fundamental", "at [Hz]", "energy outside", "at, in Hz")
 FREQUENCIES = (0.1, 1.0, 3.0, 10.0, 25.0)  # Hz, from a body's to above a wheel's
 
 
 def design_section(scope: Scope) -> Section:
     """Every controller: gain, certificate, and how good that is."""
+    proved = (BOUND, NORM, replace(PEAK, title="peak [Hz]", scale=1 / (2 * np.pi)), LOWER_BOUND, GAP, SLOWEST_POLE)
+    headings = ("controller", "measures", *titles(proved)[:-1], "slowest pole [1/s]", "certificate")
     rows = []
     for one in scope.controllers:
-        certificate, norm = one.certificate, one.certificate.norm
-        rows.append(
-            (
-                one.name,
-                ", ".join(one.measured).replace("_", " ") or "nothing",
-                number(certificate.bound, ".7g"),
-                number(norm.value, ".7g"),
-                number(norm.peak_frequency / (2 * np.pi), ".5g"),
-                number(certificate.lower_bound, ".7g"),
-                percent(certificate.gap) if certificate.gap is not None else "-",
-                number(certificate.own.worst.real, ".4g") if certificate.stable else certificate.stability.verdict,
-                _held(scope, one),
-            )
-        )
+        *numbers, pole = cells(proved, [one.certificate])[0]
+        pole = pole if one.certificate.stable else one.certificate.stability.verdict
+        rows.append((one.name, ", ".join(one.measured).replace("_", " ") or "nothing", *numbers, pole, _held(scope, one)))
     for one in scope.laws:
         rows.append((one.name, ", ".join(one.measured).replace("_", " "), *["-"] * 6, f"no linear claim: {one.kind}"))
-    headings = (
-        "controller",
-        "measures",
-        "bound",
-        "norm",
-        "peak [Hz]",
-        "lower bound",
-        "above it",
-        "slowest pole [1/s]",
-        "certificate",
-    )
     text = (
         "The bound is the gamma that the linear matrix inequality proves for this very law; the norm is recomputed by two other "
         "routes. A certificate holds if all poles are stable, X > 0, the inequality (20) is negative definite and norm <= bound, "
@@ -77,19 +67,19 @@ def design_section(scope: Scope) -> Section:
     text = (*text, *(f"But of controller {name}, {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.built_norms:
-        rows = [
-            (
-                one.name,
-                number(one.certificate.norm.value, ".7g"),
-                f"{scope.built_norms[one.name].value:.7g}",
-                against(scope.built_norms[one.name].value, one.certificate.norm.value) if one.certificate.stable else "-",
-                f"{scope.built_norms[one.name].reached:.7g}",
-            )
-            for one in scope.stable
-        ]
+
+        def above(one: Controller) -> str:
+            return against(scope.built_norms[one.name].value, one.certificate.norm.value) if one.certificate.stable else "-"
+
+        columns: tuple[Column[Controller], ...] = (
+            NAME,
+            NORM.of(lambda one: one.certificate, "norm, ideal loop"),
+            Column("norm, as built", lambda one: scope.built_norms[one.name].value, digits),
+            Column("that is", above),
+            Column("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
+        )
         caption = f"The norm of the ideal loop, and of the loop as built{scope.without}, with what a road reaches of that."
-        headings = ("controller", "norm, ideal loop", "norm, as built", "that is", "reached by a road")
-        tables.append(Table("norms", caption, headings, tuple(rows)))
+        tables.append(Table.of("norms", caption, columns, scope.stable))
         built = (
             f"As built, the loop has {scope.built}; its norm is that of its linear part{scope.without}: the L2 gain from the "
             "road's velocity to z, both of which go on while a force is held. It is exact, between two levels 1e-8 apart."
@@ -115,22 +105,18 @@ def _known(scope: Scope) -> str:
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
     """What controllers keep of their goals, a row each, with the numbers as `python -m synth` has them; None without any."""
-    rows = tuple(
-        (
-            one.name,
-            f"{promise.what} ({promise.where})" if promise.where else promise.what,
-            promise.unit or "-",
-            digits(promise.value),
-            "exact" if promise.proved is None else digits(promise.proved),
-            digits(promise.at_most) if promise.at_most is not None else "-",
-            "yes" if promise.holds else "NO",
-        )
-        for one in controllers
-        for promise in one.promises
+    columns: tuple[Column[tuple[str, Promise]], ...] = (
+        Column("controller", lambda of: of[0]),
+        Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
+        Column("unit", lambda of: of[1].unit or "-"),
+        Column("value", lambda of: of[1].value, digits),
+        Column("proved to be at most", lambda of: "exact" if of[1].proved is None else of[1].proved, digits),
+        Column("allowed", lambda of: of[1].at_most, digits),
+        Column("kept", lambda of: "yes" if of[1].holds else "NO"),
     )
-    headings = ("controller", "goal", "unit", "value", "proved to be at most", "allowed", "kept")
+    promises = [(one.name, promise) for one in controllers for promise in one.promises]
     caption = "What controllers keep of the goals that the vehicle file has for them."
-    return Table("goals", caption, headings, rows, words=3) if rows else None
+    return Table.of("goals", caption, columns, promises, words=3) if promises else None
 
 
 def _held(scope: Scope, controller: Controller) -> str:
@@ -191,18 +177,14 @@ def frequency_section(
     figure = replace(
         sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own), name="frequency-responses"
     )
-    rows = [
-        (
-            one.controller.name,
-            f"{one.error(one.sampled).max():.1e}",
-            f"{one.error(one.continuous).max():.1e}",
-            number(one.order, ".2f"),
-        )
-        for one in lines
-    ]
-    headings = ("controller", "error to sampled", "to continuous", "order of the two")
+    columns: tuple[Column[Lines], ...] = (
+        Column("controller", lambda one: one.controller.name),
+        Column("error to sampled", lambda one: one.error(one.sampled).max(), "{:.1e}".format),
+        Column("to continuous", lambda one: one.error(one.continuous).max(), "{:.1e}".format),
+        Column("order of the two", lambda one: one.order, ".2f"),
+    )
     caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
-    tables = [Table("frequency-responses", caption, headings, tuple(rows))]
+    tables = [Table.of("frequency-responses", caption, columns, lines)]
     blur = scope.vehicle.implementation.blur
     unmeasured = f"{scope.without}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
     text = [
@@ -226,19 +208,17 @@ def frequency_section(
             )
         if len(scope.vehicle.kind.wheels) > 1:
             text.append("Here all wheels meet one road; the norm of the designs is that of any roads under any wheels.")
-        gains = tuple(
-            (
-                one.lines.controller.name,
-                f"{one.extremes.worst.gain:.6g}",
-                f"{one.gains['worst sinusoid']:.6g}",
-                f"{100 * one.gains['worst sinusoid'] / one.extremes.worst.gain:.3f} %",
-                *(f"{one.gains[name]:.4g}" if name in one.gains else "-" for name in ("bump", "chirp", "random")),
-            )
-            for one in sweeps
+        gains: tuple[Column[Sweep], ...] = (
+            Column("controller", lambda one: one.lines.controller.name),
+            Column("held-road norm", lambda one: one.extremes.worst.gain, "{:.6g}".format),
+            Column("worst sinusoid", lambda one: one.gains["worst sinusoid"], "{:.6g}".format),
+            Column("of that norm", lambda one: 100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, "{:.3f} %".format),
+            Column("bump", lambda one: one.gains.get("bump"), "{:.4g}".format),
+            Column("chirp", lambda one: one.gains.get("chirp"), "{:.4g}".format),
+            Column("random", lambda one: one.gains.get("random"), "{:.4g}".format),
         )
-        names = ("controller", "held-road norm", "worst sinusoid", "of that norm", "bump", "chirp", "random")
         caption = "How much a road is amplified in MuJoCo: the worst sinusoid, beside the held-road norm, and other roads."
-        tables.append(Table("gains", caption, names, gains))
+        tables.append(Table.of("gains", caption, gains, sweeps))
     if own:
         text.append(
             "A law that is not linear has no line of analysis. It is driven over one sinusoid at a time: the fundamental of "
@@ -250,18 +230,20 @@ def frequency_section(
             "Laws that are not linear over sinusoids: the fundamental per road velocity where it is largest, and the energy "
             "outside it."
         )
-        tables.append(Table("describing-functions", caption, OWN_HEADINGS, tuple(_fundamentals(own)), words=3))
+        fundamental, at, outside, outside_at = MOVING
+        moving: tuple[Column[tuple[str, Moving]], ...] = (
+            Column("controller", lambda of: of[0]),
+            Column("signal", lambda of: of[1].name.replace("_", " ")),
+            Column("unit", lambda of: f"{of[1].unit} per m/s"),
+            fundamental.of(lambda of: of[1], "fundamental"),
+            at.of(lambda of: of[1], "at [Hz]"),
+            outside.of(lambda of: of[1]),
+            outside_at.of(lambda of: of[1], "at, in Hz"),
+        )
+        signals = [(one.controller.name, signal) for one in own for signal in one.moving]
+        tables.append(Table.of("describing-functions", caption, moving, signals, words=3))
     title = "Which shaking is damped, and which is not?"
     return Section(title, "frequency responses and the norm, measured", tuple(text), tuple(tables), (figure,))
-
-
-def _fundamentals(own: Sequence[DescribingFunction]) -> Iterator[tuple[str, ...]]:
-    """A row per law and signal that moves."""
-    for one in own:
-        for signal in one.moving:
-            largest, outside = f"{signal.largest:.4g}", percent(signal.outside)
-            at = f"{signal.largest_at:.3g}", f"{signal.outside_at:.3g}"
-            yield one.controller.name, signal.name.replace("_", " "), f"{signal.unit} per m/s", largest, at[0], outside, at[1]
 
 
 def paper_section(scope: Scope) -> Section:
@@ -296,32 +278,31 @@ def paper_section(scope: Scope) -> Section:
 
 def without_l(designer: Designer) -> Table:
     """Remark 4: what becomes of L = 0."""
-    rows = [
-        (
-            f"{one.controller}, states {one.states}",
-            "none" if one.gain is None else gain_text(one.gain),
-            "none" if one.bound is None else f"{one.bound:.5g}",
-            f"{one.best:.5g}",
-        )
-        for one in remark_4(designer)
-    ]
+    columns: tuple[Column[WithoutL], ...] = (
+        Column("controller", lambda one: f"{one.controller}, states {one.states}"),
+        Column("gain", lambda one: "none" if one.gain is None else gain_text(one.gain)),
+        Column("bound", lambda one: "none" if one.bound is None else one.bound, ".5g"),
+        Column("state feedback", lambda one: one.best, ".5g"),
+    )
     caption = (
         "Remark 4: controllers by (25) with L = 0, in one step. With the states (30) there are none. With the car's absolute "
         "motion as states, as in [33], and the road's height as w, (25) has a solution for I, whose gain grows without bound as "
         "the optimum is approached, and none for II."
     )
-    return Table("without-l", caption, ("controller", "gain", "bound", "state feedback"), tuple(rows))
+    return Table.of("without-l", caption, columns, remark_4(designer))
 
 
 def other_ways(designer: Designer) -> Table:
     """Remark 5: the two steps beside a genetic algorithm."""
-    rows = [
-        (f"{one.controller}, {one.how}", one.work, gain_text(one.gain), f"{one.norm:.6f}", f"{one.seconds:.2f}")
-        for one in remark_5(designer)
-    ]
+    columns: tuple[Column[Way], ...] = (
+        Column("controller", lambda one: f"{one.controller}, {one.how}"),
+        Column("work", lambda one: one.work),
+        Column("gain", lambda one: gain_text(one.gain)),
+        Column("norm", lambda one: one.norm, ".6f"),
+        Column("processor time [s]", lambda one: one.seconds, ".2f"),
+    )
     caption = (
         "Remark 5: the two steps beside a genetic algorithm (differential evolution on the norm itself, every entry of the gain "
         f"from {-BOX:g} to {BOX:g}, seed {SEED}). The times are of one run on the machine that made this page."
     )
-    headings = ("controller", "work", "gain", "norm", "processor time [s]")
-    return Table("other-ways", caption, headings, tuple(rows), words=2)
+    return Table.of("other-ways", caption, columns, remark_5(designer), words=2)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from models.common.errors import InputError
+from models.common.printed import cell
 from models.figures.page import Section, Table
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
@@ -74,7 +75,7 @@ def front_section(scope: Scope) -> Section:
     rows = []
     for i, row in zip(found.marked, measured, strict=True):
         pairs = zip(found.points[i].norms, row.tolist(), strict=True)
-        cells = [text for norm, value in pairs for text in (f"{norm.value:.6g}", _cell(value))]
+        cells = [text for norm, value in pairs for text in (f"{norm.value:.6g}", cell(value, ".5g"))]
         gain = " ".join(f"{entry:.5g}" for entry in found.points[i].controller.gain.ravel())
         rows.append((str(i + 1), *cells, gain))
     caption = "Some of the designs: their norms, as proved and as measured, and their gains."
@@ -117,7 +118,3 @@ def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float)
     gains = largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, SLOW))
     near = SLOW[gains >= norm * (1 - NEXT)]
     return float(near[-1]) if len(near) else math.nan
-
-
-def _cell(value: float) -> str:
-    return f"{value:.5g}" if math.isfinite(value) else "-"

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import percent
+from models.common.columns import Column, cells, titles
+from models.common.printed import cell, percent
 from models.figures.figure import Figure
 from models.figures.page import Section, Table
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from sim.report.headline import Finding, unclaimed_words
 from sim.report.regime_end import RegimeEnd
-from sim.report.scope import BUMP_DURATION, Scope, number
+from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
 from sim.studies.frequency.identification import ideal_measurements
@@ -59,7 +60,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
         others = ("-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
-            others = (number(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
+            others = (cell(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
                 found.append(Finding(text, "fails"))
@@ -94,6 +95,16 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
     return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), found
 
 
+REGIME: tuple[Column[RegimeEnd], ...] = (
+    Column("predicted end", lambda end: end.predicted_end),
+    Column("at [m]", lambda end: end.predicted, "{:.5g}".format),
+    Column("MuJoCo stays linear at [m]", lambda end: end.stays, "{:.5g}".format),
+    Column("off by, of a peak", lambda end: end.error, "{:.1e}".format),
+    Column("and not at [m]", lambda end: end.leaves, ".5g"),
+    Column("ended by", lambda end: end.end or "nothing"),
+)
+
+
 def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> Section:
     """Up to which height of one bump the linear regime holds: predicted, and the two runs of MuJoCo that enclose it."""
     rows = []
@@ -101,26 +112,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         if end is None:
             rows.append((one.name, "at no height", *("-",) * 5))
             continue
-        rows.append(
-            (
-                one.name,
-                end.predicted_end,
-                f"{end.predicted:.5g}",
-                f"{end.stays:.5g}",
-                f"{end.error:.1e}",
-                number(end.leaves, ".5g"),
-                end.end or "nothing",
-            )
-        )
-    headings = (
-        "controller",
-        "predicted end",
-        "at [m]",
-        "MuJoCo stays linear at [m]",
-        "off by, of a peak",
-        "and not at [m]",
-        "ended by",
-    )
+        rows.append((one.name, *cells(REGIME, [end])[0]))
     text = (
         f"Bumps of {bump.length:g} m at {bump.speed:g} m/s, over {BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
         f"{scope.without}: up to which height nothing breaks, from one linear run of the loop as it "
@@ -129,7 +121,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
     if none := unclaimed_words(ends, runs):
         text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
-    table = Table("regime", caption, headings, tuple(rows), words=2)
+    table = Table("regime", caption, ("controller", *titles(REGIME)), tuple(rows), words=2)
     return Section("How high may a bump be?", "where the linear regime ends", text, (table,))
 
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from models.common.columns import Column, cells, titles
+from models.common.printed import cell
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
 from models.roads.load import Load
@@ -13,14 +15,14 @@ from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.report.headline import Finding
-from sim.report.scope import Scope, joined, number
+from sim.report.scope import Scope, joined
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run, run_all, sample_times
-from sim.studies.frequency.eusama import DISPUTED
+from sim.studies.frequency.eusama import AT, DISPUTED, MEASURED, RATIO, MinimumLoad
 from sim.studies.frequency.sweep import Sweep
 from sim.studies.ride.metrics import DEGREES, angles_of
-from sim.studies.ride.run_metrics import measure_run
+from sim.studies.ride.run_metrics import METRIC, measure_run
 
 DURATION = 5.0  # s; longer where the loads come later
 AFTER = 2.0  # s that are looked at after the last load has come
@@ -56,9 +58,8 @@ def loads_section(scope: Scope) -> tuple[Section, list[Finding]]:
                 continue
             static = found.static or {}
             rest = static.get(what) if name.endswith("at_end") else None
-            cells = (number(value, ".4g") for value in (one.mujoco, one.sampled, rest))
-            rows.append((run.controller.name, name.replace("_", " "), one.unit, *cells))
-    headings = ("controller", "metric", "unit", "MuJoCo", "sampled", "at rest, linear")
+            rows.append((run.controller.name, name.replace("_", " "), *cells(METRIC[:3], [one])[0], cell(rest, ".4g")))
+    headings = ("controller", "metric", *titles(METRIC[:3]), "at rest, linear")
     caption = "How far the body leans under the loads, and how far its suspensions travel; where the linear loop would rest."
     names = PLUS.join(load.label for load in loads)
     text = [
@@ -132,19 +133,15 @@ def _panels(scope: Scope, road: Loaded, runs: Sequence[Run]) -> list[Panel]:
 
 def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Section:
     """EUSAMA's least loads of every wheel, predicted and in MuJoCo, and what is said against them."""
-    rows = tuple(
-        (
-            one.lines.controller.name,
-            load.tyre.replace("_", " "),
-            f"{100 * load.ratio:.2f}",
-            f"{100 * load.measured:.2f}",
-            f"{load.omega / (2 * np.pi):.2f}",
-            ", ".join(load.ended) or ("curve" if math.isinf(load.allowed) else "-"),
-        )
-        for one in sweeps
-        for load in one.loads
+    columns: tuple[Column[tuple[str, MinimumLoad]], ...] = (
+        Column("controller", lambda pair: pair[0]),
+        Column("wheel's", lambda pair: pair[1].tyre.replace("_", " ")),
+        RATIO.of(lambda pair: pair[1], "least load, predicted [%]"),
+        MEASURED.of(lambda pair: pair[1], "MuJoCo [%]"),
+        AT.of(lambda pair: pair[1], "at [Hz]"),
+        Column("linear regime ended by", lambda pair: pair[1].end or "-"),
     )
-    headings = ("controller", "wheel's", "least load, predicted [%]", "MuJoCo [%]", "at [Hz]", "linear regime ended by")
+    loads = [(one.lines.controller.name, load) for one in sweeps for load in one.loads]
     caption = "EUSAMA's least load of every wheel, in percent of its static load: disputed."
     words = at_rest_words(scope.vehicle)
     text = (
@@ -152,6 +149,5 @@ def workshop_section(scope: Scope, sweeps: Sequence[Sweep]) -> Section:
         f"workshops grade dampers by (EUSAMA TS-02-76). It is {DISPUTED}.",
         *((f"{words}.",) if words else ()),
     )
-    return Section(
-        "What would a workshop say?", "EUSAMA's least load, disputed", text, (Table("eusama", caption, headings, rows),)
-    )
+    table = Table.of("eusama", caption, columns, loads)
+    return Section("What would a workshop say?", "EUSAMA's least load, disputed", text, (table,))

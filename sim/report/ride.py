@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.columns import Column
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
 from models.roads.iri import roughness_of
@@ -14,7 +15,7 @@ from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import is_curved
 from sim.physics.simulate import simulate
-from sim.report.scope import joined, number
+from sim.report.scope import joined
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
@@ -52,26 +53,27 @@ class Ride:
 
 def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Section:
     """Every controller over every class."""
-    names = ("class", "controller", "metric", "unit", "MuJoCo", "predicted", "road to road", "lift-off")
-    rows = tuple(
-        (
-            one.road_class,
-            one.controller,
-            one.metric,
-            one.unit,
-            number(one.measured, ".4g"),
-            number(one.predicted, ".4g"),
-            f"+-{100 * one.spread / one.predicted:.0f} %" if one.predicted and math.isfinite(one.spread) else "-",
-            one.events,
-        )
-        for one in sorted(rides, key=lambda one: (one.road_class, one.metric))
+    columns: tuple[Column[Ride], ...] = (
+        Column("class", lambda one: one.road_class),
+        Column("controller", lambda one: one.controller),
+        Column("metric", lambda one: one.metric),
+        Column("unit", lambda one: one.unit),
+        Column("MuJoCo", lambda one: one.measured, ".4g"),
+        Column("predicted", lambda one: one.predicted, ".4g"),
+        Column("road to road", lambda one: one.spread / one.predicted if one.predicted else None, _spread),
+        Column("lift-off", lambda one: one.events),
     )
     roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
     caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
     rough = Table("roads", caption, ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]"), roads)
-    table = Table("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", names, rows, words=4)
+    ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
+    table = Table.of("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", columns, ordered, words=4)
     title = "How much more comfortable is it, and does it hold the road?"
     return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table, rough), (ride_figure(rides, style),))
+
+
+def _spread(share: float) -> str:
+    return f"+-{100 * share:.0f} %" if math.isfinite(share) else "-"
 
 
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:

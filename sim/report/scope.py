@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
+from models.common.columns import Column
 from models.figures.figure import Dash, styles
 from models.roads.load import Load
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
@@ -190,9 +191,7 @@ def check_scope(vehicle: Vehicle, timestep: float) -> None:
     steps_per_sample(vehicle.implementation, timestep)
 
 
-def number(value: float | None, form: str) -> str:
-    """A number as a table has it; - where there is none."""
-    return format(value, form) if value is not None and math.isfinite(value) else "-"
+NAME = Column[Driver]("controller", lambda one: one.name)
 
 
 def at_most(value: float) -> str:

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from models.common.columns import Column
+from models.common.printed import cell
 from models.figures.figure import Bars, Curve, Figure, Panel
 from models.figures.page import Section, Table
 from sim.report.headline import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import SPEED, Ride
-from sim.report.scope import Scope, number, percents
+from sim.report.scope import Scope, percents
 from sim.runs.run import Run
 from synth.controller.controller import Controller
 
@@ -36,9 +38,9 @@ def summary(
 
     shake = _bars(scope, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
     words = {
-        name: f"{number(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}"
+        name: f"{cell(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}"
         if math.isfinite(pair[0])
-        else f"{number(pair[1], '.3g')} {unit} in MuJoCo"
+        else f"{cell(pair[1], '.3g')} {unit} in MuJoCo"
         for name, pair in roughness.items()
     }
     rough = _bars(
@@ -77,26 +79,17 @@ def summary(
         f"Points: MuJoCo at {1e3 * scope.timestep:g} ms. Percentages are against the passive suspension."
     )
     figure = Figure("summary", title, tuple(panels), columns=len(panels))
-    rows = tuple(
-        (
-            run.controller.name,
-            number(norms.get(run.controller.name), ".4g"),
-            *(number(value, ".3g") for value in roughness.get(run.controller.name, (None, None))),
-            stated.get(run.controller.name, "-"),
-            _verdict(scope, run),
-        )
-        for run in runs
-    )
-    headings = (
-        "controller",
-        "H-infinity norm",
-        f"{label} [{unit}], predicted",
-        "in MuJoCo",
-        f"analysis true up to{scope.without}",
-        "over the paper's bump",
+    neither = (None, None)
+    columns: tuple[Column[Run], ...] = (
+        Column("controller", lambda run: run.controller.name),
+        Column("H-infinity norm", lambda run: norms.get(run.controller.name), ".4g"),
+        Column(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
+        Column("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
+        Column(f"analysis true up to{scope.without}", lambda run: stated.get(run.controller.name, "-")),
+        Column("over the paper's bump", lambda run: _verdict(scope, run)),
     )
     caption = "Each controller in short. How it is found out, and with which reservations, is said below."
-    return Section("", "", (), (Table("summary", caption, headings, rows),), (figure,))
+    return Section("", "", (), (Table.of("summary", caption, columns, runs),), (figure,))
 
 
 def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str, str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from models.common.columns import json_object
 from models.common.printed import cell, finite, percent, table, wrapped
 from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
@@ -18,6 +19,9 @@ from sim.runs.agreement import COARSEST, SLACK, SMALL
 from sim.runs.run import Reference, Run
 from synth.controller.controller import Controller, Driver
 from synth.controller.report import (
+    BOUND,
+    NORM,
+    PEAK,
     failures_as_it_runs,
     filter_lines,
     heading_lines,
@@ -101,9 +105,7 @@ def controller_object(controller: Driver) -> dict[str, Any]:
     certificate = controller.certificate
     return {
         **controller.record,
-        "bound": certificate.bound,
-        "norm": finite(certificate.norm.value),
-        "peak_frequency": finite(certificate.norm.peak_frequency),
+        **json_object((BOUND, NORM, PEAK), certificate),
         "stability": certificate.stability.verdict,
     }
 

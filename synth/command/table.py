@@ -5,15 +5,25 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from models.common.columns import cells, json_object, titles
 from models.common.printed import command, finite, option, percent, table, wrapped
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.certificate import Certificate, LmiProof
+from synth.analysis.certificate import LmiProof
 from synth.analysis.record import to_record
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.report import heading_lines, norm_lines, norm_object, norm_record
+from synth.controller.report import (
+    BOUND,
+    GAP,
+    LOWER_BOUND,
+    NORM,
+    PEAK,
+    SLOWEST_POLE,
+    heading_lines,
+    norm_lines,
+    norm_object,
+    norm_record,
+)
 
 if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
@@ -50,7 +60,6 @@ def row_object(row: Row) -> dict[str, Any]:
     if row.controller is None:
         return {"name": row.name, "reason": "; ".join(row.failures)}
     controller, certificate = row.controller, row.controller.certificate
-    norm = certificate.norm
     return {
         "name": row.name,
         "measured": list(controller.measured),
@@ -58,14 +67,12 @@ def row_object(row: Row) -> dict[str, Any]:
         **_hardware_object(controller),
         "designed": controller.designed,
         **({"design": "sampled"} if controller.sampled else {}),
-        "bound": certificate.bound,
-        "norm": finite(norm.value),
+        **json_object((BOUND, NORM), certificate),
         **norm_object(row.sampled),
-        "routes_gap": norm.gap if certificate.stable else None,
-        "peak_frequency": finite(norm.peak_frequency),
+        "routes_gap": certificate.norm.gap if certificate.stable else None,
+        **json_object((PEAK,), certificate),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
-        "lower_bound": certificate.lower_bound,
-        "gap": certificate.gap,
+        **json_object((LOWER_BOUND, GAP), certificate),
         "stability": certificate.stability.verdict,
         "lmi": _lmi_object(certificate.proof),
         "certificate": to_record(certificate) | norm_record(row.sampled),
@@ -89,8 +96,8 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
 def table_lines(rows: Sequence[Row]) -> list[str]:
     """All controllers, one line each; where they have norms as implemented, in place of what stands above of each in full."""
     built = any(row.sampled is not None for row in rows)
-    beside = ("sampled", "at rad/s", "lower bound") if built else ("at rad/s", "lower bound", "above it")
-    headings = ("bound", "norm", *beside, "slowest pole")
+    before, after = (BOUND, NORM), (PEAK, LOWER_BOUND, *(() if built else (GAP,)), SLOWEST_POLE)
+    headings = (*titles(before), *(("sampled",) if built else ()), *titles(after))
     lines: list[tuple[str, ...]] = [("controller", *headings)]
     empty = ("",) * (len(headings) - 1)
     for row in rows:
@@ -100,23 +107,16 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
         elif not certificate.stable and (row.sampled is None or not row.sampled.stable):
             lines.append((row.name, certificate.stability.verdict.upper(), *empty))
         else:
-            cells = _cells(certificate, row.sampled)
-            lines.append((row.name, *(cells[heading] for heading in headings)))
+            [(bound, norm)], [others] = cells(before, [certificate]), cells(after, [certificate])
+            norm = norm if certificate.stable else certificate.stability.verdict.upper()
+            sampled = (_sampled(row.sampled),) if built else ()
+            lines.append((row.name, bound, norm, *sampled, *others))
     return table(lines, indent="")
 
 
-def _cells(certificate: Certificate, sampled: SampledNorm | None) -> dict[str, str]:
-    """Returns the table cells of a loop that is stable, in continuous time or sampled."""
-    norm, bound, below = certificate.norm, certificate.bound, certificate.lower_bound
-    return {
-        "bound": f"{bound:.7g}" if bound is not None else "-",
-        "norm": f"{norm.value:.7g}" if certificate.stable else certificate.stability.verdict.upper(),
-        "sampled": "-" if sampled is None else f"{sampled.value:.7g}" if sampled.stable else "UNSTABLE",
-        "at rad/s": f"{norm.peak_frequency:.5g}" if np.isfinite(norm.peak_frequency) else "-",
-        "lower bound": f"{below:.7g}" if below is not None else "-",
-        "above it": percent(certificate.gap) if certificate.gap is not None else "-",
-        "slowest pole": f"{certificate.own.worst.real:.4g}",
-    }
+def _sampled(norm: SampledNorm | None) -> str:
+    """The norm as implemented in the table."""
+    return "-" if norm is None else f"{norm.value:.7g}" if norm.stable else "UNSTABLE"
 
 
 def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import cell, finite, finite_pairs, percent, table
+from models.common.columns import Column, table
+from models.common.printed import cell, finite, finite_pairs, percent
 from models.laws.python_law import Programmed
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
@@ -40,6 +41,14 @@ class Moving:
     largest_at: float
     outside: float
     outside_at: float
+
+
+MOVING: tuple[Column[Moving], ...] = (
+    Column("largest", lambda signal: signal.largest, "{:.4g}".format),
+    Column("at Hz", lambda signal: signal.largest_at, "{:.3g}".format),
+    Column("energy outside", lambda signal: signal.outside, percent),
+    Column("at Hz", lambda signal: signal.outside_at, "{:.3g}".format),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +176,8 @@ def describing_lines(one: DescribingFunction) -> list[str]:
         lines.append(f"  {some} diverged, the first at {np.min(one.diverged):.4g} s: nothing is measured in such")
     if wild.all():
         return lines
-    rows: list[tuple[str, ...]] = [("per road velocity, over the sinusoids:", "largest", "at Hz", "energy outside", "at Hz")]
-    for each in one.moving:
-        places = f"{each.largest_at:.3g}", percent(each.outside), f"{each.outside_at:.3g}"
-        rows.append((each.name, f"{each.largest:.4g}", *places))
-    lines += table(rows)
+    name = Column[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
+    lines += table((name, *MOVING), one.moving)
     gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
     lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
     if one.drift > STEADY:

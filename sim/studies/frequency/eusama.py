@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.common.printed import finite, table
+from models.common.columns import Column, json_object, table
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -62,6 +62,24 @@ class MinimumLoad:
     measured: float
     allowed: float
     ended: tuple[str, ...]
+
+    @property
+    def end(self) -> str:
+        """What ended it or leaves it without a claim, in words; empty if nothing did."""
+        return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
+
+
+RATIO = Column[MinimumLoad]("predicted", lambda one: one.ratio, ".2f", 100, "ratio")
+MEASURED = Column[MinimumLoad]("MuJoCo", lambda one: one.measured, ".2f", 100, "mujoco")
+AT = Column[MinimumLoad]("at Hz", lambda one: one.omega, ".2f", 1 / (2 * math.pi), "omega")
+IN_JSON = (
+    RATIO,
+    AT,
+    Column[MinimumLoad]("", lambda one: one.driven, key="driven"),
+    MEASURED,
+    Column[MinimumLoad]("", lambda one: one.allowed, key="allowed"),
+    Column[MinimumLoad]("", lambda one: list(one.ended), key="ended"),
+)
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
@@ -143,33 +161,14 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
     """The minimum loads as a table, and what is said against them."""
-    rows = [
-        (
-            one.tyre,
-            f"{100 * one.ratio:.2f}",
-            f"{100 * one.measured:.2f}",
-            f"{one.omega / (2 * math.pi):.2f}",
-            ", ".join(one.ended) or ("curve" if math.isinf(one.allowed) else ""),
-        )
-        for one in loads
-    ]
-    heads = ("EUSAMA's least load, % of static:", "predicted", "MuJoCo", "at Hz", "")
-    return [*table([heads, *rows]), f"  {DISPUTED}"]
+    name = Column[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
+    ended = Column[MinimumLoad]("", lambda one: one.end)
+    return [*table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
 
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
     """The same as JSON has it."""
     return {
         "disputed": DISPUTED.removeprefix("disputed: "),
-        "tyres": {
-            one.tyre: {
-                "ratio": one.ratio,
-                "omega": one.omega,
-                "driven": one.driven,
-                "mujoco": finite(one.measured),
-                "allowed": finite(one.allowed),
-                "ended": list(one.ended),
-            }
-            for one in loads
-        },
+        "tyres": {one.tyre: json_object(IN_JSON, one) for one in loads},
     }

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import cell, finite, percent, table
+from models.common.columns import Column, cells, json_object, titles
+from models.common.printed import finite, percent, table
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import Vehicle
@@ -32,18 +33,8 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
 
-def roughness_rows(found: Sequence[Roughness], random: bool) -> list[tuple[str, ...]]:
-    """Rows of the table of metrics: name, unit, what MuJoCo drove over, what the sampled response did; what is expected."""
-    rows = []
-    for one in found:
-        spread = cell(one.spread, ".4g") if one.spread is not None else ""
-        expected = (cell(one.expected, ".4g"), spread) if random else ()
-        rows.append((f"  {_name(one, found)}", UNIT, *(2 * (cell(one.iri, ".4g"),)), *expected))
-    return rows
-
-
 def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
-    """The same as JSON has it; empty for a road that has no IRI."""
+    """A road's IRI as JSON has it; empty for a road that has none."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
@@ -75,6 +66,15 @@ class Measured:
     expected: float | None
     spread: float | None
     approximate: bool
+
+
+METRIC: tuple[Column[Measured], ...] = (
+    Column("unit", lambda one: one.unit, key="unit"),
+    Column("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco"),
+    Column("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
+    Column("expected", lambda one: one.expected, ".4g", key="expected"),
+    Column("+- by road", lambda one: one.spread, ".4g", key="spread"),
+)
 
 
 @dataclass(frozen=True)
@@ -197,20 +197,28 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
         return [f"  {note}" for note in notes]
     random = any(one.expected is not None for one in measured.values())
-    rows: list[Sequence[str] | str] = [("", "unit", "MuJoCo", "sampled", *(("expected", "+- by road") if random else ()))]
+    shown = METRIC if random else METRIC[:-2]
+    rows: list[Sequence[str] | str] = [("", *titles(shown))]
     source = ""
     if roughness:
-        rows += ["road", *roughness_rows(roughness, random)]
+        roads = [(_name(one, roughness), Measured(UNIT, one.iri, one.iri, one.expected, one.spread, False)) for one in roughness]
+        rows += ["road", *(_row(name, one, shown) for name, one in roads)]
         notes.append(ABOUT_IRI)
     for metric in metrics_of(run.vehicle, run.road.loaded):
         if metric.source != source:
             rows.append(source := metric.source)
-        one = measured[metric.name]
-        spread = cell(one.spread, ".4g") if one.spread is not None else ""
-        expected = ("~" if one.approximate and one.expected else "") + cell(one.expected, ".4g")
-        numbers = (cell(one.mujoco, ".4g"), cell(one.sampled, ".4g"))
-        rows.append((f"  {metric.what}", one.unit, *numbers, *((expected, spread) if random else ())))
+        rows.append(_row(metric.what, measured[metric.name], shown))
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
+
+
+def _row(name: str, one: Measured, columns: Sequence[Column[Measured]]) -> tuple[str, ...]:
+    """A row of the table of metrics; ~ is before what is approximate, and a spread that is not known is left out."""
+    said = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
+    if one.approximate and one.expected:
+        said["expected"] = f"~{said['expected']}"
+    if one.spread is None and "+- by road" in said:
+        said["+- by road"] = ""
+    return f"  {name}", *said.values()
 
 
 def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
@@ -220,24 +228,10 @@ def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
         "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
         "expected_error": finite(found.error),
-        "metrics": _metrics(found.metrics),
+        "metrics": {name: json_object(METRIC, one) | {"approximate": one.approximate} for name, one in found.metrics.items()},
     }
     if found.line is not None and found.line.rounds:
         whole["expected_line"] = line_object(run.vehicle, found.line)
     if found.static is not None:
         whole["static_angles"] = dict(found.static)
     return whole
-
-
-def _metrics(measured: Mapping[str, Measured]) -> dict[str, Any]:
-    return {
-        name: {
-            "unit": one.unit,
-            "mujoco": finite(one.mujoco),
-            "linear": finite(one.sampled),  # in files it is called so, see `sim.recording.run_log`
-            "expected": finite(one.expected),
-            "spread": finite(one.spread),
-            "approximate": one.approximate,
-        }
-        for name, one in measured.items()
-    }

@@ -9,13 +9,21 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.columns import Column, json_object
 from models.common.files import whole_file
 from models.common.interrupt import LATE
 from models.common.printed import finite, table, wrapped
 from models.figures.figure import Curve, Figure, Panel, styles
-from synth.controller.report import judged_lines
+from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import DESIGNING, Front, Norm, Point
 from synth.vehicle.trade_off.lower_bound import Limit
+
+TRAVEL = Column[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
+NUMBERS: tuple[Column[Point], ...] = (
+    NORM.of(lambda point: point.controller.certificate),
+    BOUND.of(lambda point: point.controller.certificate),
+    TRAVEL,
+)
 
 
 def front_lines(found: Front) -> list[str]:
@@ -28,10 +36,10 @@ def front_lines(found: Front) -> list[str]:
     names = [axis.name for axis in found.axes]
     signals = found.points[0].controller.measured
     with_travel = any(point.travel is not None for point in found.points)
-    rows: list[tuple[str, ...]] = [("point", *names, *(["bump travel"] * with_travel), "gain")]
+    rows: list[tuple[str, ...]] = [("point", *names, *([TRAVEL.title] * with_travel), "gain")]
     for i in found.marked:
         point = found.points[i]
-        travel = ["-" if point.travel is None else f"{1e3 * point.travel:.4g} mm"] * with_travel
+        travel = [TRAVEL.cell(point)] * with_travel
         rows.append((str(i + 1), *(f"{value:.6g}" for value in point.values), *travel, _gain(point)))
     lines += ["", f"controller {found.name}: static gains on {', '.join(signals)}", *table(rows)]
     if found.others:
@@ -96,7 +104,7 @@ def write_csv(found: Front, path: Path) -> None:
     entries = [f"gain_{i + 1}_{j + 1}" for i, j in _indices(found)]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["point", *names, *(f"{name}_proved" for name in names), "norm", "bound", "bump_travel", *entries])
+        writer.writerow(["point", *names, *(f"{name}_proved" for name in names), *(one.key for one in NUMBERS), *entries])
         for i, point in enumerate(found.points):
             gain = point.controller.gain
             writer.writerow([i + 1, *_cells(point), *(gain[k] for k in _indices(found))])
@@ -105,20 +113,17 @@ def write_csv(found: Front, path: Path) -> None:
 
 
 def _cells(point: Point) -> list[float | str]:
-    own = point.controller.certificate
-    numbers = [*point.values, *(norm.proved for norm in point.norms), own.norm.value, own.bound, point.travel]
+    numbers = [*point.values, *(norm.proved for norm in point.norms), *(one.value(point) for one in NUMBERS)]
     return ["" if value is None or not math.isfinite(value) else value for value in numbers]
 
 
 def _object(found: Front, point: Point) -> dict[str, Any]:
-    own, controller = point.controller.certificate, point.controller
+    controller = point.controller
     return {
         "values": {axis.name: _norm(norm) for axis, norm in zip(found.axes, point.norms, strict=True)},
         "measured": list(controller.measured),
         "gain": controller.gain.tolist(),
-        "norm": finite(own.norm.value),
-        "bound": finite(own.bound),
-        "bump_travel": point.travel,
+        **json_object(NUMBERS, point),
     }
 
 

@@ -1,0 +1,38 @@
+"""A `Column` says once what a quantity is called, how it is written and where it is found; tables and JSON read it there."""
+
+import math
+
+import pytest
+
+from models.common.columns import Column, cells, json_object, table, titles
+from models.figures.page import Table
+
+LENGTHS: tuple[Column[float | None], ...] = (
+    Column("length [mm]", lambda x: x, ".1f", 1e3, "length"),
+    Column("at least", lambda x: x, "{:.0e}".format),
+    Column("is", lambda x: "none" if x is None else "some"),
+)
+
+
+def test_one_quantity_in_three_forms():
+    """A table has the number in its own unit and digits, JSON the number itself under the key, and nothing without a key."""
+    rows = (("1234.6", "1e+00", "some"),)
+    assert cells(LENGTHS, [1.23456]) == rows
+    assert table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
+    assert Table.of("lengths", "", LENGTHS, [1.23456]) == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
+    assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
+
+
+@pytest.mark.parametrize(("value", "row"), [(None, ("-", "-", "none")), (math.inf, ("-", "inf", "some"))])
+def test_what_is_no_number(value, row):
+    """It is a dash in a table, unless a form of its own writes it, and null in JSON."""
+    assert cells(LENGTHS, [value]) == (row,)
+    assert json_object(LENGTHS, value) == {"length": None}
+
+
+def test_the_same_quantity_elsewhere():
+    """What has a result has its quantities, under their title or another one."""
+    pair = LENGTHS[0].of(lambda pair: pair[1], "its length [mm]"), LENGTHS[2].of(lambda pair: pair[1])
+    assert titles(pair) == ("its length [mm]", "is")
+    assert cells(pair, [("a", 0.5)]) == (("500.0", "some"),)
+    assert json_object(pair, ("a", 0.5)) == {"length": 0.5}
