@@ -6,6 +6,7 @@ import pytest
 
 from models.common.columns import Column, cells, json_object, table, titles
 from models.figures.page import Table
+from sim.studies.ride.run_metrics import METRIC, Measured
 
 LENGTHS: tuple[Column[float | None], ...] = (
     Column("length [mm]", lambda x: x, ".1f", 1e3, "length"),
@@ -36,3 +37,11 @@ def test_the_same_quantity_elsewhere():
     assert titles(pair) == ("its length [mm]", "is")
     assert cells(pair, [("a", 0.5)]) == (("500.0", "some"),)
     assert json_object(pair, ("a", 0.5)) == {"length": 0.5}
+
+
+def test_a_metric_is_read_where_it_stands():
+    """Each number of a metric stands under its own title and key."""
+    one = Measured("m", mujoco=1.0, sampled=2.0, expected=3.0, spread=4.0, approximate=False)
+    assert json_object(METRIC, one) == {"unit": "m", "mujoco": 1.0, "linear": 2.0, "expected": 3.0, "spread": 4.0}
+    said = dict(zip(titles(METRIC), cells(METRIC, [one])[0], strict=True))
+    assert said == {"unit": "m", "MuJoCo": "1", "sampled": "2", "expected": "3", "+- by road": "4"}
