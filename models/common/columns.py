@@ -33,7 +33,7 @@ class Column(Generic[Of]):
     key: str = ""
 
     def cell(self, one: Of) -> str:
-        """The text in a table; "-" for a number that does not exist, or is infinite and has but a format."""
+        """Returns the text in a table; "-" for a number that does not exist, or is infinite and has but a format."""
         value = self.value(one)
         if isinstance(value, str) or value is None:
             return "-" if value is None else value

@@ -115,7 +115,7 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _sampled(norm: SampledNorm | None) -> str:
-    """The norm as implemented in the table."""
+    """Returns the norm as implemented, as the table has it."""
     return "-" if norm is None else f"{norm.value:.7g}" if norm.stable else "UNSTABLE"
 
 

@@ -65,7 +65,7 @@ class MinimumLoad:
 
     @property
     def end(self) -> str:
-        """What ended it or leaves it without a claim, in words; empty if nothing did."""
+        """The end of the linear regime, or `curve` if the prediction is of a line; empty if neither."""
         return ", ".join(self.ended) or ("curve" if math.isinf(self.allowed) else "")
 
 

@@ -34,7 +34,7 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
 
 
 def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
-    """A road's IRI as JSON has it; empty for a road that has none."""
+    """Returns a road's IRI as JSON has it; empty for a road that has none."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
@@ -212,7 +212,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
 
 
 def _row(name: str, one: Measured, columns: Sequence[Column[Measured]]) -> tuple[str, ...]:
-    """A row of the table of metrics; ~ is before what is approximate, and a spread that is not known is left out."""
+    """Returns a row of the table of metrics; ~ stands before approximate values, and an unknown spread is left out."""
     said = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
     if one.approximate and one.expected:
         said["expected"] = f"~{said['expected']}"
