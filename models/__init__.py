@@ -1,23 +1,23 @@
-"""What a vehicle is: its equations, its MJCF and its parameters, side by side, and the names of its signals.
+"""Models of vehicles: equations, MJCF and parameters, side by side, and the names of all signals.
 
 Public names, imported when they are first used; all units are SI:
 
 - vehicles: `read_vehicle`, `parse_vehicle`, `Vehicle`
-- roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; `Road` is what they have in
-  common, and `choose_road` reads them as text
+- roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; `Road` is their common
+  base, and `choose_road` reads them as text
 - a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
   `GRAVITY`
 - a law of your own: `LinearLaw`
 - bad input of any kind: `InputError`, whose message is one line that says what to do
 
-Whatever else a module holds may move without notice.
+All other names may move without notice.
 """
 
 from typing import TYPE_CHECKING
 
 from models.common.lazy import attach
 
-USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period where no other is asked for
+USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period by default
 
 if TYPE_CHECKING:  # what type checkers and editors see
     from models.common.errors import InputError

@@ -1,4 +1,4 @@
-"""The full car: heave, pitch and roll of a body on four wheels. Its equations are in `kinds/rigid_body.py`.
+"""Full car: heave, pitch and roll of a body on four wheels. Its equations are in `kinds/rigid_body.py`.
 
 Its fourteen states hold the tyre deflections as three modes, which a rigid body can follow, and not as four wheels: the fourth
 mode, the twist, is fixed by the suspension deflections and the twist of the road.
@@ -108,7 +108,7 @@ def _side(side: str, p: Parameters) -> float:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """The linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 37 output signals.
+    """Returns the linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 37 output signals.
 
     Args:
         p: parameters by name [SI].
@@ -117,7 +117,7 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def check(p: Parameters) -> None:
-    """Refuses a body that cannot be."""
+    """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
 

@@ -1,4 +1,4 @@
-"""The half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
+"""Half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """The linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 18 output signals.
+    """Returns the linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 18 output signals.
 
     Args:
         p: parameters by name [SI].
@@ -79,7 +79,7 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def check(p: Parameters) -> None:
-    """Refuses a body that cannot be."""
+    """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
 
 

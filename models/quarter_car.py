@@ -1,7 +1,7 @@
-"""The quarter-car of the paper, section 3.1: a sprung and an unsprung mass, a spring, a damper, a motor and a tyre.
+"""Quarter-car of the paper, section 3.1: a sprung and an unsprung mass, a spring, a damper, a motor and a tyre.
 
-Equations (28)-(32). All displacements are measured from static equilibrium, so gravity does not appear here; it does in the
-MJCF, where preloads hold the masses up and the tyre can leave the road.
+Equations (28)-(32). All displacements are measured from static equilibrium, so gravity does not appear here. In the MJCF it
+does: preloads hold the masses up, and the tyre can leave the road.
 """
 
 import math
@@ -32,7 +32,7 @@ ON_DEMAND = (signals.UNSPRUNG_ACCELERATION,)
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """The linear model (29)-(32).
+    """Returns the linear model (29)-(32).
 
     Args:
         p: parameters by name [SI].
@@ -59,7 +59,7 @@ def linear_model(p: Parameters) -> LinearModel:
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3]])
     D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3]])
 
-    # A vertical force on the body acts as the first line of (28) says, and as u does, but for the wheel.
+    # A vertical force on the body acts by the first line of (28), as u does, but not on the wheel.
     Bl = np.array([[0], [0], [1 / m_s], [0]])
     Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3]])
 
@@ -82,7 +82,7 @@ def linear_model(p: Parameters) -> LinearModel:
 
 
 def static_tyre_deflection(p: Parameters) -> dict[str, float]:
-    """How far the tyre is squeezed at rest [m]: the weight of both masses over k_u."""
+    """Returns the compression of the tyre at rest [m]: the weight of both masses over k_u."""
     weight = (p["sprung_mass"] + p["unsprung_mass"]) * GRAVITY
     return {signals.TYRE_DEFLECTION.name: weight / p["tyre_stiffness"]}
 
@@ -108,7 +108,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     tyre.springlength[0] = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
 
 
-# From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), where no suspension force is left.
+# From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which contains no suspension force.
 INVARIANTS = (
     Invariant(
         name="z_s/z_r",

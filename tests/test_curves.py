@@ -14,7 +14,7 @@ import pytest
 from models.common.errors import InputError
 from models.roads.road import Bump
 from models.suspension import LEAVES
-from models.suspension.curve import Curve
+from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import FRICTION_ERROR, VELOCITY, read_curves
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -39,7 +39,7 @@ BOTH = {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}
 ROAD = Bump(height=0.08, length=5.0, speed=12.5)
 
 
-def damper(velocity, force, **more) -> Curve:
+def damper(velocity, force, **more) -> ForceCurve:
     """A damper's curve from its table."""
     table = {"velocity": list(velocity), "force": list(force), **more}
     return read_curves({"damping": table}, {"damping": VELOCITY})["damping"]

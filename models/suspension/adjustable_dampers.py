@@ -19,7 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.suspension.curve import Curve
+from models.suspension.curve import ForceCurve
 from models.suspension.damper import Damper
 from models.suspension.fitted_curves import Fitted
 
@@ -43,7 +43,7 @@ class Adjustable:
     ending: str
     damper: Damper
     nominal: float
-    standing: Curve | None = None
+    standing: ForceCurve | None = None
 
     @property
     def coefficient(self) -> str:
@@ -81,7 +81,7 @@ class Adjustable:
         return still + beyond * self.shape(v)
 
     @property
-    def base(self) -> Curve | None:
+    def base(self) -> ForceCurve | None:
         """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being h's line at rest.
 
         None if nothing but these acts.
@@ -116,7 +116,7 @@ def adjustable(
     dampers: Mapping[str, Damper],
     suspensions: Sequence[ForceSuspension],
     parameters: Mapping[str, float],
-    curves: Mapping[str, Curve],
+    curves: Mapping[str, ForceCurve],
 ) -> tuple[Adjustable, ...]:
     """Returns the adjustable dampers of a vehicle.
 
@@ -154,7 +154,7 @@ def adjustable(
     return tuple(placed)
 
 
-def _standing(damper: Damper, nominal: float, beside: Curve | None) -> Curve | None:
+def _standing(damper: Damper, nominal: float, beside: ForceCurve | None) -> ForceCurve | None:
     """Returns `Adjustable.standing`; a parallel curve counts with its pieces, whatever its line."""
     parts = [(1.0, beside.x, beside.pieces)] if beside is not None else []
     if damper.pair is not None:
@@ -164,7 +164,7 @@ def _standing(damper: Damper, nominal: float, beside: Curve | None) -> Curve | N
         return None
     x = np.unique(np.concatenate([points for _, points, _ in parts]))
     bent = sum((weight * pieces.force(x) for weight, _, pieces in parts), np.zeros_like(x))
-    return Curve(x, nominal * x + bent, nominal, "the nominal damper, with what stands beside it")
+    return ForceCurve(x, nominal * x + bent, nominal, "the nominal damper, with what stands beside it")
 
 
 def _check_takes(parameter: str, one: Adjustable) -> None:

@@ -44,7 +44,7 @@ class Pieces:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class ForceCurve:
     """Force over velocity or deflection.
 
     Attributes:
@@ -63,7 +63,7 @@ class Curve:
         """Returns the force at some arguments [N], shape (...)."""
         return self.slope * np.asarray(x) + self.pieces.force(x)
 
-    def scaled(self, factor: float) -> "Curve":
+    def scaled(self, factor: float) -> "ForceCurve":
         """Returns the curve with all forces multiplied by a factor."""
         return self if factor == 1 else replace(self, force=factor * self.force, slope=factor * self.slope)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.suspension.curve import Curve
+from models.suspension.curve import ForceCurve
 
 FRICTION_ERROR = 0.02  # largest distance of the lines from the smooth curve, over the friction force
 FRICTION_ENDS = 3.0  # velocity over v0 from which the friction is constant
@@ -98,7 +98,7 @@ DEFLECTION = Argument("deflection", "m", 5.0, "mm")
 FRICTION = ("friction", "friction_velocity")
 
 
-def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, Curve]:
+def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) -> dict[str, ForceCurve]:
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
@@ -121,7 +121,7 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     return curves
 
 
-def curve_of(entry: Any, over: Argument) -> Curve:
+def curve_of(entry: Any, over: Argument) -> ForceCurve:
     """Returns a curve from its table.
 
     Raises:
@@ -145,7 +145,7 @@ def curve_of(entry: Any, over: Argument) -> Curve:
     _check_argument(x, over)
     x, force = _from_rest(x, force, over)
     lines, force, words = _as_lines(x, force, entry.get("fit_error"))
-    curve = _checked(Curve(lines, force, _slope_at_rest(lines, force), words), over)
+    curve = _checked(ForceCurve(lines, force, _slope_at_rest(lines, force), words), over)
     return _with_friction(curve, entry) if set(FRICTION) & set(entry) else curve
 
 
@@ -232,7 +232,7 @@ def _slope_at_rest(x: Array, force: Array) -> float:
     return float(slopes[0] if np.isclose(*slopes, rtol=1e-12, atol=0) else slopes.mean())
 
 
-def _checked(curve: Curve, over: Argument) -> Curve:
+def _checked(curve: ForceCurve, over: Argument) -> ForceCurve:
     """Returns the curve if a suspension can have it."""
     if over is VELOCITY:
         for x, force in zip(curve.x.tolist(), curve.force.tolist(), strict=True):
@@ -255,7 +255,7 @@ def _checked(curve: Curve, over: Argument) -> Curve:
     return curve
 
 
-def _with_friction(curve: Curve, entry: Mapping[str, Any]) -> Curve:
+def _with_friction(curve: ForceCurve, entry: Mapping[str, Any]) -> ForceCurve:
     """Returns the curve with a friction F tanh(v / v0) added, which leaves the slope of linear analysis unchanged."""
     limits = {"friction": (SMALLEST_FRICTION, LARGEST_FRICTION), "friction_velocity": (SMALLEST_CREEP, LARGEST_CREEP)}
     for key, (low, high) in limits.items():
@@ -277,4 +277,4 @@ def _with_friction(curve: Curve, entry: Mapping[str, Any]) -> Curve:
         f"{curve.words}, and friction of {entry['friction']:g} N tanh(v / {entry['friction_velocity']:g} m/s) as "
         f"{len(v) - 1} straight lines, within {100 * FRICTION_ERROR:g} % of it"
     )
-    return Curve(x, curve(x) + straight, curve.slope, words)
+    return ForceCurve(x, curve(x) + straight, curve.slope, words)

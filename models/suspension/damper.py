@@ -31,7 +31,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.suspension.curve import STRAIGHT, Curve
+from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
 TOUCHING = 1e-9  # distance at which two curves touch, over the largest force
@@ -45,8 +45,8 @@ class Pair:
         soft, hard: at its softest and at its firmest setting.
     """
 
-    soft: Curve
-    hard: Curve
+    soft: ForceCurve
+    hard: ForceCurve
 
     @cached_property
     def knots(self) -> Array:
@@ -54,11 +54,11 @@ class Pair:
         return np.unique(np.concatenate([self.soft.x, self.hard.x]))
 
     @cached_property
-    def shape(self) -> Curve:
+    def shape(self) -> ForceCurve:
         """h [m/s] over velocity [m/s]."""
         x = self.knots
         bent = (self.hard.pieces.force(x) - self.soft.pieces.force(x)) / (self.hard.slope - self.soft.slope)
-        return Curve(x, x + bent, 1.0, "how its settings are apart")
+        return ForceCurve(x, x + bent, 1.0, "how its settings are apart")
 
     @property
     def line(self) -> float:
@@ -92,7 +92,7 @@ class Pair:
         return all(np.array_equal(a.x, b.x) and np.array_equal(a.force, b.force) for a, b in pairs)
 
 
-def pair_of(soft: Curve, hard: Curve) -> Pair:
+def pair_of(soft: ForceCurve, hard: ForceCurve) -> Pair:
     """Returns two curves as limits.
 
     Raises:

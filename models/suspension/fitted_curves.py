@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from models.common.errors import InputError
-from models.suspension.curve import Curve
+from models.suspension.curve import ForceCurve
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, Argument
 
 
@@ -35,7 +35,7 @@ class Suspended(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Curve of one suspension's damper or spring.
+    """ForceCurve of one suspension's damper or spring.
 
     Attributes:
         deflection: signal of the suspension.
@@ -49,7 +49,7 @@ class Fitted:
     tendon: str
     parameter: str
     over: Argument
-    curve: Curve
+    curve: ForceCurve
 
     @property
     def damps(self) -> bool:
@@ -72,7 +72,7 @@ def lines_at_rest(curves: Sequence[Fitted]) -> str:
     )
 
 
-def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, Curve]) -> dict[str, Any]:
+def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, ForceCurve]) -> dict[str, Any]:
     """Returns `[parameters]` with the slopes at rest of the curves that replace some.
 
     Raises:
@@ -86,9 +86,9 @@ def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, Curve]) -> d
 
 def fitted(
     suspensions: Sequence[Suspended],
-    curves: Mapping[str, Curve],
+    curves: Mapping[str, ForceCurve],
     parameters: Mapping[str, float],
-    dampers: Mapping[str, Curve | None],
+    dampers: Mapping[str, ForceCurve | None],
 ) -> tuple[Fitted, ...]:
     """Returns every suspension's curves, scaled to the vehicle's parameters.
 

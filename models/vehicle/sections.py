@@ -11,7 +11,7 @@ from models.vehicle import GOAL_KEYS
 
 if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
-    from models.suspension.curve import Curve
+    from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.vehicle.filter import Filter
     from models.vehicle.goals import Goals
@@ -100,7 +100,7 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     return [Path(file[0]) for file in map(named_file, roads) if file]
 
 
-def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "Curve"], dict[str, float]]:
+def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "ForceCurve"], dict[str, float]]:
     """`[curves]`, and `[parameters]` with their slopes at rest, checked."""
     if not data.get("curves"):
         return {}, kind.check(data["parameters"])
@@ -112,7 +112,11 @@ def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[d
 
 
 def dampers_of(
-    data: Mapping[str, Any], kind: VehicleKind, limits: "Limits", parameters: Mapping[str, float], curves: Mapping[str, "Curve"]
+    data: Mapping[str, Any],
+    kind: VehicleKind,
+    limits: "Limits",
+    parameters: Mapping[str, float],
+    curves: Mapping[str, "ForceCurve"],
 ) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
     """`[actuators]`, checked, and the dampers in their vehicle."""
     if not data.get("actuators"):

@@ -21,7 +21,7 @@ from models.vehicle.sections import curves_and_parameters, dampers_of, read_perf
 
 if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
-    from models.suspension.curve import Curve
+    from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.fitted_curves import Fitted
     from models.vehicle.filter import Filter
@@ -91,7 +91,7 @@ class Vehicle(ShownVehicle):
     filters: Mapping[str, "Filter"] = field(default_factory=dict)
     road_filter: "Filter | None" = None
     sampled: bool = False
-    curves: Mapping[str, "Curve"] = field(default_factory=dict)
+    curves: Mapping[str, "ForceCurve"] = field(default_factory=dict)
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
 
     @cached_property

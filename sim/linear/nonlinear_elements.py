@@ -23,7 +23,7 @@ from models.kinds.linear_model import LinearModel
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from models.suspension.curve import Curve
+    from models.suspension.curve import ForceCurve
 
 
 def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
@@ -60,7 +60,7 @@ class Elements:
         outputs: from the forces to the outputs, shape (p, e); 0 for an adjustable damper, whose force is an input.
     """
 
-    curves: "tuple[Curve | None, ...]"
+    curves: "tuple[ForceCurve | None, ...]"
     lines: Array
     rows: Array
     of_road: Array

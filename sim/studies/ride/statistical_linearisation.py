@@ -51,7 +51,7 @@ from scipy import special
 
 from models.common.arrays import Array
 from models.roads.spectrum import Spectrum
-from models.suspension.curve import Curve
+from models.suspension.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import Elements, elements, is_curved
@@ -182,7 +182,7 @@ def remainder(
     return None
 
 
-def averages(curve: Curve, mean: float, deviation: float) -> tuple[float, float]:
+def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:
     """Mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
     if deviation == 0:
         near = 1e-9 * float(np.abs(curve.x).max())
@@ -196,7 +196,7 @@ def averages(curve: Curve, mean: float, deviation: float) -> tuple[float, float]
     return force, slope
 
 
-def coefficients(curve: Curve, mean: float, deviation: float) -> Array:
+def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
     """Returns the coefficients of a curve in the Hermite polynomials of `DEGREES`, He_n((x - mean) / deviation) [N]."""
     a = (curve.x - mean) / deviation
     weights = deviation * np.diff(curve.slopes) * np.exp(-(a**2) / 2) / math.sqrt(2 * math.pi)
