@@ -1,3 +1,3 @@
-"""A vehicle file: its parameters, controllers, goals, weights, limits and its computer; and the MuJoCo model of it."""
+"""Vehicle files: parameters, controllers, goals, weights, limits and implementation; and the MuJoCo model."""
 
-GOAL_KEYS = ("minimise", "bounds", "tolerance", "family", "structure")  # of a controller's section that has some
+GOAL_KEYS = ("minimise", "bounds", "tolerance", "family", "structure")  # keys of goals in a controller's section

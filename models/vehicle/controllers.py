@@ -1,4 +1,4 @@
-"""`[controllers]` of a vehicle file: what each measures, and its law, if it is given."""
+"""`[controllers]` of a vehicle file: the measured signals of each, and its law or its method of design."""
 
 import sys
 import unicodedata
@@ -26,18 +26,18 @@ from models.vehicle.sections import designed_for_samples, goals_of, loads_of
 if TYPE_CHECKING:
     from models.vehicle.goals import Goals
 
-QUADRATIC = ("lqr", "lqg", "h2")  # what `design` may be, each for the mean square; without it the paper's two steps
-FULL = "full"  # what `order` may be
+QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square; without it the paper's two steps
+FULL = "full"  # value of `order`
 CONTROLLER_KEYS = (
-    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # what it is
-    *("order", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # how it is designed
+    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # the law
+    *("order", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
 
 
 class Method(Enum):
-    """How a controller comes to its law; the value says it of the controller."""
+    """Origin of a controller's law; the value is a phrase about the controller."""
 
     GAIN = "has a gain of its own"
     LAW = "has a law with states of its own"
@@ -53,12 +53,12 @@ class Method(Enum):
 
 @dataclass(frozen=True)
 class Hardware:
-    """What of sensors and actuators a controller is designed for and judged with; nothing of either unless its section asks.
+    """Sensor noise, actuator lag and loads that a controller is designed for and verified with. Default: none.
 
     Attributes:
         noise: rms of the noise on each signal that it measures, in that signal's unit; empty for none.
         bandwidth: corner frequency of the lag of every actuator [rad/s]; None for forces that act at once.
-        loads: on the body, with how much of each counts as 1 m/s of w [N, N m]; a disturbance beside the road.
+        loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
     """
 
     noise: tuple[float, ...] = ()
@@ -71,19 +71,19 @@ IDEAL = Hardware()
 
 @dataclass(frozen=True, eq=False)
 class ControllerEntry:
-    """One `[controllers.NAME]` of a vehicle file.
+    """Section `[controllers.NAME]` of a vehicle file.
 
     Attributes:
         name: its name.
         measured: signals it measures, q of them.
         law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
-        certificate: what is claimed of the law, as `python -m synth --save` wrote it beside it; None without one.
-        design: how: "full" for the full-order H-infinity controller, or one of `QUADRATIC`; empty for the paper's two steps.
-        python: the law in Python that the file names instead, of which nothing is claimed; None of all others.
-        hardware: what of sensors and actuators it is designed for and judged with.
-        sampled: whether it is designed for the loop that the computer closes.
-        goals: what it is designed for instead of the least norm; None where that is it.
-        semi_active: the law for adjustable dampers that it is, of which nothing is claimed; None of all others.
+        certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
+        design: method: "full" for the full-order H-infinity controller, or one of `QUADRATIC`; empty for the paper's two steps.
+        python: the law in Python that the file names instead, without any claim; None for all others.
+        hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
+        sampled: True if it is designed for the sampled loop.
+        goals: goals of its design; None for the least norm.
+        semi_active: its law for adjustable dampers, without any claim; None for all others.
     """
 
     name: str
@@ -99,17 +99,17 @@ class ControllerEntry:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The signals that it names: those that it measures, and those of its goals."""
+        """Signals that it names: the measured ones, and those of its goals."""
         return self.measured if self.goals is None else (*self.measured, *self.goals.signals)
 
     @property
     def linear(self) -> bool:
-        """Whether linear analysis speaks of it."""
+        """True if linear analysis applies."""
         return self.method not in (Method.PYTHON, Method.SEMI_ACTIVE)
 
     @property
     def method(self) -> Method:
-        """How it comes to its law; a law that the file gives goes before all else."""
+        """Origin of its law; a law in the file takes precedence."""
         if self.law is not None:
             return Method.LAW if self.law.states else Method.GAIN
         if self.python is not None:
@@ -135,26 +135,26 @@ def read_controllers(
     sampled: bool = False,
     dampers: Mapping[str, str] | None = None,
 ) -> dict[str, ControllerEntry]:
-    """`[controllers]`, checked: by name, each in the one spelling (NFC) of those that look alike, letters and marks composed.
+    """Reads `[controllers]`: entries by name in the normal form NFC, in which names that look alike are equal.
 
     Args:
         limits, implementation, kind: of the vehicle, for controllers that are designed for them.
-        folder: of the vehicle file, where laws in Python lie; None for one that is text alone.
-        sampled: whether designs are for the loop that the computer closes, unless a section says otherwise.
-        dampers: the forces that are of adjustable ones, and the ending of the names there.
+        folder: of the vehicle file and of laws in Python; None for a vehicle file from text.
+        sampled: default of `sampled` in a section.
+        dampers: suffix of the names at every adjustable damper, by force.
     """
-    found: dict[str, ControllerEntry] = {}
+    controllers: dict[str, ControllerEntry] = {}
     for written, entry in section.items():
         name = unicodedata.normalize("NFC", written)
-        if name in found:
+        if name in controllers:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
         check_name(f"[controllers.{name}]", name, RESERVED)
-        one = _controller(name, entry, model, limits, implementation, folder, dampers or {})
-        one = replace(one, goals=goals_of(f"[controllers.{name}]", entry, one.measured, model.outputs, kind))
-        two_steps = one.method is Method.TWO_STEPS and not one.hardware.loads
-        asked = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
-        found[name] = replace(one, sampled=asked)
-    return found
+        controller = _controller(name, entry, model, limits, implementation, folder, dampers or {})
+        controller = replace(controller, goals=goals_of(f"[controllers.{name}]", entry, controller.measured, model.outputs, kind))
+        two_steps = controller.method is Method.TWO_STEPS and not controller.hardware.loads
+        for_samples = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
+        controllers[name] = replace(controller, sampled=for_samples)
+    return controllers
 
 
 def _controller(
@@ -191,8 +191,8 @@ def _controller(
     measured = entry.get("measured")
     measurable = listing(model.measurable)
     if not isinstance(measured, list) or not measured or not all(isinstance(signal, str) for signal in measured):
-        found = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
-        raise InputError(f"{where} {found}; give a list of signals out of: {measurable}")
+        mistake = f"measured = {quoted(measured)} is no list of signals" if "measured" in entry else "measured is missing"
+        raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
     for signal in measured:
         if signal not in model.outputs:
             raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {measurable}")
@@ -230,49 +230,49 @@ def _hardware(
     limits: Limits,
     implementation: Implementation,
 ) -> Hardware:
-    """What of sensors and actuators a controller asks to be designed for."""
-    asked = {key: entry.get(key, False) for key in ("noise", "lag")}
-    for key, value in asked.items():
+    """Returns sensor noise and actuator lag that a controller is designed for."""
+    flags = {key: entry.get(key, False) for key in ("noise", "lag")}
+    for key, value in flags.items():
         if not isinstance(value, bool):
             raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false: how much stands elsewhere")
         if value and (design == "lqr" or (design == "lqg" and key == "noise")):
             why = "is of the state itself" if design == "lqr" else "takes the noise of [implementation] by itself"
             raise InputError(f'{where} has {key} = true, and design = "{design}" {why}; leave {key} out')
-    noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if asked["noise"] else ()
-    if asked["noise"] and not any(noise):
+    noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if flags["noise"] else ()
+    if flags["noise"] and not any(noise):
         raise InputError(
             f"{where} has noise = true, and [implementation] gives no noise of what it measures; give it, as in "
             f"noise = {{ {measured[0]} = 0.01 }}, an rms in the signal's unit, or leave noise = true out"
         )
     forces = [signal for signal, rms in zip(measured, noise, strict=bool(noise)) if rms and signal in inputs]
-    if forces and design and not asked["lag"]:
+    if forces and design and not flags["lag"]:
         raise InputError(
             f"{where} has noise = true, and [implementation] a noise on {forces[0]!r}, which a design takes out of what is "
             "measured and knows no noise of; leave that noise out"
         )
-    if asked["lag"] and limits.actuator_bandwidth is None:
+    if flags["lag"] and limits.actuator_bandwidth is None:
         raise InputError(
             f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or leave lag out"
         )
-    return Hardware(noise, limits.actuator_bandwidth if asked["lag"] else None)
+    return Hardware(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
 
 def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:
-    """How a controller is to be designed, see `ControllerEntry`."""
+    """Returns the method of design, see `ControllerEntry`."""
     for key, allowed in {"order": (FULL,), "design": QUADRATIC}.items():
         if key in entry and entry[key] not in allowed:
             raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}")
-    asked = [key for key in ("order", "design") if key in entry]
-    if len(asked) > 1:
+    keys = [key for key in ("order", "design") if key in entry]
+    if len(keys) > 1:
         raise InputError(f"{where} has an order and a design; an H2, LQG or LQR controller has its order: leave order out")
-    if asked and given:
-        found = f"{asked[0]} = {quoted(entry[asked[0]])}"
-        raise InputError(f"{where} has {found} and a law of its own, which is not designed; give one")
-    return entry[asked[0]] if asked else ""
+    if keys and given:
+        given_key = f"{keys[0]} = {quoted(entry[keys[0]])}"
+        raise InputError(f"{where} has {given_key} and a law of its own, which is not designed; give one")
+    return entry[keys[0]] if keys else ""
 
 
 def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: list[str]) -> LinearLaw | None:
-    """The law that an entry gives; None where it gives none."""
+    """Returns the law of an entry, or None if the entry has no matrices."""
     matrices = [key for key in MATRICES if key in entry]
     if "gain" in entry and (matrices or "sample_period" in entry):
         raise InputError(f"{where} has a gain and {listing(matrices or ['sample_period'])}; a static gain is whole by itself")
@@ -325,5 +325,5 @@ def _gain(where: str, gain: Any, model: LinearModel, measured: list[str]) -> Arr
 
 
 def _is_real(value: Any) -> bool:
-    """Whether it is a number; how large a law's entries may be depends on its states' units, and is the law's to say."""
+    """Returns True for a number of any size: the law itself limits its entries, as these depend on its states' units."""
     return is_within(value, sys.float_info.max)

@@ -1,7 +1,7 @@
-"""Filters of a vehicle file: weights that depend on frequency, as those of ISO 2631-1, and the shape of a road's spectrum.
+"""Filters of a vehicle file: weights over frequency, as those of ISO 2631-1, and the shape of a road's spectrum.
 
 A filter is a ratio of polynomials in s, stable and proper, or several in series. Its states are those of each in controllable
-form, in a unit of time of its own: what a vehicle file says is then what they say, but for the rounding of a quotient.
+form with its own unit of time: the coefficients are those of the vehicle file but for the rounding of a quotient.
 
 W_k and W_d of ISO 2631-1, for vertical and for horizontal vibration of seated or standing people, have constants of ISO 8041.
 With w_i = 2 pi f_i,
@@ -9,7 +9,7 @@ With w_i = 2 pi f_i,
     H(s) = 1 / (1 + w1/(Q1 s) + (w1/s)^2) * 1 / (1 + s/(Q2 w2) + (s/w2)^2) * (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)^2)
            * (1 + s/(Q5 w5) + (s/w5)^2) / (1 + s/(Q6 w6) + (s/w6)^2) * (w5/w6)^2:
 
-the band limits, the step from acceleration to velocity, and the upward step, which W_d has not.
+the band limits, the step from acceleration to velocity, and the upward step, which W_d lacks.
 """
 
 import functools
@@ -57,12 +57,12 @@ POLYNOMIALS = ("numerator", "denominator")
 KEYS = ("weight", "filter", *POLYNOMIALS)
 MOST = 12  # of a polynomial's degree: roots of higher ones move by more than rounding
 SMALLEST, LARGEST = 1e-60, 1e60  # of a coefficient: those of degree 12 at the fastest pole
-SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; no road or car has to do with others
-LEAST, MOST_GAIN = 1e-12, 1e12  # of the gain where it is largest: beyond these rounding decides
+SLOWEST, FASTEST = 1e-6, 1e7  # rad/s, of a pole; others are irrelevant to roads and cars
+LEAST, MOST_GAIN = 1e-12, 1e12  # of the peak gain: beyond these rounding decides
 
 
 class Realisation(NamedTuple):
-    """A filter as x' = A x + B v, e = C x + D v, shapes (k, k), (k, 1), (1, k), (1, 1)."""
+    """Filter as x' = A x + B v, e = C x + D v, shapes (k, k), (k, 1), (1, k), (1, 1)."""
 
     A: Array
     B: Array
@@ -72,15 +72,15 @@ class Realisation(NamedTuple):
 
 @dataclass(frozen=True)
 class Filter:
-    """A stable and proper filter of one signal.
+    """Stable and proper filter of one signal.
 
     Attributes:
-        sections: numerator and denominator of each of those in series, coefficients by falling powers of s.
-        name: of a known one; empty of one that is given by its coefficients.
+        sections: numerator and denominator of each section in series, coefficients by falling powers of s.
+        name: of a known filter; empty for one that is given by its coefficients.
 
     Raises:
-        InputError: a polynomial is none, too long or zero, or the filter is improper or unstable, or has a pole or a gain that is
-            beyond what counts.
+        InputError: a polynomial is wrong, too long or zero, or the filter is improper or unstable, or a pole or the gain is out
+            of range.
     """
 
     sections: tuple[Section, ...]
@@ -93,13 +93,13 @@ class Filter:
             _check(above, below)
 
     def response(self, omega: Array) -> Array:
-        """Its frequency response, complex, shape like omega [rad/s]."""
+        """Returns the frequency response, complex, shape like omega [rad/s]."""
         s = 1j * np.asarray(omega, dtype=float)
         return np.prod([np.polyval(above, s) / np.polyval(below, s) for above, below in self.sections], axis=0)
 
     @functools.cached_property
     def realisation(self) -> Realisation:
-        """Its states: those of each section, one after another, in units that are powers of two."""
+        """States of all sections, one after another, in units that are powers of two."""
         A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
         for above, below in self.sections:
             a, b, c, d = _controllable(above, below)
@@ -109,15 +109,15 @@ class Filter:
 
     @property
     def words(self) -> str:
-        """The filter in words."""
+        """The filter as text."""
         return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
 
 
 def read_filter(where: str, given: Mapping[str, Any]) -> Filter:
-    """A filter as a vehicle file has it: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
+    """Reads a filter of a vehicle file: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
 
     Raises:
-        InputError: it is none; the message says what is.
+        InputError: the table is no filter.
     """
     name, there = given.get("filter"), [key for key in POLYNOMIALS if key in given]
     if "filter" in given:
@@ -145,23 +145,23 @@ def _known() -> str:
 
 
 def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
-    """Its coefficients, without zeros before the first."""
+    """Returns the coefficients without leading zeros."""
     for one in given:
         number = isinstance(one, (int, float)) and not isinstance(one, bool)
         if not number or not (one == 0 or SMALLEST <= abs(one) <= LARGEST):
             raise InputError(
                 f"{what} has the coefficient {quoted(one)}; give 0 or numbers from {SMALLEST:g} to {LARGEST:g} in size"
             )
-    found = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
-    if not found:
+    coefficients = tuple(float(one) for one in itertools.dropwhile(lambda one: one == 0, given))
+    if not coefficients:
         raise InputError(f"{what} is zero; give its coefficients by falling powers of s")
-    if len(found) > MOST + 1:
-        raise InputError(f"{what} is of degree {len(found) - 1}; at most {MOST}: split the filter, or reduce its order")
-    return found
+    if len(coefficients) > MOST + 1:
+        raise InputError(f"{what} is of degree {len(coefficients) - 1}; at most {MOST}: split the filter, or reduce its order")
+    return coefficients
 
 
 def _check(above: Sequence[float], below: Sequence[float]) -> None:
-    """Whether a section is proper, stable, and of a size that counts."""
+    """Refuses a section that is improper or unstable, or has a pole or a gain out of range."""
     if len(above) > len(below):
         raise InputError(
             f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it differentiates, without end at "
@@ -180,7 +180,7 @@ def _check(above: Sequence[float], below: Sequence[float]) -> None:
 
 
 def _decays(polynomial: Sequence[float]) -> bool:
-    """Whether all its roots lie left of the imaginary axis: Routh's array, in rational numbers, so that nothing is rounded."""
+    """Returns True if all roots lie left of the imaginary axis, by Routh's array in rational numbers, without rounding."""
     sign = 1 if polynomial[0] > 0 else -1
     exact = [sign * Fraction(one) for one in polynomial]
     above, below = exact[0::2], exact[1::2]
@@ -194,7 +194,7 @@ def _decays(polynomial: Sequence[float]) -> bool:
 
 
 def _controllable(above: Sequence[float], below: Sequence[float]) -> Realisation:
-    """The controllable form of a section, with time counted in its poles' and each state in a unit that balances it."""
+    """Returns the controllable form of a section, with a unit of time from its poles, and balanced states."""
     k = len(below) - 1
     a = np.array(below) / below[0]
     b = np.concatenate([np.zeros(k + 1 - len(above)), above]) / below[0]
@@ -212,7 +212,7 @@ def _controllable(above: Sequence[float], below: Sequence[float]) -> Realisation
 
 
 def _text(polynomial: Sequence[float]) -> str:
-    """A polynomial in s."""
+    """Writes a polynomial in s."""
     terms = []
     for power, one in zip(range(len(polynomial) - 1, -1, -1), polynomial, strict=True):
         s = "" if not power else "s" if power == 1 else f"s^{power}"

@@ -1,4 +1,4 @@
-"""Goals of a design, as a controller's section says them: what is minimised, within which bounds, for which vehicles, checked.
+"""Goals of a design from a controller's section: objective, bounds, tolerances, family and structure.
 
 minimise = { signals = "performance", band = [4.0, 8.0], over = "worst" }
 bounds = [{ norm = 8.6 }, { peak = "suspension_deflection", road = "bump", at_most = 0.09 }, { decay = 1.2 }, { gain = 2e4 }]
@@ -22,10 +22,10 @@ CORNER = "corner"
 
 @dataclass(frozen=True, eq=False)
 class NormOf:
-    """A norm from the road to weighted signals.
+    """Norm from the road to weighted signals.
 
     Attributes:
-        signals: weights by signal; None for z as `[performance]` weighs it.
+        signals: weights by signal; None for z of `[performance]`.
         band: from and to [Hz].
     """
 
@@ -34,13 +34,13 @@ class NormOf:
 
     @property
     def record(self) -> dict[str, Any]:
-        """As a table of a vehicle file has it."""
+        """The norm as a table of a vehicle file has it."""
         signals = {"signals": dict(self.signals)} if self.signals is not None else {}
         return signals | ({"band": list(self.band)} if self.narrow else {})
 
     @property
     def narrow(self) -> bool:
-        """Whether it is of a band, and not of all frequencies."""
+        """True for a norm in a band, False for all frequencies."""
         return self.band != EVERYWHERE
 
     @property
@@ -51,7 +51,7 @@ class NormOf:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The norm as text."""
         low, high = self.band
         where = "" if not self.narrow else f" from {low:g} Hz up" if high == float("inf") else f" from {low:g} to {high:g} Hz"
         of = "" if self.signals is None else f" of {', '.join(self.signals)}"
@@ -60,7 +60,7 @@ class NormOf:
 
 @dataclass(frozen=True, eq=False)
 class NormBound:
-    """A norm of at most so much."""
+    """Upper bound on a norm."""
 
     norm: NormOf
     at_most: float
@@ -68,12 +68,12 @@ class NormBound:
 
 @dataclass(frozen=True)
 class PeakBound:
-    """A signal's largest magnitude over a road, of at most so much in the signal's unit.
+    """Upper bound on a signal's largest magnitude over a road, in the signal's unit.
 
     Attributes:
         signal: its name.
         road: as `--road` takes it.
-        speed: [m/s]; None for the usual 12.5 m/s, whatever road it is.
+        speed: [m/s]; None for 12.5 m/s on any road.
         at_most: the bound.
     """
 
@@ -85,7 +85,7 @@ class PeakBound:
 
 @dataclass(frozen=True)
 class EnergyBound:
-    """A signal's largest magnitude for all roads of given energy, of at most so much in the signal's unit.
+    """Upper bound on a signal's largest magnitude over all roads of given energy, in the signal's unit.
 
     Attributes:
         signal: its name.
@@ -100,14 +100,14 @@ class EnergyBound:
 
 @dataclass(frozen=True)
 class DecayBound:
-    """All poles left of -rate [rad/s]."""
+    """Bound on the poles: all left of -rate [rad/s]."""
 
     rate: float
 
 
 @dataclass(frozen=True)
 class GainBound:
-    """No entry of the gain larger than this."""
+    """Upper bound on the size of the gain's entries."""
 
     at_most: float
 
@@ -117,15 +117,15 @@ Bound = NormBound | PeakBound | EnergyBound | DecayBound | GainBound
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """Of one controller.
+    """Goals of one controller.
 
     Attributes:
         minimise: the norm whose largest value over all vehicles and errors is minimised.
-        bounds: each is kept for all vehicles; norms and decay for all errors, too.
-        tolerance: how far each measured signal, and each force, may be off, relative, independent of one another.
+        bounds: valid for all vehicles; norms and decay for all errors, too.
+        tolerance: largest relative error of each measured signal, and each force, independent of one another.
         family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
         over: over the family "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
-        structure: which measurement may act on which force, a row a force; None for every one.
+        structure: True if a measurement may act on a force, a row per force; None for no restriction.
     """
 
     minimise: NormOf = field(default_factory=NormOf)
@@ -137,34 +137,34 @@ class Goals:
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """The signals that are minimised or bounded, beside those of `[performance]`."""
+        """Signals that are minimised or bounded, beside those of `[performance]`."""
         norms = (self.minimise, *(bound.norm for bound in self.bounds if isinstance(bound, NormBound)))
         peaks = [bound.signal for bound in self.bounds if isinstance(bound, (PeakBound, EnergyBound))]
         return (*(name for norm in norms for name in norm.signals or ()), *peaks)
 
     @property
     def roads(self) -> tuple[str, ...]:
-        """The roads of bounds, as they are named."""
+        """Names of the bounds' roads."""
         return tuple(bound.road for bound in self.bounds if isinstance(bound, PeakBound))
 
     @property
     def record(self) -> dict[str, Any]:
-        """As the section of a vehicle file has them."""
+        """The goals as the section of a vehicle file has them."""
         minimise = self.minimise.record | ({"over": self.over} if self.over != WORST else {})
-        found: dict[str, Any] = {"minimise": minimise} if minimise else {}
+        section: dict[str, Any] = {"minimise": minimise} if minimise else {}
         if self.bounds:
-            found["bounds"] = [_described(bound) for bound in self.bounds]
+            section["bounds"] = [_described(bound) for bound in self.bounds]
         if self.tolerance:
-            found["tolerance"] = dict(self.tolerance)
+            section["tolerance"] = dict(self.tolerance)
         if self.family:
-            found["family"] = [dict(member) for member in self.family]
+            section["family"] = [dict(member) for member in self.family]
         if self.structure is not None:
-            found["structure"] = [[int(each) for each in row] for row in self.structure]
-        return found or {"minimise": {}}
+            section["structure"] = [[int(allowed) for allowed in row] for row in self.structure]
+        return section or {"minimise": {}}
 
 
 def _described(bound: Bound) -> dict[str, Any]:
-    """A bound as a table of a vehicle file has it."""
+    """Returns a bound as a table of a vehicle file has it."""
     match bound:
         case NormBound(norm, at_most):
             return {"norm": at_most, **norm.record}
@@ -189,7 +189,7 @@ LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
 
 OTHER_WAYS = ("order", "design", "sampled", "law", "file", "A", "sample_period")  # keys that goals do not go with
 
-BOUND_KINDS = {  # the keys beside that of the kind, and one as it is written
+BOUND_KINDS = {  # further keys of a bound, and an example
     "norm": (("signals", "band"), "{ norm = 8.6 }"),
     "peak": (("road", "speed", "at_most"), "{ peak = SIGNAL, road = ROAD, at_most = 0.09 }"),
     "energy_peak": (("energy", "at_most"), "{ energy_peak = SIGNAL, energy = 0.02, at_most = 0.09 }, m2/s"),
@@ -204,7 +204,7 @@ class _Named(Protocol):
 
 
 class Kind(Protocol):
-    """What of a `VehicleKind` goals name."""
+    """Part of a `VehicleKind` that goals need."""
 
     @property
     def parameters(self) -> Sequence[_Named]:
@@ -213,7 +213,7 @@ class Kind(Protocol):
 
     @property
     def corners(self) -> Mapping[str, str]:
-        """Of every force the ending of the names of what lies at its own suspension; empty where there is only one."""
+        """Suffix of the names at a force's suspension, by force; empty for a single suspension."""
         ...
 
 
@@ -224,7 +224,7 @@ def read_goals(
     outputs: Collection[str],
     kind: Kind,
 ) -> Goals:
-    """The goals of a section that has some.
+    """Reads the goals of a section that has some.
 
     Args:
         measured: the signals that are measured.
@@ -237,11 +237,11 @@ def read_goals(
         if entry.get(key):
             raise InputError(
                 f"{where} has {key} = {quoted(entry[key])} beside goals, which are of static gains in continuous "
-                f"time; leave {key} out, or {listing([each for each in GOAL_KEYS if each in entry])}"
+                f"time; leave {key} out, or {listing([goal for goal in GOAL_KEYS if goal in entry])}"
             )
     corners = kind.corners
     minimise, over = _minimise(where, entry.get("minimise", {}), outputs)
-    family = _family(where, entry.get("family"), [one.name for one in kind.parameters])
+    family = _family(where, entry.get("family"), [parameter.name for parameter in kind.parameters])
     if over == REGRET and not family:
         raise InputError(
             f'{where} minimise has over = "regret", which is of a family; give family = [{{ ... }}, ...], or leave it out'
@@ -295,19 +295,19 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         )
     if band is None:
         return NormOf(weights)
-    fits = isinstance(band, list) and len(band) == 2 and all(_is_number(each, True) for each in band)
+    fits = isinstance(band, list) and len(band) == 2 and all(_is_number(end, True) for end in band)
     if not fits or not 0 <= band[0] < band[1]:
         raise InputError(f"{where} band = {quoted(band)} is none; give two frequencies [Hz], from and to, as in [4.0, 8.0]")
-    found = (float(band[0]), float(band[1]))
-    return NormOf(weights, found if found != EVERYWHERE else EVERYWHERE)
+    ends = (float(band[0]), float(band[1]))
+    return NormOf(weights, ends if ends != EVERYWHERE else EVERYWHERE)
 
 
 def _bounds(where: str, value: Any, outputs: Collection[str]) -> tuple[Bound, ...]:
-    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+    if not isinstance(value, list) or not all(isinstance(bound, dict) for bound in value):
         raise InputError(f"{where} bounds = {quoted(value)} is no list of tables; give one, as in bounds = [{{ norm = 8.6 }}]")
     if len(value) > MOST_BOUNDS:
         raise InputError(f"{where} has {len(value)} bounds; give at most {MOST_BOUNDS}")
-    return tuple(_bound(f"{where} bounds[{i}]", each, outputs) for i, each in enumerate(value))
+    return tuple(_bound(f"{where} bounds[{i}]", bound, outputs) for i, bound in enumerate(value))
 
 
 def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bound:
@@ -359,7 +359,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
 def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mapping[str, float], ...]:
     if value is None:
         return ()
-    if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
+    if not isinstance(value, list) or not value or not all(isinstance(member, dict) for member in value):
         raise InputError(
             f"{where} family = {quoted(value)} is no list of vehicles; give factors on parameters, as in "
             "family = [{}, { sprung_mass = 1.4 }]"
@@ -394,14 +394,14 @@ def _structure(
                 )
         return rows
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
-    if not fits or not all(len(row) == len(measured) and all(each in (0, 1) for each in row) for row in value):
+    if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
             f'{where} structure = {quoted(value)} is none; give "{CORNER}", or {len(corners)} row(s), one a force, of '
             f"{len(measured)} numbers 0 or 1, one a measured signal"
         )
     if not any(any(row) for row in value):
         raise InputError(f"{where} structure leaves no entry of the gain; give a 1 where a signal may act on a force")
-    return tuple(tuple(bool(each) for each in row) for row in value)
+    return tuple(tuple(bool(entry) for entry in row) for row in value)
 
 
 def _known(where: str, value: Mapping[str, Any], keys: Sequence[str]) -> None:

@@ -1,10 +1,10 @@
-"""What a file holds, in place of its name: a law's matrices, or a family's members, for the line that names their file.
+"""Contents of law and family files in place of their names: a law's matrices, or a family's members.
 
-So a vehicle file is whole once it is read: what goes into a log, a campaign, or a file that is saved has the matrices, and what
-reads those never opens a file for them. A comment says which file they come from.
+So a vehicle file is whole once it is read: logs, campaigns and saved files hold the matrices, and their readers never open a file
+for them. A comment names the source.
 
-Of a family, a TOML file has its `family`, as a section would have it; a CSV file has a vehicle for every row, whose header names
-parameters and whose numbers are factors on them.
+A TOML file of a family has the key `family` of a section. A CSV file has a vehicle for every row: its header names parameters,
+its numbers are factors on them.
 """
 
 import csv
@@ -25,29 +25,29 @@ from models.vehicle.mat_file import SAVE, Variable, read_mat
 
 
 def controllers_of(text: str) -> dict[str, Any]:
-    """`[controllers]` of a vehicle file's text; empty where there is none.
+    """Returns `[controllers]` of a vehicle file's text; empty if it has no such section.
 
     Raises:
-        InputError: it is not TOML.
+        InputError: the text is not TOML.
     """
     sections = parse_toml(text).get("controllers")
     return sections if isinstance(sections, dict) else {}
 
 
 def in_place_of(text: str, key: str, given: Mapping[str, str]) -> str:
-    """A vehicle file's text with other lines in place of those that give a key a file's name.
+    """Returns a vehicle file's text with other lines in place of those that give a key a file's name.
 
-    Where a key stands on no line of its own the text stays as it is there: whoever asks has to look at what it says.
+    A key that is not on a line of its own stays as it is: the caller has to check the result.
 
     Args:
-        key: of the sections of controllers.
-        given: what stands there instead, by controller.
+        key: key of controllers' sections.
+        given: the new lines, by controller.
     """
     line = re.compile(rf"^[ \t]*{key}[ \t]*=[^\n]*$", re.M)
-    # Each such line says where it stands, once; so the parser says which is whose.
-    lines = {str(found.start()): found for found in line.finditer(text)}
+    # Each such line is replaced by its position once, so that the parser assigns the lines to controllers.
+    lines = {str(match.start()): match for match in line.finditer(text)}
     try:
-        marked = controllers_of(line.sub(lambda found: f'{key} = "{found.start()}"', text))
+        marked = controllers_of(line.sub(lambda match: f'{key} = "{match.start()}"', text))
     except InputError:
         marked = {}
     place = {name: str(marked.get(name, {}).get(key)) for name in given}
@@ -63,23 +63,23 @@ GIVE_FAMILY = "give a .toml file with family = [{ ... }, ...], or a .csv file wh
 
 
 def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """A vehicle file's text with families in place of the files that it names for them, and those files.
+    """Returns a vehicle file's text with families in place of their files, and those files.
 
     Args:
-        folder: where the vehicle file lies, from which its paths go.
+        folder: folder of the vehicle file, to which its paths are relative.
 
     Raises:
-        InputError: it is not TOML, or a file is not there, or holds no family; the message names it.
+        InputError: the text is not TOML, or a file is missing, or holds no family; the message names it.
     """
-    asked = {
+    named = {
         name: entry[KEY]
         for name, entry in controllers_of(text).items()
         if isinstance(entry, dict) and isinstance(entry.get(KEY), str)
     }
-    if not asked:
+    if not named:
         return text, ()
     given, families, files = {}, {}, []
-    for name, file in asked.items():
+    for name, file in named.items():
         try:
             families[name], comment = _read_family(file, folder)
         except InputError as error:
@@ -94,16 +94,16 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def _read_family(file: str, folder: Path) -> tuple[list[dict[str, Any]], str]:
-    """The members of a file, and a comment that says where they are from."""
+    """Returns the members in a file, and a comment with its source."""
     path = folder / file
     family, said = read_content(path, KEY, GIVE_FAMILY, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
     return family, f"# from {file!a}, {said}"
 
 
 def _of_toml(text: str) -> list[dict[str, Any]]:
-    found = parse_toml(text)
-    family = found.get(KEY)
-    if set(found) != {KEY} or not isinstance(family, list) or not all(isinstance(member, dict) for member in family):
+    data = parse_toml(text)
+    family = data.get(KEY)
+    if set(data) != {KEY} or not isinstance(family, list) or not all(isinstance(member, dict) for member in family):
         raise InputError(f"holds no {KEY} alone; {GIVE_FAMILY}")
     return family
 
@@ -131,7 +131,7 @@ def _of_csv(text: str) -> list[dict[str, Any]]:
 
 
 def _table(member: dict[str, Any]) -> str:
-    """A member on one line of TOML."""
+    """Returns a member on one line of TOML."""
     numbers = {name: repr(value) if isinstance(value, float) else json.dumps(value) for name, value in member.items()}  # NaN, too
     return "{ " + ", ".join(f"{json.dumps(name)} = {number}" for name, number in numbers.items()) + " }"
 
@@ -140,50 +140,50 @@ MATRICES = ("A", "B", "C", "D")
 PERIODS = ("Ts", "sample_period")
 NAMES = (*MATRICES, "K", *PERIODS)
 DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")
-FIELDS = ("E", *DELAYS, "TimeUnit")  # of a struct made by get(sys): what it says beside its matrices
-MOST = 64 * MIB  # of a file: who saves a whole workspace saves more than a controller
+FIELDS = ("E", *DELAYS, "TimeUnit")  # further fields of a struct made by get(sys)
+MOST = 64 * MIB  # of a file: it may hold a whole workspace
 GIVE_LAW = "give a MATLAB file with A, B, C, D, or K"
 
 
 def with_laws(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """A vehicle file's text with matrices in place of the files that it names for them, and those files.
+    """Returns a vehicle file's text with matrices in place of their files, and those files.
 
     Args:
-        folder: where the vehicle file lies, from which its paths go.
+        folder: folder of the vehicle file, to which its paths are relative.
 
     Raises:
-        InputError: it is not TOML, or a file is not there, is none, or holds no controller; the message names it.
+        InputError: the text is not TOML, or a file is missing, of another format, or holds no controller; the message names it.
     """
     sections = controllers_of(text)
-    asked = {name: entry for name, entry in sections.items() if isinstance(entry, dict) and "file" in entry}
-    if not asked:
+    named = {name: entry for name, entry in sections.items() if isinstance(entry, dict) and "file" in entry}
+    if not named:
         return text, ()
     records, comments, files = {}, {}, []
-    for name, entry in asked.items():
+    for name, entry in named.items():
         try:
             records[name], comments[name], file = _read_law(entry, folder)
         except InputError as error:
             raise InputError(f"[controllers.{name}] {error}") from error
         files.append(file)
 
-    given = {name: "\n".join([comments[name], *lines_of(records[name])]) for name in asked}
+    given = {name: "\n".join([comments[name], *lines_of(records[name])]) for name in named}
     whole = in_place_of(text, "file", given)
     if len(whole.encode()) > TEXT:
         raise InputError(f"with the matrices of its files it has more than {TEXT / MIB:g} MiB; reduce the controllers' order")
-    found = controllers_of(whole)
-    for name, entry in asked.items():
-        if found.get(name) != {key: value for key, value in entry.items() if key != "file"} | records[name]:
+    controllers = controllers_of(whole)
+    for name, entry in named.items():
+        if controllers.get(name) != {key: value for key, value in entry.items() if key != "file"} | records[name]:
             raise InputError(f'[controllers.{name}] its file is not named on a line of its own; write file = "NAME.mat" on one')
     return whole, tuple(files)
 
 
 def lines_of(record: Mapping[str, Any]) -> list[str]:
-    """Lines of TOML."""
+    """Returns lines of TOML."""
     return [f"{key} = {json.dumps(value)}" for key, value in record.items()]
 
 
 def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
-    """What a file gives an entry, as TOML has it; a comment that says where it is from; and the file."""
+    """Returns the law in an entry's file, as TOML has it; a comment with its source; and the file."""
     file = entry["file"]
     if not isinstance(file, str) or not file:
         raise InputError(f"file = {quoted(file)} is no file's name; {GIVE_LAW}")
@@ -207,10 +207,10 @@ def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], s
 
 
 def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str) -> tuple[dict[str, Any], float | None]:
-    """The one law among what a file holds, as TOML has it, and its sample period; None of a continuous or static one."""
+    """Returns the one law in a file, as TOML has it, and its sample period; None for a continuous or static law."""
     loose = {name: value for name, value in variables.items() if not isinstance(value, dict)}
     places = {"the file": loose} | {f"the struct {name}": value for name, value in variables.items() if isinstance(value, dict)}
-    holding = {where: held for where, held in places.items() if {*held} & {*MATRICES, "K"}}
+    holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, "K"}}
     if not holding:
         opaque = [name for name, what in others.items() if what.startswith("a MATLAB object")]
         if opaque:
@@ -239,12 +239,12 @@ def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str
 
 
 def _numbers(name: str, value: Array) -> Array:
-    """A matrix of real finite numbers; how large they may be, the law says."""
+    """Returns a matrix of real finite numbers; the law checks their size."""
     return real_matrix(value, name, np.inf)[0]
 
 
 def _check_plain(held: Mapping[str, Array]) -> None:
-    """A struct of a system says more than its matrices, and what of it would change the law is not left out in silence."""
+    """Refuses a struct of a system with more than its matrices, if that would change the law."""
     E = held.get("E", np.zeros((0, 0)))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
@@ -259,14 +259,14 @@ def _check_plain(held: Mapping[str, Array]) -> None:
 
 
 def _period(held: Mapping[str, Array]) -> float | None:
-    """The sample period, in seconds; None of a continuous law, whose period MATLAB writes as 0."""
-    found = {}
+    """Returns the sample period [s]; None for a continuous law, whose period MATLAB writes as 0."""
+    periods = {}
     for name in PERIODS:
         if name in held:
             value = _numbers(name, held[name])
             if value.size != 1 or value.item() < 0:
                 raise InputError(f"{name} = {quoted(value)} is no sample period; give seconds, or 0 for a continuous law")
-            found[name] = value.item()
-    if len({*found.values()}) > 1:
+            periods[name] = value.item()
+    if len({*periods.values()}) > 1:
         raise InputError("Ts and sample_period are two sample periods; keep one")
-    return next(iter(found.values()), 0.0) or None
+    return next(iter(periods.values()), 0.0) or None

@@ -1,4 +1,4 @@
-"""What a real car has and the analysis has not: `[limits]` and `[implementation]` of a vehicle file, each off where absent."""
+"""`[limits]` and `[implementation]` of a vehicle file, the properties of a real car beyond linear analysis; off by default."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,14 +25,14 @@ MOST_SEED = 100_000
 
 @dataclass(frozen=True)
 class Limits:
-    """Where the hardware ends. None means: no such limit.
+    """Limits of the hardware. None means: no such limit.
 
     Attributes:
         suspension_stroke: travel either way before the bump stop [m], or one for each side.
         stop_stiffness: stiffness of the bump stop [N/m], or the coefficients of a progressive one, or these for each side.
         actuator_force: largest force [N].
-        actuator_bandwidth: corner frequency of the first-order lag from the force asked for to the force [rad/s].
-        places: the axles and corners whose stops are others.
+        actuator_bandwidth: corner frequency of the first-order lag from the requested force to the force [rad/s].
+        places: the axles and corners with other stops.
     """
 
     suspension_stroke: "float | Sides | None" = None
@@ -43,11 +43,11 @@ class Limits:
 
     @property
     def stopped(self) -> bool:
-        """Whether there is anything of bump stops."""
+        """True if any key of bump stops is given."""
         return self.suspension_stroke is not None or self.stop_stiffness is not None or bool(self.places)
 
     def stops_at(self, corner: str) -> "Stops | None":
-        """The bump stops of a corner; None where it has none."""
+        """Returns the bump stops of a corner, or None if it has no stops."""
         if not self.stopped:
             return None
         from models.suspension.bump_stops import Place, stops_at
@@ -55,13 +55,13 @@ class Limits:
         return stops_at((Place("", self.suspension_stroke, self.stop_stiffness), *self.places), corner)
 
     def stops(self, suspensions: "Sequence[Suspension]") -> "dict[str, Stops]":
-        """The bump stops of a vehicle's suspensions, by deflection, of those that have some."""
-        found = {one.deflection: self.stops_at(one.corner) for one in suspensions}
-        return {deflection: one for deflection, one in found.items() if one is not None}
+        """Returns the bump stops of a vehicle's suspensions, by deflection, without those that have no stops."""
+        by_deflection = {suspension.deflection: self.stops_at(suspension.corner) for suspension in suspensions}
+        return {deflection: stops for deflection, stops in by_deflection.items() if stops is not None}
 
     @property
     def written(self) -> dict[str, str]:
-        """What there is of them as a vehicle file has it, by key; of both sides apart by `key.side`."""
+        """The given limits as a vehicle file has them, by key; values of one side by `key.side`."""
         given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
         if not self.stopped:
             return {name: f"{value:g}" for name, value in given.items()}
@@ -71,16 +71,22 @@ class Limits:
             given |= {f"{place.name}.{key}": getattr(place, key) for key in STOP_KEYS if getattr(place, key) is not None}
         flat = {}
         for name, value in given.items():
-            flat |= {f"{name}.{side}": one for side, one in vars(value).items()} if isinstance(value, Sides) else {name: value}
+            flat |= (
+                {f"{name}.{side}": one_side for side, one_side in vars(value).items()}
+                if isinstance(value, Sides)
+                else {name: value}
+            )
         return {
-            name: f"[{', '.join(f'{k:g}' for k in one)}]" if isinstance(one, tuple) else f"{one:g}" for name, one in flat.items()
+            name: f"[{', '.join(f'{k:g}' for k in value)}]" if isinstance(value, tuple) else f"{value:g}"
+            for name, value in flat.items()
         }
 
     @property
     def record(self) -> dict[str, Any]:
-        """What `read_limits` reads as the same limits, None for what there is not."""
-        found = asdict(self)
-        return found | {one.pop("name"): {key: v for key, v in one.items() if v is not None} for one in found.pop("places")}
+        """The limits as a section that `read_limits` reads; None for limits that are not given."""
+        limits = asdict(self)
+        places = limits.pop("places")
+        return limits | {place.pop("name"): {key: v for key, v in place.items() if v is not None} for place in places}
 
     @property
     def of_actuators(self) -> tuple[str, ...]:
@@ -88,35 +94,35 @@ class Limits:
         return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
 
     def words(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
-        """What there is of them on a vehicle with these suspensions, a phrase each."""
-        found = []
+        """Describes the limits on a vehicle with these suspensions, one phrase each."""
+        phrases = []
         if self.stopped:
             from models.suspension.bump_stops import stop_words
 
-            found += stop_words({one.corner: self.stops_at(one.corner) for one in suspensions})
+            phrases += stop_words({part.corner: self.stops_at(part.corner) for part in suspensions})
         if self.actuator_force is not None:
-            found.append(f"forces up to ±{self.actuator_force:g} N")
+            phrases.append(f"forces up to ±{self.actuator_force:g} N")
         if self.actuator_bandwidth is not None:
-            found.append(
+            phrases.append(
                 f"actuators that lag from {self.actuator_bandwidth / (2 * math.pi):.4g} Hz on ({self.actuator_bandwidth:g} rad/s)"
             )
-        return tuple(found)
+        return tuple(phrases)
 
 
 def samples(count: float) -> str:
-    """So many samples, in words: the number as it is printed says whether it is one."""
+    """Returns a number of samples as text, singular if the printed number is 1."""
     number = f"{count:g}"
     return f"{number} sample{'s' * (number != '1')}"
 
 
 def samples_late(delay: float) -> str:
-    """How late forces act [samples], in words."""
+    """Returns the delay of forces [samples] as text."""
     return f"{samples(delay)} late"
 
 
 @dataclass(frozen=True)
 class Implementation:
-    """The controller as it would be built.
+    """Implementation of the controller: sampling, delay, noise and quantisation.
 
     Attributes:
         sample_period: of the controller [s], a multiple of the timestep; None: the timestep itself.
@@ -134,106 +140,105 @@ class Implementation:
 
     @property
     def ideal(self) -> bool:
-        """Whether the controller acts at every timestep, at once, on what is."""
+        """True if the controller acts at every timestep, without delay, on exact signals."""
         return self.prompt and not self.blurred
 
     @property
     def prompt(self) -> bool:
-        """Whether the controller acts at every timestep, at once."""
+        """True if the controller acts at every timestep, without delay."""
         return self.sample_period is None and self.delay == 0
 
     @property
     def waiting(self) -> int:
-        """How many forces that are computed have not acted yet when another is, at most."""
+        """Largest number of computed forces that do not act yet when the next one is computed."""
         return math.ceil(self.delay)
 
     @property
     def held(self) -> tuple[tuple[float, int], ...]:
-        """The parts of a sample period, each under one force: its share of the period, and by how many samples that is late."""
+        """Parts of a sample period with one force each: its share of the period, and the delay of its force [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
 
     @property
     def blurred(self) -> bool:
-        """Whether it measures with noise, or in steps."""
+        """True if the controller measures with noise or quantisation."""
         return bool(self.blur)
 
     @property
     def blur(self) -> str:
-        """What stands between a signal and its measurement, in words: noise, quantisation or both; empty where nothing does."""
+        """Names of the measurement errors: noise, quantisation or both; empty without any."""
         kinds = {"noise": self.noise, "quantisation": self.quantisation}
         return " and ".join(name for name, values in kinds.items() if any(values.values()))
 
     @property
     def clear(self) -> "Implementation":
-        """The same without noise and quantisation: what of it is linear, and so has a frequency response."""
+        """The implementation without noise and quantisation: its linear part, which has a frequency response."""
         return replace(self, noise={}, quantisation={})
 
     def scaled(self, factor: float) -> "Implementation":
-        """The same where all signals are so many times as large: its noise and its resolution are, too."""
+        """Returns the implementation with noise and resolution multiplied, as all signals are."""
         noise = {name: factor * rms for name, rms in self.noise.items()}
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What there is of it, a phrase each."""
-        found = []
+        """Description of the implementation, one phrase each."""
+        phrases = []
         if self.sample_period is not None:
-            found.append(f"a sample every {1e3 * self.sample_period:g} ms")
+            phrases.append(f"a sample every {1e3 * self.sample_period:g} ms")
         if self.delay:
-            found.append(f"forces that act {samples_late(self.delay)}")
-        found += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
-        found += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
-        return tuple(found)
+            phrases.append(f"forces that act {samples_late(self.delay)}")
+        phrases += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
+        phrases += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
+        return tuple(phrases)
 
 
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
-    """`[limits]`, checked.
+    """Reads `[limits]`.
 
     Args:
-        suspensions: of the vehicle, at which its stops are.
+        suspensions: of the vehicle.
 
     Raises:
-        InputError: a key or section that is unknown, a value that is not allowed, a stroke without a stiffness or the other way
-            round.
+        InputError: a key or section is unknown, a value is not allowed, or only one of stroke and stiffness is given.
     """
     of_actuators = {parameter.name: parameter for parameter in LIMITS}
     for name, value in section.items():
         if name not in of_actuators and name not in STOP_KEYS and not isinstance(value, Mapping):
             raise InputError(f"[limits] unknown key {name!r}; known: {listing((*STOP_KEYS, *of_actuators))}")
     of_stops = {name: value for name, value in section.items() if name not in of_actuators}
-    found = Limits()
+    limits = Limits()
     if of_stops:
         from models.suspension.bump_stops import read_places
 
-        common, *places = read_places(of_stops, [one.corner for one in suspensions])
-        found = Limits(common.suspension_stroke, common.stop_stiffness, places=tuple(places))
-    return replace(found, **{name: one.check(section[name]) for name, one in of_actuators.items() if name in section})
+        common, *places = read_places(of_stops, [part.corner for part in suspensions])
+        limits = Limits(common.suspension_stroke, common.stop_stiffness, places=tuple(places))
+    return replace(limits, **{name: part.check(section[name]) for name, part in of_actuators.items() if name in section})
 
 
 def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...]) -> Implementation:
-    """`[implementation]`, checked.
+    """Reads `[implementation]`.
 
     Args:
         measurable: the signals that a controller of this vehicle can measure.
 
     Raises:
-        InputError: a key or signal that is unknown, a value that is not allowed.
+        InputError: a key or signal is unknown, or a value is not allowed.
     """
     keys = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
     for name in section:
         if name not in keys:
             raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
-    found: dict[str, Any] = {}
+    values_by_key: dict[str, Any] = {}
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])
-        found["sample_period"] = period
+        values_by_key["sample_period"] = period
     for name, most, kinds, what in (("delay", MOST_DELAY, (int, float), "number"), ("seed", MOST_SEED, (int,), "whole number")):
         value = section.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value <= most:
             raise InputError(f"[implementation] {name} = {quoted(value)} is not allowed; give a {what} from 0 to {most}")
-        found[name] = int(value) if value == int(value) else value
+        values_by_key[name] = int(value) if value == int(value) else value
     for name in ("noise", "quantisation"):
         values = section.get(name, {})
         if not isinstance(values, dict):
@@ -241,15 +246,15 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
         for signal in values:
             if signal not in measurable:
                 raise InputError(f"[implementation] {name} of unknown signal {signal!r}; measured can be {listing(measurable)}")
-        found[name] = {
+        values_by_key[name] = {
             signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
             for signal, value in values.items()
         }
-    return Implementation(**found)
+    return Implementation(**values_by_key)
 
 
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:
-    """How many timesteps the controller holds its force.
+    """Returns the number of timesteps that the controller holds its force.
 
     Raises:
         InputError: the sample period is no multiple of the timestep, or the delay none.
@@ -267,19 +272,19 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 
 
 def steps_held(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
-    """The parts of a sample period, each under one force: its timesteps, and how many samples late that force is."""
+    """Returns the parts of a sample period with one force each: its timesteps, and the delay of its force [samples]."""
     steps = steps_per_sample(implementation, timestep)
     return tuple((round(share * steps), late) for share, late in implementation.held)
 
 
 def check_period(name: str, period: float | None, implementation: Implementation) -> None:
-    """Whether a controller whose law has a sample period of its own is built with that one.
+    """Checks that a law with its own sample period is implemented with it.
 
     Args:
-        period: its law's [s]; None where it has none.
+        period: of its law [s]; None for a law without one.
 
     Raises:
-        InputError: it is not.
+        InputError: the periods differ.
     """
     if period is not None and implementation.sample_period != period:
         raise InputError(

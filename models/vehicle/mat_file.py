@@ -1,8 +1,8 @@
-"""Numbers from a MATLAB file (versions 4 to 7), whoever made it.
+"""Numbers from a MATLAB file (versions 4 to 7) of any origin.
 
-What is read is what a controller is made of: full matrices of numbers, and structs of such. scipy reads more, and cannot be shown
-a file of a stranger's: 184 bytes that claim a cell array of a billion make it take 8 GB, and cells 50000 deep, or a matrix of
-numbers of a type that there is not, end the process. The tests hold what is read here against what scipy reads.
+Only the parts of a controller are read: full matrices of numbers, and structs of such. scipy reads more, but is unsafe for files
+of strangers: 184 bytes that claim a cell array of a billion make it take 8 GB, and cells 50000 deep, or a matrix of an unknown
+type, end the process. The tests compare the results here with scipy's.
 
 The format: MathWorks, "MAT-File Format", chapter 1.
 """
@@ -47,21 +47,21 @@ Contents = tuple[dict[str, Variable], dict[str, str]]
 
 
 class DamagedError(Exception):
-    """Bytes that are not of the format, in words."""
+    """Bytes that violate the format, as text."""
 
 
 class UnreadError(Exception):
-    """What is no matrix of numbers, in words."""
+    """Value that is no matrix of numbers, as text."""
 
 
 @dataclass(frozen=True)
 class _Header:
-    """A variable as its first bytes say.
+    """Beginning of a variable.
 
     Attributes:
-        name: empty for what MATLAB keeps for itself.
+        name: its name; empty for MATLAB's own data.
         kind: class of array.
-        object: its class in MATLAB, where it is an object.
+        object: its class in MATLAB if it is an object.
     """
 
     name: str
@@ -70,14 +70,14 @@ class _Header:
 
 
 def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = ()) -> Contents:
-    """The variables of these names: numbers, or structs of numbers.
+    """Returns the variables of these names: numbers, or structs of numbers.
 
     Args:
         names: those that are read; a struct is read whatever its name, and of its fields these.
         fields: more fields that are read of a struct; of text, the numbers of its characters.
 
     Returns:
-        By name, arrays of real or complex numbers, structs as mappings of such; and, by name, what else there is, in words.
+        By name, arrays of real or complex numbers, structs as mappings of such; and, by name, descriptions of all others.
 
     Raises:
         InputError: it is no such file, damaged, too large, or a variable of one of these names is not made of numbers.
@@ -91,9 +91,9 @@ def read_mat(content: bytes, names: Collection[str], fields: Collection[str] = (
 
 
 def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) -> Contents:
-    """Versions 5 to 7: variables are elements, compressed or not, whose parts are elements too."""
+    """Reads versions 5 to 7: variables are elements, compressed or not, whose parts are elements too."""
     order = "<" if content[126:128] == b"IM" else ">"
-    found: dict[str, Variable] = {}
+    variables: dict[str, Variable] = {}
     others: dict[str, str] = {}
     left = MOST_INSIDE
     for kind, data in _elements(content[128:], order):
@@ -109,22 +109,22 @@ def _version_5(content: bytes, names: Collection[str], fields: Collection[str]) 
         left -= len(inflated)
         if left < 0:
             raise InputError(f"what is asked for takes more than {MOST_INSIDE // MIB} MiB; a controller's matrices are smaller")
-        if known.name in found:
+        if known.name in variables:
             raise DamagedError(f"{known.name} is there twice")
         try:
             plain = _of_matrix(inflated, order, whole=True) if kind == COMPRESSED else matrix
-            found[known.name] = _value(plain, order, names, fields)
+            variables[known.name] = _value(plain, order, names, fields)
         except UnreadError as error:
             if known.name in names:
                 raise InputError(f"{known.name} is {error}, and a controller is full matrices of numbers: {SAVE}") from error
             others[known.name] = str(error)
-    return found, others
+    return variables, others
 
 
 def _version_4(content: bytes, names: Collection[str]) -> Contents:
-    """Version 4: matrices one after the other, each with how it is made, its rows, its columns, and the length of its name."""
+    """Reads version 4: matrices one after the other, each with its type, rows, columns, and the length of its name."""
     at = 0
-    found: dict[str, Variable] = {}
+    variables: dict[str, Variable] = {}
     others: dict[str, str] = {}
     order = "<" if len(content) >= 4 and struct.unpack_from("<i", content)[0] in range(5000) else ">"
     while at < len(content):
@@ -145,19 +145,19 @@ def _version_4(content: bytes, names: Collection[str]) -> Contents:
         elif sort or numbers > MOST_NUMBERS:
             what = (f"a matrix of {numbers:.3g} numbers", "text", "a sparse matrix")[sort]
             raise InputError(f"{name} is {what}, and a controller is full matrices of numbers: {SAVE}")
-        elif name in found:
+        elif name in variables:
             raise DamagedError(f"{name} is there twice")
         else:
             read = np.frombuffer(content[start:end], number).reshape(1 + parts, columns, rows).astype(float)
-            found[name] = (read[0] + 1j * read[1] if parts else read[0]).T
-        if len(found) + len(others) > MOST_ELEMENTS:
+            variables[name] = (read[0] + 1j * read[1] if parts else read[0]).T
+        if len(variables) + len(others) > MOST_ELEMENTS:
             raise DamagedError(f"it has more than {MOST_ELEMENTS} variables")
         at = end
-    return found, others
+    return variables, others
 
 
 def _elements(data: bytes | memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Type and content of each element of some bytes, in order."""
+    """Yields type and content of each element of some bytes, in order."""
     view, at = memoryview(data), 0
     for _ in range(MOST_ELEMENTS):
         if at == len(view):
@@ -177,7 +177,7 @@ def _elements(data: bytes | memoryview, order: str) -> Iterator[tuple[int, memor
 
 
 def _inflated(data: memoryview, most: int) -> bytes:
-    """At most so many bytes of what was compressed."""
+    """Decompresses some bytes, up to a largest size."""
     try:
         return zlib.decompressobj().decompress(data, most)
     except zlib.error as error:
@@ -185,7 +185,7 @@ def _inflated(data: memoryview, most: int) -> bytes:
 
 
 def _of_matrix(inflated: bytes | memoryview, order: str, whole: bool = False) -> memoryview:
-    """The content of the one variable that was compressed; its first bytes, where it is not whole."""
+    """Returns the content of the one variable that was compressed; its first bytes if it is not whole."""
     if len(inflated) < 8:
         raise DamagedError("a variable was cut")
     kind, size = struct.unpack_from(order + "II", inflated)
@@ -197,7 +197,7 @@ def _of_matrix(inflated: bytes | memoryview, order: str, whole: bool = False) ->
 
 
 def _header(matrix: memoryview, order: str) -> _Header:
-    """What a variable is, as its first bytes say."""
+    """Reads the header of a variable."""
     parts = _elements(matrix[:HEADER], order)
     kind, _ = _flags(next(parts, None), order)
     if kind != OPAQUE:
@@ -209,7 +209,7 @@ def _header(matrix: memoryview, order: str) -> _Header:
 
 
 def _value(matrix: memoryview, order: str, names: Collection[str], more: Collection[str]) -> Variable:
-    """Plain numbers, or a struct of such, of whose fields those of these names are kept, and more that may be text."""
+    """Returns plain numbers, or a struct of such with the fields of these names, and more that may be text."""
     parts = _elements(matrix, order)
     kind, _ = _flags(next(parts, None), order)
     if kind in NUMBERS:
@@ -225,21 +225,21 @@ def _value(matrix: memoryview, order: str, names: Collection[str], more: Collect
     longest = struct.unpack_from(order + "i", length[1])[0]
     if not 0 < longest <= 64 or len(values) * longest != len(fields[1]) or any(kind != MATRIX for kind, _ in values):
         raise DamagedError("a struct does not have the fields that it says")
-    found: dict[str, Array] = {}
+    kept: dict[str, Array] = {}
     for i, (_, value) in enumerate(values):
         name = bytes(fields[1][i * longest : (i + 1) * longest]).split(b"\0")[0].decode("latin-1")
-        if name in found:
+        if name in kept:
             raise DamagedError(f"a struct has {name} twice")
         if name in names or name in more:
             try:
-                found[name] = _numbers(value, order, (*NUMBERS, CHAR) if name in more else NUMBERS)
+                kept[name] = _numbers(value, order, (*NUMBERS, CHAR) if name in more else NUMBERS)
             except UnreadError as error:
                 raise UnreadError(f"a struct whose {name} is {error}") from error
-    return found
+    return kept
 
 
 def _numbers(matrix: memoryview, order: str, kinds: Collection[int] = NUMBERS) -> Array:
-    """Plain numbers, of as many dimensions as they have, of an array of one of these classes."""
+    """Returns plain numbers of any dimensions from an array of one of these classes."""
     if not len(matrix):
         return np.zeros((0, 0))  # an empty field may be written as nothing at all
     parts = _elements(matrix, order)
@@ -263,7 +263,7 @@ def _numbers(matrix: memoryview, order: str, kinds: Collection[int] = NUMBERS) -
 
 
 def _flags(part: tuple[int, memoryview] | None, order: str) -> tuple[int, bool]:
-    """The class of an array, and whether its numbers are complex."""
+    """Returns the class of an array, and True if its numbers are complex."""
     if part is None or part[0] != UINT32 or len(part[1]) != 8:
         raise DamagedError("a variable does not say what it is")
     word = struct.unpack_from(order + "I", part[1])[0]
@@ -273,10 +273,10 @@ def _flags(part: tuple[int, memoryview] | None, order: str) -> tuple[int, bool]:
 def _dimensions(part: tuple[int, memoryview] | None, order: str) -> tuple[int, ...]:
     if part is None or part[0] not in (INT32, UINT32) or len(part[1]) not in range(8, 129, 4):
         raise DamagedError("a variable has no dimensions")
-    found = struct.unpack(f"{order}{len(part[1]) // 4}i", part[1])
-    if min(found) < 0:
+    shape = struct.unpack(f"{order}{len(part[1]) // 4}i", part[1])
+    if min(shape) < 0:
         raise DamagedError("a variable has dimensions below zero")
-    return found
+    return shape
 
 
 def _text(part: tuple[int, memoryview] | None) -> str:

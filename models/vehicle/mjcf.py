@@ -1,7 +1,7 @@
-"""From a vehicle to an MjModel, by MjSpec and the MJCF of its kind; and whether it is linear for small motions only.
+"""MjModel of a vehicle, by MjSpec and the MJCF of its kind; and the test of its linearity.
 
-A quarter-car goes up and down: between its limits it is linear, however far it moves. What pitches or rolls is not, and a spring
-that does not pull along a joint is not either. This is asked of the compiled model itself, so that it holds for any kind.
+A quarter-car goes up and down: between its limits it is linear for any motion. A body that pitches or rolls is not, nor is a
+spring that does not pull along a joint. The compiled model itself is tested, so that the answer holds for any kind.
 """
 
 import contextlib
@@ -25,14 +25,14 @@ from models.vehicle.vehicle import Vehicle
 
 
 GIVE = "give the model of the kind of vehicle"
-FITTED = "fitted_"  # begins the name of an actuator that a vehicle file puts into the model, after the MJCF's, the inputs
-MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # against a model
+FITTED = "fitted_"  # prefix of actuators that a vehicle file adds to the model, after the MJCF's own, which are the inputs
+MUJOCO_SAYS = (ValueError, mujoco.FatalError)  # errors about a model
 _quiet_lock, _quiet_users = threading.Lock(), [0]
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: what it warns of is found and reported. Its handler is one for all threads."""
+    """Keeps MuJoCo from writing MUJOCO_LOG.TXT: its warnings are found and reported otherwise. All threads share one handler."""
     with _quiet_lock:
         _quiet_users[0] += 1
         mujoco.set_mju_user_warning(lambda text: None)
@@ -46,13 +46,13 @@ def quiet() -> Iterator[None]:
 
 
 def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
-    """The editable model of a vehicle.
+    """Returns the editable model of a vehicle.
 
     Args:
         timestep: integration step [s].
 
     Raises:
-        InputError: the kind's MJCF cannot be read, or is none.
+        InputError: the kind's MJCF cannot be read, or is no MJCF.
     """
     open_plain(vehicle.kind.mjcf, "MJCF", GIVE).close()
     if vehicle.kind.mjcf.stat().st_size > TEXT:
@@ -71,13 +71,13 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     if vehicle.dampers:
         from models.suspension.curve_actuators import write_dampers
 
-        tendons = {one.force: one.tendon for one in vehicle.kind.suspensions}
+        tendons = {suspension.force: suspension.tendon for suspension in vehicle.kind.suspensions}
         write_dampers(spec, vehicle.adjustable, tendons, str(vehicle.kind.mjcf), FITTED)
     return spec
 
 
 def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
-    """The MJCF of a kind as its file has it."""
+    """Reads the MJCF of a kind."""
     try:
         with quiet():
             return mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
@@ -86,7 +86,7 @@ def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
 
 
 def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """A model with the vehicle's parameters in it."""
+    """Returns the compiled model with the vehicle's parameters."""
     try:
         with quiet():
             return spec.compile()
@@ -107,14 +107,14 @@ def _said(error: Exception) -> str:
 
 
 def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """Bump stops, largest force and lag, into every suspension and actuator.
+    """Writes bump stops, largest force and lag into every suspension and actuator.
 
-    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; where bump and rebound are not
-    alike, each is a spring of its own, slack to the other side.
+    A bump stop is a second spring beside each suspension's tendon, with a dead band of the stroke; if bump and rebound differ,
+    each is a spring of its own, slack to the other side.
     """
     limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
-    by_tendon = {one.tendon: stops[one.deflection] for one in vehicle.kind.suspensions if one.deflection in stops}
-    by_tendon = {name: one for name, one in by_tendon.items() if one.push}
+    by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
+    by_tendon = {name: pair for name, pair in by_tendon.items() if pair.push}
     if names := list(by_tendon):
         suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
         if absent := [name for name in names if name not in suspensions]:
@@ -145,9 +145,9 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
 
 def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
-    """What curves have beyond their lines, and sensors of the velocities that suspensions have as signals."""
+    """Writes the deviations of curves from their lines, and sensors of suspension velocities that are signals."""
     names, sensed = {signal.name for signal in vehicle.kind.signals}, {sensor.name for sensor in spec.sensors}
-    pairs = [(one.velocity.name, one.deflection) for one in vehicle.kind.suspensions]
+    pairs = [(part.velocity.name, part.deflection) for part in vehicle.kind.suspensions]
     pairs, rest = [pair for pair in pairs if pair[0] in names - sensed], {}
     if not (pairs or vehicle.fitted):
         return
@@ -165,14 +165,14 @@ def _write_curves(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
 
 
 def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco.MjModel:
-    """The compiled model of a vehicle. At qpos = 0 it is at rest: qacc is 0 to rounding.
+    """Returns the compiled model of a vehicle. At qpos = 0 it is at rest: qacc is 0 to rounding.
 
     Args:
         timestep: integration step [s].
-        drawn: whether what is only looked at stays in it; without, a step has the same numbers and takes a twentieth less.
+        drawn: False drops visual parts; a step then has the same numbers and takes a twentieth less.
 
     Raises:
-        InputError: see `build_spec`; or it lacks what the equations name, or is no model of theirs.
+        InputError: see `build_spec`; or the model does not match the equations.
     """
     spec = build_spec(vehicle, timestep)
     spec.compiler.discardvisual = not drawn
@@ -183,7 +183,7 @@ def build_model(vehicle: Vehicle, timestep: float, drawn: bool = True) -> mujoco
 
 
 def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
-    """Refuses a model without something that its equations name."""
+    """Refuses a model that lacks a name of its equations."""
     kind, missing = vehicle.kind, []
     sensors = {model.sensor(i).name for i in range(model.nsensor)}
     parts = [part for name in vehicle.linear_model.outputs for part in kind.combined.get(name, {name: 1.0})]
@@ -202,7 +202,7 @@ def _check_names(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
-    """The names of a model's actuators without those that are fitted, which come after all others."""
+    """Returns the names of a model's actuators without the fitted ones, which come last."""
     names = [model.actuator(i).name for i in range(model.nu)]
     return tuple(name for name in names if not name.startswith(FITTED))
 
@@ -263,19 +263,19 @@ def _check_hubs(vehicle: Vehicle, model: mujoco.MjModel) -> None:
 
 
 def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
-    """The exact MJCF that `build_model` compiles, for the logs."""
+    """Returns the exact MJCF that `build_model` compiles, for the logs."""
     spec = build_spec(vehicle, timestep)
     spec.compiler.savecompiled = False  # every number exactly, not with the six digits of compiled values
     return spec.to_xml()
 
 
 def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Degree of freedom along which each of the kind's loads pushes."""
+    """Returns the degree of freedom of each of the kind's loads."""
     return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
 
 
 def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
-    """Mocap index of every wheel's road."""
+    """Returns the mocap index of every wheel's road."""
     return [int(model.body(wheel.road_body).mocapid[0]) for wheel in vehicle.kind.wheels]
 
 
@@ -283,15 +283,15 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
 # MuJoCo's bindings carry no type stubs.
 
 
-MOVE = 2e-3  # m, rad and their rates: rounding is 1e-12 of what it makes, and turning 1e-3
-OF_TYRE = 0.1  # of its static deflection a tyre gives way at most: it stays on the road
-LINEAR = 1e-8  # of what a motion makes, what twice as far makes beside twice as much
+MOVE = 2e-3  # m, rad and their rates: the relative effect of rounding is 1e-12, that of rotation 1e-3
+OF_TYRE = 0.1  # largest motion over a tyre's static deflection: it stays on the road
+LINEAR = 1e-8  # difference between the response to twice a motion and twice the response, relative to the former
 TRIALS = 3
 
 
 @functools.lru_cache(maxsize=16)
 def has_geometry(vehicle: Vehicle) -> bool:
-    """Whether accelerations are not linear in position and speed, between its limits, for some motions drawn at random."""
+    """Returns True if accelerations are not linear in position and speed, between the limits, for some random motions."""
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
 

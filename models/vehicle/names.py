@@ -1,6 +1,6 @@
-"""Names in vehicle files and commands: of controllers, of roads and of loads, as in `bump + brake:g=0.5`.
+"""Names of controllers, roads and loads in vehicle files and commands, as in `bump + brake:g=0.5`.
 
-Help pages have the latter two, and so nothing of what builds roads is imported here.
+Help pages use this module, and so it imports nothing that builds roads.
 """
 
 import re
@@ -13,10 +13,10 @@ LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 
 
 def check_name(where: str, name: str, taken: Collection[str]) -> None:
-    """Whether a controller may be called so.
+    """Checks the name of a controller.
 
     Raises:
-        InputError: it may not.
+        InputError: the name is taken, too long, or has other characters.
     """
     if name in taken or name == "all":
         raise InputError(f"{where} the name {name!r} is taken: passive, state and all always exist; rename it")
@@ -28,8 +28,8 @@ def check_name(where: str, name: str, taken: Collection[str]) -> None:
 
 
 def _is_name(name: str) -> bool:
-    """Whether it is made of what names are; vowel signs, as in Hindi and Thai, are marks on letters."""
-    kinds = ["L" if one.isalnum() else "-" if one in "_-" else unicodedata.category(one) for one in name]
+    """Returns True for a name of allowed characters; vowel signs, as in Hindi and Thai, are marks on letters."""
+    kinds = ["L" if letter.isalnum() else "-" if letter in "_-" else unicodedata.category(letter) for letter in name]
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
@@ -47,11 +47,11 @@ RIG = re.compile(rf"rig:file=(?P<path>.+\.(?P<suffix>csv|txt)){SETTINGS}", re.IG
 
 
 def named_file(text: str) -> tuple[str, str] | None:
-    """The file that a road's text names, and what a road of it describes itself as; None where it names none."""
-    if found := RIG.fullmatch(text):
-        return found["path"], "rig"
-    found = FILE.fullmatch(text)
-    return (found["path"], "profile") if found else None
+    """Returns the file in a road's text, and the type of its road's description; None if the text names no file."""
+    if rig := RIG.fullmatch(text):
+        return rig["path"], "rig"
+    profile = FILE.fullmatch(text)
+    return (profile["path"], "profile") if profile else None
 
 
 LOAD_KINDS = ("brake", "corner", "payload", "lift", "gust")
@@ -66,11 +66,11 @@ JOINED = re.compile(rf"{NAMED}|{FILED}", re.IGNORECASE)  # between a road and it
 
 
 def split_off(text: str) -> tuple[str, list[str]]:
-    """A road's text without the loads that are added to it, and these: `bump + brake:g=0.5 + push.csv`."""
+    """Splits a text into its road and its loads: `bump + brake:g=0.5 + push.csv`."""
     road, *loads = JOINED.split(text)
     return road, loads
 
 
 def is_load_file(text: str) -> bool:
-    """Whether a load's text names a file."""
+    """Returns True if a load's text names a file."""
     return text.strip().lower().endswith(".csv")

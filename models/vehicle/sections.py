@@ -1,4 +1,4 @@
-"""Sections of a vehicle file: `[performance]`, and those that few files have, whose readers are loaded where they are there."""
+"""Sections of a vehicle file: `[performance]`, and rare ones, whose readers are loaded only if the file has them."""
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -25,13 +25,13 @@ SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond
 def read_performance(
     section: Mapping[str, Any], outputs: Sequence[str]
 ) -> "tuple[dict[str, float], dict[str, Filter], Filter | None]":
-    """The weights by signal, the filters of those that have one, and that of the road.
+    """Returns the weights by signal, the filters of signals that have one, and the road's filter.
 
     Args:
-        outputs: the signals that can be weighed.
+        outputs: the signals that can be weighted.
 
     Raises:
-        InputError: a signal that is unknown, a weight or filter that is not allowed, or no weight at all.
+        InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
     """
     weights, filters, road_filter = {}, {}, None
     for signal, given in section.items():
@@ -56,7 +56,7 @@ def read_performance(
         weights[signal] = float(weight)
     if not any(weights.values()):
         raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(outputs)}")
-    return weights, {signal: one for signal, one in filters.items() if weights[signal]}, road_filter
+    return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
 
 
 def _filter(where: str, given: Mapping[str, Any]) -> "Filter":
@@ -69,10 +69,10 @@ def _filter(where: str, given: Mapping[str, Any]) -> "Filter":
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """A vehicle file's text with what other files hold in place of their names, and those files.
+    """Returns a vehicle file's text with the contents of other files in place of their names, and those files.
 
     Raises:
-        InputError: it is not TOML, or one of these files is not there, or holds something else.
+        InputError: the text is not TOML, or one of these files is missing or wrong.
     """
     families = laws = tables = ()
     if re.search(r"\bfamily\b", text):
@@ -91,8 +91,8 @@ def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 
 
 def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
-    """The files that roads of goals' bounds lie in."""
-    roads = [road for one in goals if one is not None for road in one.roads]
+    """Returns the files of roads in goals' bounds."""
+    roads = [road for goal in goals if goal is not None for road in goal.roads]
     if not roads:
         return []
     from models.vehicle.names import named_file
@@ -101,7 +101,7 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
 
 
 def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "ForceCurve"], dict[str, float]]:
-    """`[curves]`, and `[parameters]` with their slopes at rest, checked."""
+    """Reads `[curves]`, and `[parameters]` with the curves' slopes at rest."""
     if not data.get("curves"):
         return {}, kind.check(data["parameters"])
     from models.suspension.curve_reading import read_curves
@@ -118,7 +118,7 @@ def dampers_of(
     parameters: Mapping[str, float],
     curves: Mapping[str, "ForceCurve"],
 ) -> "tuple[dict[str, Damper], tuple[Adjustable, ...]]":
-    """`[actuators]`, checked, and the dampers in their vehicle."""
+    """Reads `[actuators]`. Returns the dampers, and the adjustable dampers of the vehicle."""
     if not data.get("actuators"):
         return {}, ()
     from models.suspension.adjustable_dampers import adjustable
@@ -131,7 +131,7 @@ def dampers_of(
 def goals_of(
     where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: VehicleKind
 ) -> "Goals | None":
-    """The goals of a controller's section, None where it has none; arguments and errors as for `read_goals`."""
+    """Returns the goals of a controller's section, or None if it has no goals; arguments and errors as for `read_goals`."""
     if not any(key in entry for key in GOAL_KEYS):
         return None
     from models.vehicle.goals import read_goals
@@ -140,7 +140,7 @@ def goals_of(
 
 
 def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """The loads that a controller's section weighs, none where it does not say; arguments and errors as for `weighed_loads`."""
+    """Returns the weighted loads of a controller's section, empty by default; arguments and errors as for `weighed_loads`."""
     if "loads" not in entry:
         return ()
     from models.vehicle.weighted_loads import weighed_loads
@@ -149,10 +149,10 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
 
 
 def read_sampled(section: Mapping[str, Any]) -> bool:
-    """Whether `[implementation]` asks for designs for the loop that its computer closes.
+    """Returns `sampled` of `[implementation]`: True if designs are for the sampled loop.
 
     Raises:
-        InputError: the value is none, or the section gives no sample period.
+        InputError: the value is not allowed, or the section gives no sample period.
     """
     return _sampled("[implementation]", section.get("sampled", False), section.get("sample_period"))
 
@@ -160,22 +160,22 @@ def read_sampled(section: Mapping[str, Any]) -> bool:
 def designed_for_samples(
     where: str, entry: Mapping[str, Any], two_steps: bool, implementation: "Implementation", usual: bool
 ) -> bool:
-    """Whether a controller's section asks for a design for the loop that the computer closes.
+    """Returns True if a controller is designed for the sampled loop.
 
     Args:
         two_steps: whether it is designed in two steps, without noise.
-        usual: what `[implementation]` asks for, where the section does not say.
+        usual: default, `sampled` of `[implementation]`.
 
     Raises:
-        InputError: it asks for one, and there is none of it.
+        InputError: the section requests such a design, but the controller has no such method or no sample period.
     """
-    asked = _sampled(where, entry.get("sampled", usual and two_steps), implementation.sample_period)
-    if asked and not two_steps:
+    sampled = _sampled(where, entry.get("sampled", usual and two_steps), implementation.sample_period)
+    if sampled and not two_steps:
         raise InputError(
             f"{where} has sampled = true, which is of static gains that are designed in two steps, without noise; leave sampled "
             "out, or its law, order, design or noise"
         )
-    return asked
+    return sampled
 
 
 def _sampled(where: str, value: Any, period: Any) -> bool:

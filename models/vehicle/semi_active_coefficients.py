@@ -1,4 +1,4 @@
-"""What a semi-active law knows of the vehicles that it is run on."""
+"""Coefficients of semi-active laws for the vehicles that they run on."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,34 +15,34 @@ if TYPE_CHECKING:
 
 
 def numbers_of(law: SemiActiveLaw, vehicles: Sequence[Vehicle]) -> Numbers:
-    """The numbers of a law for N vehicles of one kind.
+    """Returns the coefficients of a law for N vehicles of one kind.
 
-    A damper between body and sky, or wheel and ground, is as hard as the hardest that there is unless the law says otherwise; one
-    of a mode of the body is as that to the sky.
+    A damper between body and sky, or wheel and ground, has c_max by default; a damper of a mode of the body has the sky damper's
+    coefficient by default.
     """
     given = dict(law.numbers)
-    dampers = [[one.damper for one in vehicle.adjustable] for vehicle in vehicles]
-    c_min, c_max = (np.array([[getattr(one, name) for one in some] for some in dampers]) for name in ("c_min", "c_max"))
+    dampers = [[damper.damper for damper in vehicle.adjustable] for vehicle in vehicles]
+    c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
     sky, ground = (np.full_like(c_max, given[name]) if name in given else c_max for name in ("sky_damping", "ground_damping"))
     moved = np.stack([_modes(law, vehicle) for vehicle in vehicles], axis=1)
     damped = moved.copy()
     to_sky = [np.full(len(vehicles), given[key]) if key in given else None for key, mode in MODAL.items() if mode in law.modes]
-    for b, one in enumerate(to_sky):
-        if one is not None:
-            damped[b] *= one[:, None] / np.where(sky > 0, sky, 1.0)
+    for b, coefficient in enumerate(to_sky):
+        if coefficient is not None:
+            damped[b] *= coefficient[:, None] / np.where(sky > 0, sky, 1.0)
     stiffness = np.array([_stiffness(vehicle) for vehicle in vehicles])
     mix, crossover = given.get("mix", 0.5), given.get("crossover", CROSSOVER)
     return Numbers(c_min, c_max, sky, ground, stiffness, ([*damped], [*moved]), mix, crossover)
 
 
 def _stiffness(vehicle: Vehicle) -> list[float]:
-    """Of the springs of the suspensions with an adjustable damper [N/m]; 0 where the kind does not say."""
+    """Returns the stiffness of the suspensions with an adjustable damper [N/m]; 0 if the kind names no parameter."""
     parameters = {one.force: one.stiffness for one in vehicle.kind.suspensions}
     return [vehicle.parameters.get(parameters[one.force], 0.0) for one in vehicle.adjustable]
 
 
 def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
-    """The velocity of the body at every suspension from those of its modes, shape (b, m)."""
+    """Returns the factors from the velocities of the body's modes to those at the suspensions, shape (b, m)."""
     if not law.modes:
         return np.zeros((0, len(law.endings)))
     model = vehicle.linear_model
@@ -51,11 +51,11 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
 
 
 def numbers_at(numbers: Numbers, of: "Range", closing: Array, which: Array | slice = slice(None)) -> Numbers:
-    """With the limits of dampers with curves as they are at velocities.
+    """Returns the coefficients with the limits of curved dampers at velocities.
 
     Args:
         of: what the dampers of N vehicles can be.
-        closing: how fast each suspension closes [m/s], not 0, shape (..., m) of them.
+        closing: closing velocity of each suspension [m/s], not 0, shape (..., m).
         which: of the N.
     """
     if of.bent is None:

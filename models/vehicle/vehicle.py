@@ -1,4 +1,4 @@
-"""A vehicle file (TOML), all that a user writes: the kind of vehicle, its parameters, performance weights and controllers."""
+"""Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
 from collections.abc import Mapping
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 
 
 def kinds(folder: Path = HERE) -> list[str]:
-    """The kinds of vehicle in a folder: those with equations and an MJCF. By default, those that ship."""
+    """Returns the kinds of vehicle in a folder: those with equations and an MJCF. By default, the shipped ones."""
     return sorted(path.stem for path in folder.glob("*.xml") if path.with_suffix(".py").exists())
 
 
 def shipped() -> list[str]:
-    """The vehicles that ship: a file of every kind, and some more."""
+    """Returns the names of the shipped vehicles: one of every kind, and some more."""
     return sorted(path.stem for path in HERE.glob("*.toml"))
 
 
 def kind(name: str, folder: Path | None = None) -> VehicleKind:
-    """The kind of vehicle of that name: one that ships, or one whose `.py` and `.xml` lie in a folder of the user's.
+    """Returns the kind of vehicle of that name: a shipped one, or one with `.py` and `.xml` in a folder of the user's.
 
     Raises:
-        InputError: there is none, or it is one of the user's own that does not work.
+        InputError: there is no such kind, or the user's own code is wrong.
     """
     if name in kinds():
         return importlib.import_module(f"models.{name}").KIND
@@ -59,7 +59,7 @@ SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "imple
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle(ShownVehicle):
-    """A vehicle, as its file says.
+    """Vehicle of a vehicle file.
 
     Attributes:
         kind: equations and MJCF.
@@ -68,15 +68,15 @@ class Vehicle(ShownVehicle):
         controllers: by name, without `passive` and `state`, which always exist.
         text: the vehicle file, as read, with the matrices of laws in place of the files that it names; it goes into the logs.
             Laws in Python stay named.
-        source: where it came from, for messages.
-        limits: where the hardware ends.
-        implementation: the controller as it would be built.
+        source: path of the file, for messages.
+        limits: limits of the hardware.
+        implementation: sampling, delay, noise and quantisation of the controller.
         law_files: the files with matrices, those with families, and those with tables.
-        filters: what a weighted signal goes through on its way into z, by signal; those of a constant weight are not in it.
-        road_filter: what the disturbance w goes through to the road's velocity under every wheel, where that is not w itself.
-        sampled: whether designs are for the loop that the computer closes, `state` and all whose sections do not say otherwise.
-        curves: of dampers and springs, by the parameter that each stands in for.
-        dampers: the suspensions that have an adjustable damper where others have an actuator, by force.
+        filters: filter from a weighted signal to z, by signal; signals of constant weight have none.
+        road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
+        sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
+        curves: of dampers and springs, by the parameter that each replaces.
+        dampers: adjustable dampers in place of actuators, by force.
     """
 
     kind: VehicleKind
@@ -96,28 +96,28 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def fitted(self) -> "tuple[Fitted, ...]":
-        """The curves of its suspensions, scaled to its parameters."""
+        """Curves of its suspensions, scaled to its parameters."""
         if not (self.curves or self.dampers):
             return ()
         from models.suspension.fitted_curves import fitted
 
-        dampers = {self.kind.pushed(one.force): one.standing for one in self.adjustable}
+        dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
         return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
 
     @property
     def straight(self) -> "Vehicle":
-        """The vehicle of linear analysis: every curve is its line at rest."""
-        dampers = {force: replace(one, pair=None) for force, one in self.dampers.items()}
+        """The vehicle of linear analysis, with every curve replaced by its line at rest."""
+        dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
         return replace(self, curves={}, dampers=dampers) if self.fitted else self
 
     @cached_property
     def linear_model(self) -> LinearModel:
-        """The linear model of these parameters."""
+        """Linear model of these parameters."""
         return self.kind.model(self.parameters)
 
     @cached_property
     def adjustable(self) -> "tuple[Adjustable, ...]":
-        """Its adjustable dampers, in the order of its forces."""
+        """Adjustable dampers, in the order of the forces."""
         if not self.dampers:
             return ()
         from models.suspension.adjustable_dampers import adjustable
@@ -126,22 +126,22 @@ class Vehicle(ShownVehicle):
 
     @cached_property
     def pushing(self) -> "Vehicle":
-        """It with actuators that push in place of its adjustable dampers, so that every force is given that is asked for."""
+        """The vehicle with ideal force actuators in place of its adjustable dampers."""
         if not self.dampers:
             return self
-        names = {name for one in self.adjustable for name in (one.coefficient, one.missing)}
+        names = {name for damper in self.adjustable for name in (damper.coefficient, damper.missing)}
         signals = tuple(signal for signal in self.kind.signals if signal.name not in names)
-        of = {one.force: one.damping for one in self.kind.suspensions}
-        curves = {of[one.force]: one.standing for one in self.adjustable if one.standing is not None}
+        damping = {suspension.force: suspension.damping for suspension in self.kind.suspensions}
+        curves = {damping[damper.force]: damper.standing for damper in self.adjustable if damper.standing is not None}
         return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
 
     @property
     def filtered(self) -> bool:
-        """Whether a weight of z or of the road depends on frequency, so that a design knows more states than the vehicle's."""
+        """True if a weight of z or of the road depends on frequency, which adds states to the design plant."""
         return bool(self.filters) or self.road_filter is not None
 
     def weights(self, omega: Array) -> Array:
-        """The weight of every output signal in the controlled output z (34) by frequency, complex, shape (F, p).
+        """Returns the weight of every output signal in the controlled output z (34) by frequency, complex, shape (F, p).
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
@@ -156,7 +156,7 @@ class Vehicle(ShownVehicle):
         )
 
     def road_shape(self, omega: Array) -> Array:
-        """The road's velocity per disturbance w by frequency, complex, shape (F,); one without a filter.
+        """Returns the road's velocity per disturbance w by frequency, complex, shape (F,); 1 without a filter.
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
@@ -165,50 +165,50 @@ class Vehicle(ShownVehicle):
 
     @property
     def kind_files(self) -> tuple[Path, ...]:
-        """The files that its kind was read from."""
+        """Files of its kind."""
         return self.kind.mjcf, self.kind.mjcf.with_suffix(".py")
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that are read for it: its own, unless it is text alone, those of laws and bounds' roads, and its kind's."""
+        """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.law_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
 
     @property
     def ideal(self) -> bool:
-        """Whether the file says nothing of limits and of the controller as it would be built."""
+        """True if the file has neither limits nor an implementation."""
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """The same, its parameters and weights checked as a vehicle file's are: what `dataclasses.replace` was given was not.
+        """Returns the vehicle with its parameters and weights checked, which `dataclasses.replace` does not do.
 
         Raises:
-            InputError: one is missing, unknown or not allowed.
+            InputError: a parameter or weight is missing, unknown or not allowed.
         """
         parameters = self.kind.check(self.parameters)
         performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
         sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
         _ = sound.adjustable  # these parameters, too, must go with its dampers
-        filters = {signal: one for signal, one in {**self.filters, **filters}.items() if performance.get(signal)}
+        filters = {signal: kept for signal, kept in {**self.filters, **filters}.items() if performance.get(signal)}
         return replace(sound, performance=performance, filters=filters, road_filter=road_filter or self.road_filter)
 
     @property
     def controller_names(self) -> tuple[str, ...]:
-        """Every controller that can be asked for."""
+        """Names of all controllers."""
         return (*RESERVED, *self.controllers)
 
     @property
     def linear_names(self) -> tuple[str, ...]:
-        """Those of them of which linear analysis speaks: all but laws in Python and semi-active ones."""
+        """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
     def found_wrong(self, error: InputError) -> InputError:
-        """What was found wrong of it when it was worked with, with the file that it stands in, as where it is read."""
+        """Returns the error with the vehicle file's name in front."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
     def check_entry(self, entry: ControllerEntry) -> None:
-        """Refuses a controller of another sample period than it is built with, or that measures what no sensor tells."""
+        """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
         check_period(entry.name, entry.law.sample_period if entry.law is not None else None, self.implementation)
         if self.dampers:
             from models.suspension.adjustable_dampers import check_measured
@@ -216,14 +216,14 @@ class Vehicle(ShownVehicle):
             check_measured(entry.name, entry.measured, self.dampers)
 
     def hardware(self, name: str) -> Hardware:
-        """What of sensors and actuators a controller of that name is designed for; of `passive` and `state` nothing."""
+        """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
         return self.controllers[name].hardware if name in self.controllers else IDEAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
-        """What the file says of a controller, of which linear analysis speaks.
+        """Returns the entry of a controller to which linear analysis applies.
 
         Raises:
-            InputError: the file has none of that name, or it is a law in Python.
+            InputError: the file has no controller of that name, or its law is in Python or semi-active.
         """
         if name not in self.controllers:
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
@@ -238,14 +238,14 @@ class Vehicle(ShownVehicle):
 
 
 def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
-    """Reads a vehicle file, or a vehicle that ships, by name (`quarter_car`).
+    """Reads a vehicle file, or a shipped vehicle by name (`quarter_car`).
 
     Args:
         file: its path, or name.
-        own_kinds: whether it may be of a kind that does not ship, whose Python is then run.
+        own_kinds: True if it may be of a user's own kind, whose Python is then run.
 
     Raises:
-        InputError: it is not there, not TOML, or something in it is missing, unknown or not allowed: file, key, what is.
+        InputError: the file is missing, not TOML, or a key is missing, unknown or not allowed: the message says file and key.
 
     Example:
         >>> from models import read_vehicle
@@ -269,16 +269,16 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
 
 
 def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Vehicle:
-    """A vehicle from the text of its file.
+    """Returns a vehicle from the text of its file.
 
     Args:
         text: TOML.
-        source: where it came from, for messages.
-        folder: where a kind of vehicle of the user's own may lie, and laws in Python; without one, only those kinds that ship are
-            known, and no such law can be run.
+        source: path of the file, for messages.
+        folder: folder of a user's own kind of vehicle, and of laws in Python; without it, only shipped kinds are known, and no
+            such law can be run.
 
     Raises:
-        InputError: see `read_vehicle`; or it names a file for a law, which is read for a vehicle file alone, not for text.
+        InputError: see `read_vehicle`; or it names a file for a law, which is read only for vehicle files, not for text.
 
     Example:
         >>> from models import parse_vehicle, read_vehicle
@@ -308,15 +308,15 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     sampled = read_sampled(data.get("implementation", {}))
     section = data.get("controllers", {})
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
-    endings = {one.force: one.ending for one in adjusted}
+    endings = {part.force: part.ending for part in adjusted}
     controllers = read_controllers(section, model, limits, implementation, vehicle_kind, folder, sampled, endings)
     performance, filters, road_filter = read_performance(data["performance"], model.outputs)
     named = {signal for entry in controllers.values() for signal in entry.named}
-    bent = {*curves, *(force for force, one in dampers.items() if one.pair is not None)}
-    named |= {one.velocity.name for one in vehicle_kind.suspensions if {one.stiffness, one.damping, one.force} & bent}
+    bent = {*curves, *(force for force, part in dampers.items() if part.pair is not None)}
+    named |= {part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force} & bent}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
-    found = Vehicle(
-        kind=replace(measured, signals=(*measured.signals, *of_dampers([one.ending for one in adjusted]))),
+    vehicle = Vehicle(
+        kind=replace(measured, signals=(*measured.signals, *of_dampers([part.ending for part in adjusted]))),
         parameters=parameters,
         performance=performance,
         controllers=controllers,
@@ -331,5 +331,5 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         dampers=dampers,
     )
     for entry in controllers.values():
-        found.check_entry(entry)
-    return found
+        vehicle.check_entry(entry)
+    return vehicle

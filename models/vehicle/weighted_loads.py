@@ -1,4 +1,4 @@
-"""Loads that a controller's section weighs: disturbances of its norm, beside the road."""
+"""Loads in a controller's section: weighted disturbances of its norm, beside the road."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -12,14 +12,14 @@ ALONE = ("design", "law", "semi_active", "sampled")  # keys of designs that know
 def weighed_loads(
     where: str, section: Mapping[str, Any], loads: Sequence[str], goals: Collection[str]
 ) -> tuple[tuple[str, float], ...]:
-    """How much of each load [N, N m] counts as much as 1 m/s of w, by name, of a section that says so.
+    """Returns the size of each load [N, N m] that counts as much as 1 m/s of w, by name, from a section with loads.
 
     Args:
-        loads: those that the vehicle has.
+        loads: the vehicle's loads.
         goals: keys of goals, whose designs know no loads either.
 
     Raises:
-        InputError: an unknown load, a value that is not allowed, or a design that knows none.
+        InputError: a load is unknown, a value is not allowed, or the design knows no loads.
     """
     given = section["loads"]
     if not isinstance(given, Mapping) or not given:
