@@ -20,7 +20,6 @@ already: log det(-F) of the continuous limit, and log det X. So as the step fall
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -296,7 +295,7 @@ class _Path:
             yield self.point(X, Y, rest)
             if rest <= mu_end:
                 return
-            following = float(next_rest(rest, mu_end))
+            following = next_rest(rest, mu_end)
             # Along the tangent of the path in mu, but inside.
             step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
             step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
@@ -390,13 +389,6 @@ class _Path:
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
-def next_rest(mu: Any, mu_end: float) -> Any:
-    """Returns the next mu over eta of the path: hundredfold steps if it is nearly straight, the same rests for every plant.
-
-    Args:
-        mu: relative to eta; one, or an array of them.
-        mu_end: where the path ends, likewise.
-    """
-    rests = np.array([mu_end, *(rest for rest in RESTS if rest > mu_end)])
-    below = np.maximum(np.searchsorted(rests, 0.5 * mu) - 1, 0)
-    return np.minimum(rests[below], 0.5 * mu)
+def next_rest(mu: float, mu_end: float) -> float:
+    """Returns the next mu over eta of the path: hundredfold steps if it is nearly straight, the same rests for every plant."""
+    return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)
