@@ -29,7 +29,7 @@ from synth.design.multi_objective.design import GoalDesign, Interrupted, design_
 from synth.design.multi_objective.objectives import EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak, largest_over_road
 from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
-from synth.design.multi_objective.search import Search
+from synth.design.multi_objective.search import MinimaxSearch
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, given
@@ -826,7 +826,7 @@ def test_no_height_is_computed_twice(monkeypatch):
     vehicle = vehicle_with(f"measured = {TWO}\nbounds = [{{ norm = 9.0 }}]\ntolerance = {{ sprung_velocity = 0.1 }}")
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    search = Search(goal_problem(vehicle, entry, entry.goals), lambda goal, within: None)
+    search = MinimaxSearch(goal_problem(vehicle, entry, entry.goals), lambda goal, within: None)
     terrain, x = search.terrain, search.full.point(np.array([[10000.0, -2000.0]]))
     true, calls = BandLandscape.norm, itertools.count()
 

@@ -30,7 +30,7 @@ INSTEAD = "designed against a disturbance of every state that z sees"
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class WellPosedProblem:
     """A well-posed problem (22).
 
     Attributes:
@@ -51,7 +51,7 @@ class Posed:
 
 
 @functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
-def posed(plant: GeneralizedPlant) -> Posed:
+def posed(plant: GeneralizedPlant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
 
     Raises:
@@ -59,7 +59,7 @@ def posed(plant: GeneralizedPlant) -> Posed:
     """
     check_states(len(plant.A))
     if not (np.any(plant.Bw) or np.any(plant.Dw)) or not (np.any(plant.C) or np.any(plant.D)):
-        return Posed(plant)  # bad input, and the central path says so
+        return WellPosedProblem(plant)  # bad input, and the central path says so
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
@@ -70,21 +70,21 @@ def posed(plant: GeneralizedPlant) -> Posed:
 
     if not np.any(plant.D) and not _leaves(own.B, blind):
         said = "no control force reaches z: its norm is the same for every gain"
-        return Posed(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
+        return WellPosedProblem(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
 
     kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
     if len(rest.A) and (direct or _leaves(own.Bw, blind, kept @ rest.Bw)):
-        return Posed(plant)
+        return WellPosedProblem(plant)
     beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
     how = "only through Dw" if direct else "in no way"
     if not _leaves(own.Bw, blind):
         said = f"without control w reaches z {how}"
-        return Posed(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
+        return WellPosedProblem(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
     best = forces[:, None] * F / scale
     stable = is_stable(plant.closed_loop(best).A, plant.dt)
     said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
-    return Posed(beside, said, best if stable else None, f"with this gain w reaches z {how}")
+    return WellPosedProblem(beside, said, best if stable else None, f"with this gain w reaches z {how}")
 
 
 def free_force(plant: GeneralizedPlant) -> list[str]:

@@ -38,9 +38,9 @@ def sampled_design(
     """Designs a gain for the sampled loop. Returns it with the certificate of its ideal loop and a remark on the sampled one.
 
     Args:
-        vehicle: it says how often its computer acts, and how late.
-        posed: what its ideal loop is judged with.
-        ideal: gives the controller that is designed for it, which this one is not worse than, or a DesignError.
+        vehicle: with sample period and delay.
+        posed: the problem that its ideal loop is judged with.
+        ideal: returns the design for the ideal loop, which is a start of this one, or raises a DesignError.
 
     Raises:
         InputError: the vehicle has no sample period.

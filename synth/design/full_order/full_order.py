@@ -23,7 +23,7 @@ from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, obstacles
 from synth.design.descent.refine import refine
-from synth.design.full_order.riccati import SHARES, WITHIN, Search, Traded, chosen, leading
+from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, Traded, chosen, leading
 from synth.design.static import LARGEST_GAIN, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.augmented import on_larger_plant
@@ -68,7 +68,7 @@ SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
-def descents(search: Search, start: Traded | None, fastest: float) -> list[Traded]:
+def descents(search: RiccatiSearch, start: Traded | None, fastest: float) -> list[Traded]:
     """Returns the results of descents: a static gain, and a law of the start's order; empty if the plant is too large.
 
     Args:
@@ -162,7 +162,7 @@ def full_order_design(
         raise InfeasibleError(reasons)
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
-    search = Search(where.plant, where.Cy, where.Dyw, below.gamma)
+    search = RiccatiSearch(where.plant, where.Cy, where.Dyw, below.gamma)
     if plant.dt is not None:
         fastest = max(fastest, DEADBEAT / plant.dt / search.fastest)
 

@@ -245,7 +245,7 @@ def chosen(trade: Sequence[Traded], fastest: float) -> Traded | None:
     return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
 
 
-class Search:
+class RiccatiSearch:
     """The search for one plant."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from models.common.arrays import Array
 from models.common.errors import InputError
 from synth.design.multi_objective.problem import Errors, GoalProblem
-from synth.design.multi_objective.search import Search, Told
+from synth.design.multi_objective.search import MinimaxSearch, Told
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
 from synth.plant.numerics import numerics, up_to_rounding
 
@@ -94,7 +94,7 @@ def design_for_goals(
     """
     if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
-    search = Search(problem, told)
+    search = MinimaxSearch(problem, told)
     try:
         x, height, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:

@@ -67,7 +67,7 @@ class Term(ABC):
         return np.zeros((len(x), len(x)))
 
 
-class Gain(Term):
+class NormObjective(Term):
     """The largest gain from w to z in a band, of one plant."""
 
     def __init__(self, landscape: BandLandscape, unit: float = 1.0, name: str = "") -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
-from synth.design.multi_objective.objectives import Decay, EnergyPeak, Gain, Signal, Term
+from synth.design.multi_objective.objectives import Decay, EnergyPeak, NormObjective, Signal, Term
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import Driven
 from synth.plant.generalized import GeneralizedPlant
@@ -173,9 +173,9 @@ def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Error
     """Returns the goals and the bounds of a problem for some errors.
 
     Args:
-        full: the landscape whose points are those of all terms.
-        errors: with each of which norms and decay count; peaks count without.
-        rate: the decay that is asked for [rad/s]; 0 for none.
+        full: the landscape that defines the points of all terms.
+        errors: each applies to norms and decay; peaks count without errors.
+        rate: the required decay [rad/s]; 0 for none.
     """
     goals: list[Term] = []
     bounds: list[Term] = []
@@ -183,10 +183,10 @@ def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Error
     for i, member in enumerate(problem.members):
         unit = problem.bests[i] if problem.bests is not None else 1.0
         for each in errors:
-            goals.append(Gain(problem.landscape(i, which, band, each, full), unit))
+            goals.append(NormObjective(problem.landscape(i, which, band, each, full), unit))
             for norm in problem.norms:
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
-                bounds.append(Gain(landscape, norm.at_most * (1 - TIGHTER), norm.name))
+                bounds.append(NormObjective(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
                 bounds.append(decay(problem, problem.landscape(i, which, band, each, full), rate))
         for signal in member.signals:

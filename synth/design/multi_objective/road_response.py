@@ -71,7 +71,7 @@ class Driven:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class QuadratureInterval:
     """Part of a step.
 
     Attributes:
@@ -110,7 +110,7 @@ class Response:
         self.s, self.w = (s + 1) / 2, w / 2
         self.at_nodes = self._nodes(self.time[:-1], np.full(count, step))
         self.z, self.rates = drive.heights(self.time), drive.rates(self.time)
-        self.pieces: list[Piece] = []
+        self.pieces: list[QuadratureInterval] = []
         beside = np.concatenate([drive.kinks / step - NEXT, drive.kinks / step + NEXT])  # a kink between two steps is in both
         for k in np.unique(np.floor(beside).astype(int)):
             if 0 <= k < count:
@@ -118,7 +118,7 @@ class Response:
         ends = np.array([piece.start + piece.length for piece in self.pieces])
         self.z_ends = drive.heights(ends) if len(ends) else np.zeros((0, self.z.shape[1]))
 
-    def _split(self, k: int) -> list[Piece]:
+    def _split(self, k: int) -> list[QuadratureInterval]:
         """The pieces of a step with kinks."""
         start, end = float(self.time[k]), float(self.time[k]) + self.h
         kinks = self.driven.drive.kinks
@@ -131,7 +131,7 @@ class Response:
         found = []
         for left, right in pairwise(ordered):
             nodes = self._nodes(np.array([left]), np.array([right - left]))[0]
-            found.append(Piece(k, left, right - left, nodes, left in kinks or right in kinks))
+            found.append(QuadratureInterval(k, left, right - left, nodes, left in kinks or right in kinks))
         return found
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:

@@ -18,7 +18,7 @@ from synth.design.descent.coordinates import directions
 from synth.design.descent.minimax import quasi_newton
 from synth.design.descent.starts import survey
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.objectives import EnergyPeak, Gain
+from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
 from synth.design.multi_objective.peak import RoadPeak, largest_over_road
 from synth.design.multi_objective.problem import Errors, GoalProblem, decay, terms_with
 from synth.design.multi_objective.sqp import KEPT, Height, Terrain, descend
@@ -69,7 +69,7 @@ RANK = 30.0  # what a start's excess over a bound weighs
 Told = Callable[[float, bool], None]  # the goal now, and whether within all bounds
 
 
-class Search:
+class MinimaxSearch:
     """The search for one problem."""
 
     def __init__(self, problem: GoalProblem, told: Told) -> None:
@@ -124,9 +124,9 @@ class Search:
         if height.within and np.isfinite(height.goal) and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
             self.least = x, height
 
-    def norms(self) -> list[Gain]:
+    def norms(self) -> list[NormObjective]:
         """The minimised norms of all loops."""
-        return [term for term in self.terrain.goals if isinstance(term, Gain)]
+        return [term for term in self.terrain.goals if isinstance(term, NormObjective)]
 
     def moved(self, x: Array, height: Height) -> None:
         """Takes note of a new point."""

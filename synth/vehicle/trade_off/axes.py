@@ -180,7 +180,7 @@ MOST_READINGS = 4  # with errors: all their corners count
 
 
 @dataclass(frozen=True)
-class Norm:
+class AxisValue:
     """A law on one axis.
 
     Attributes:
@@ -195,17 +195,17 @@ class Norm:
 
 
 @numerics()
-def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> Norm:
+def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
     """A law on an axis; infinite where its loop, or one with errors, is unstable."""
     posed = _posed(vehicle, axis, entry)
     if axis.off and len(entry.measured):
         found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
-        return Norm(found.found, found.proved, float("nan"))
+        return AxisValue(found.found, found.proved, float("nan"))
     plant, G = posed.closed(law)
     band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
     if not band.stability.stable:
-        return Norm(np.inf, np.inf, float("nan"))
-    return Norm(band.value, band.level if band.value else 0.0, band.peak_frequency)
+        return AxisValue(np.inf, np.inf, float("nan"))
+    return AxisValue(band.value, band.level if band.value else 0.0, band.peak_frequency)
 
 
 def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:

@@ -13,8 +13,8 @@ import numpy as np
 from models.common.arrays import Array
 from synth.design.descent.starts import survey
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.objectives import Gain
-from synth.design.multi_objective.search import RANK, UNSTABLE, Search
+from synth.design.multi_objective.objectives import NormObjective
+from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
 from synth.design.multi_objective.sqp import KEPT, Terrain, descend
 from synth.plant.numerics import DesignError
 
@@ -49,7 +49,7 @@ class Trace:
         met: every stable start and end of a descent with finite values.
     """
 
-    def __init__(self, search: Search, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
+    def __init__(self, search: MinimaxSearch, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
         """Args:
         search: its bounds, its structure and its starts count; its goal does not.
         axes: of each the landscapes whose largest norm it is.
@@ -133,8 +133,8 @@ class Trace:
 
     def _down(self, start: Met, goals: dict[int, float], bounds: dict[int, float]) -> Met:
         """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
-        terms = {k: [Gain(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
-        held = [Gain(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
+        terms = {k: [NormObjective(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
+        held = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         terrain = self.search.terrain
         ground = Terrain([each for some in terms.values() for each in some], [*terrain.bounds, *held], terrain.limit)
         x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)

@@ -20,13 +20,13 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, problem
 from synth.design.multi_objective.band_norm import EVERYWHERE
 from synth.design.multi_objective.peak import largest_over_road
-from synth.design.multi_objective.search import Search
+from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, numerics
 from synth.vehicle.designer import Designer, check_supported
 from synth.vehicle.multi_objective import goal_problem, weighing
-from synth.vehicle.trade_off.axes import Axis, Norm, landscapes, norm_on
+from synth.vehicle.trade_off.axes import Axis, AxisValue, landscapes, norm_on
 from synth.vehicle.trade_off.continuation import Met, Trace, rays, undominated
 from synth.vehicle.trade_off.lower_bound import Limit, limits, nothing
 from synth.vehicle.verification import Judged
@@ -48,7 +48,7 @@ class Point:
     """
 
     controller: Controller
-    norms: tuple[Norm, ...]
+    norms: tuple[AxisValue, ...]
     travel: float | None = None
 
     @property
@@ -218,7 +218,7 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Tr
     if asked.decay is None and starts:
         decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ starts[-1] @ posed.Cy).poles).max())
         asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
-    search = Search(asked, lambda goal, within: None)
+    search = MinimaxSearch(asked, lambda goal, within: None)
     return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 

@@ -15,7 +15,7 @@ from models.common.interrupt import LATE
 from models.common.printed import finite, table, wrapped
 from models.figures.figure import Curve, Figure, Panel, styles
 from synth.controller.report import BOUND, NORM, judged_lines
-from synth.vehicle.trade_off.front import DESIGNING, Front, Norm, Point
+from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
 from synth.vehicle.trade_off.lower_bound import Limit
 
 TRAVEL = Column[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
@@ -127,7 +127,7 @@ def _object(found: Front, point: Point) -> dict[str, Any]:
     }
 
 
-def _norm(norm: Norm) -> dict[str, float | None]:
+def _norm(norm: AxisValue) -> dict[str, float | None]:
     return {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
 
 
