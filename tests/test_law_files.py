@@ -285,7 +285,7 @@ def test_a_line_that_only_looks_like_one_stays(tmp_path):
     other = vehicle.controllers["other"].law
     assert other is not None
     assert other.record == {"gain": [[1.0, 2.0]]}
-    assert len(vehicle.law_files) == 2
+    assert len(vehicle.named_files) == 2
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:

@@ -289,7 +289,7 @@ def test_files_hold_them(tmp_path):
     for text in (QUARTER + named, half):
         (tmp_path / "car.toml").write_text(text)
         vehicle = read_vehicle(tmp_path / "car.toml")
-        assert {file.name for file in vehicle.law_files} == {"soft.dpr", "firm.csv"}
+        assert {file.name for file in vehicle.named_files} == {"soft.dpr", "firm.csv"}
         for made in (vehicle, parse_vehicle(vehicle.text)):
             pair = made.adjustable[0].damper.pair
             assert pair is not None

@@ -71,7 +71,7 @@ class Vehicle(ShownVehicle):
         source: path of the file, for messages.
         limits: limits of the hardware.
         implementation: sampling, delay, noise and quantisation of the controller.
-        law_files: the files with matrices, those with families, and those with tables.
+        named_files: the files with matrices, those with families, and those with tables.
         filters: filter from a weighted signal to z, by signal; signals of constant weight have none.
         road_filter: filter from the disturbance w to the road's velocity under every wheel; None if that is w itself.
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
@@ -87,7 +87,7 @@ class Vehicle(ShownVehicle):
     source: str = ""
     limits: Limits = field(default_factory=Limits)
     implementation: Implementation = field(default_factory=Implementation)
-    law_files: tuple[Path, ...] = ()
+    named_files: tuple[Path, ...] = ()
     filters: Mapping[str, "Filter"] = field(default_factory=dict)
     road_filter: "Filter | None" = None
     sampled: bool = False
@@ -172,7 +172,7 @@ class Vehicle(ShownVehicle):
     def files(self) -> tuple[Path, ...]:
         """All files that are read for it: its own, unless it is from text, those of laws and bounds' roads, and its kind's."""
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
-        laws = (*self.law_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
+        laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
 
     @property
@@ -263,7 +263,7 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
                 f"type = {quoted(name)} is a kind of somebody's own, whose Python would be run, and that is not asked for"
             )
         whole, files = whole_text(text, path.parent)
-        return replace(parse_vehicle(whole, source=str(path), folder=path.parent), law_files=files)
+        return replace(parse_vehicle(whole, source=str(path), folder=path.parent), named_files=files)
     except InputError as error:
         raise InputError(f"vehicle file {path}: {error}") from error
 

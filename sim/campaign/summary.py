@@ -189,9 +189,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
         crossed = crossed or any(curve.marker == "x" for curve in curves)
         if any(curve.marker in ("o", "+") for curve in curves):
             title = f"{road} at {speed:g} m/s"
-            panels.append(
-                Panel(title, "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]", tuple(curves))
-            )
+            panels.append(Panel(title, ACROSS_LABEL, UP_LABEL, tuple(curves)))
     if not panels:
         raise InputError("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
     title = (

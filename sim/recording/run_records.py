@@ -221,7 +221,7 @@ def record_runs(
         result: as `--json` prints it.
 
     Returns:
-        The files' paths: `mcap` and `rerun`.
+        The files' paths: `mcap`, `layout` and `rerun`.
 
     Raises:
         InputError: the folder cannot be written, or the result does not fit the command (`sim.recording.run_log`).

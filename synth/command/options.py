@@ -11,7 +11,7 @@ MOST_POINTS = 1000  # that `--point` can name
 AXES_HELP = (
     "ride (body accelerations), travel (suspension deflections), road_holding (tyre deflections), force, band=4-8 (ride within "
     "these Hz) and tolerance=10 (the norm of [performance] with readings off by so many per cent), a colon between them; each is "
-    "the norm from road velocity, in SI; the quarter-car takes 5 to 15 s"
+    "the norm from road velocity, in SI; the quarter-car takes 5 to 8 s, with tolerance 20 s"
 )
 
 EPILOG = """

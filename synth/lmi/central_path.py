@@ -177,7 +177,7 @@ def fits(count: int, most: int, what: str) -> None:
 
 
 class _Path:
-    """A point that walks along the path. The only mutable thing in this package; it lives inside `central_path`."""
+    """A point that walks along the path. It is mutable, and lives inside `central_path`."""
 
     def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q

@@ -192,9 +192,10 @@ class MinimaxSearch:
         whole = self.terrain.limit
         if self.problem.gain is None:
             self.terrain.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
-        found = self.down(x, GLANCE)
-        self.terrain.limit = whole
-        return found
+        try:
+            return self.down(x, GLANCE)
+        finally:
+            self.terrain.limit = whole
 
     def cost(self, x: Array, height: Height) -> float:
         """Lower is better: a gain twice as large has to be worth it, where nothing bounds it."""
