@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.command.comparison import log_lines, recorded, say_false_claims
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
-    from sim.studies.validity.regime_map import Interrupted, loaded, validity
+    from sim.studies.validity.regime_map import InterruptedMap, loaded, validity
     from sim.studies.validity.report import envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
 
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say_false_claims([controller])
     try:
         cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
-    except Interrupted as interruption:
+    except InterruptedMap as interruption:
         cells = interruption.cells
         if not cells.done.any():
             raise

@@ -85,10 +85,10 @@ def predict(vehicle: Vehicle, controller: Controller, road: Road, time: Array, m
     return prediction.predict(loop(vehicle, controller, time), RoadInput(vehicle, road, time), most_states)
 
 
-def predict_made(
+def predict_replayed(
     vehicle: Vehicle, controller: AnyController, road: Road, time: Array, physics: Response, asked: Array
 ) -> Prediction:
-    return prediction.predict_made(controller, RoadInput(vehicle, road, time), physics, asked)
+    return prediction.predict_replayed(controller, RoadInput(vehicle, road, time), physics, asked)
 
 
 def predict_switched(

@@ -17,7 +17,7 @@ from sim.runs.run import judge, run_all, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
-from tests.analysed import predict_made, predict_switched, sampled_response, simulate
+from tests.analysed import predict_replayed, predict_switched, sampled_response, simulate
 
 QUARTER = """
 type = "quarter_car"
@@ -227,7 +227,7 @@ def test_another_damper_is_found(change):
     else:
         other = replace(vehicle, dampers={"control_force": replace(one, **{change: 1.01 * getattr(one, change)})})
     made = simulate([other], [controller], [BUMP], time)
-    prediction = predict_made(vehicle, controller, BUMP, time, made.run(0), made.asked[0])
+    prediction = predict_replayed(vehicle, controller, BUMP, time, made.run(0), made.asked[0])
     (run,) = judge([prediction], [made.run(0)])
     assert not run.agreement.agrees
     assert "DOES NOT AGREE" in verdict(run)

@@ -32,7 +32,7 @@ from sim.response.regime import (
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_all
 from sim.studies.validity.grid import grid, read_axes
-from sim.studies.validity.regime_map import Interrupted, validity
+from sim.studies.validity.regime_map import InterruptedMap, validity
 from sim.studies.validity.report import envelope_figure, envelope_lines, write_csv
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
@@ -251,7 +251,7 @@ def test_interrupted(limited, designer, monkeypatch, tmp_path):
             raise KeyboardInterrupt
 
     bumps = grid(read_axes(["height:0.02:0.1:4", "speed:5:20:4"]), FIXED)
-    with pytest.raises(Interrupted) as interruption:
+    with pytest.raises(InterruptedMap) as interruption:
         validity(limited, designer.design("I"), bumps, TIME, stop)
     found = interruption.value.cells
     done = int(found.done.sum())

@@ -17,7 +17,7 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.margins import main
-from sim.physics.run_blocks import Course, in_blocks
+from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.report.designs import gain_table
 from sim.runs.run import run_all, sample_times
 from sim.studies.stability.growth_test import Trial, grow
@@ -326,9 +326,9 @@ def test_runs_without_accelerations_are_the_same_runs(how):
     met = RoadInput(vehicle, Bump(), time)
     now, midway = (np.stack([heights] * 2, axis=1) for heights in (met.heights, met.midway))
     edges = (0, 50, len(time))
-    plain = list(in_blocks(Course([vehicle] * 2, some, now, midway, 1e-3, edges)))
+    plain = list(in_blocks(BatchInputs([vehicle] * 2, some, now, midway, 1e-3, edges)))
     going, fewer = np.array([True, True]), []
-    for block in in_blocks(Course([vehicle] * 2, some, now, midway, 1e-3, edges, going=going, accelerations=False)):
+    for block in in_blocks(BatchInputs([vehicle] * 2, some, now, midway, 1e-3, edges, going=going, accelerations=False)):
         fewer.append(block)
         going[1] = False
     late = ("acceleration", "control_force")

@@ -19,13 +19,13 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command import margins_options
 from sim.margins import _which_loop, main
 from sim.studies.stability import growth_test
-from sim.studies.stability.bisection import Search, run_searches
+from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.fragility import find_fragility, with_errors
 from sim.studies.stability.growth_test import BUMP, Growth, grow
 from sim.studies.stability.late_loop import late_loop
-from sim.studies.stability.loop_transfer import Loop, cut, cut_sampled
+from sim.studies.stability.loop_transfer import LoopTransfer, cut, cut_sampled
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.robustness import robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
@@ -51,9 +51,9 @@ from tests.shared import designed
 KNOWN = {"II_printed": (87.097, 18.18, 0.005), "I_printed": (293.0, 7.70, 0.05), "state_printed": (388.1, 7.01, 0.05)}
 
 
-def scalar(a: float, k: float) -> Loop:
+def scalar(a: float, k: float) -> LoopTransfer:
     """x' = a x + u, u = -k x: every margin of it is known in closed form."""
-    return Loop(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]), np.zeros((1, 1)))
+    return LoopTransfer(np.array([[a]]), np.array([[1.0]]), np.array([[-k]]), np.zeros((1, 1)))
 
 
 @pytest.mark.parametrize(("a", "k"), [(-1.0, 3.0), (1.0, 3.0), (-1.0, 0.5)])
@@ -162,10 +162,10 @@ def test_search_does_not_believe_its_expectation(monkeypatch):
         "sim.studies.stability.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
     )
     for expected in (3.0, 17.0, 18.0, 200.0, math.inf):
-        search = Search(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
+        search = Bisection(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
         run_searches([search], 1.0)
         assert (search.stable, search.unstable) == (17.0, 18.0)
-    never = Search(lambda amount: amount, math.inf, most=10.0, step=1.0)  # type: ignore[arg-type]
+    never = Bisection(lambda amount: amount, math.inf, most=10.0, step=1.0)  # type: ignore[arg-type]
     run_searches([never], 1.0)
     assert never.unstable == math.inf
 
@@ -180,7 +180,7 @@ def test_what_is_expected_takes_two_runs(monkeypatch, step, edge):
         return [Growth(amount > edge) for amount in trials]
 
     monkeypatch.setattr("sim.studies.stability.bisection.grow", told)
-    search = Search(lambda amount: amount, edge, most=100.0, step=step)  # type: ignore[arg-type]
+    search = Bisection(lambda amount: amount, edge, most=100.0, step=step)  # type: ignore[arg-type]
     run_searches([search], 1.0)
     assert sorted(asked) == [search.stable, search.unstable]
     assert search.stable < edge < search.unstable
@@ -297,10 +297,10 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
-def search_that_found(amount: float) -> Search:
+def search_that_found(amount: float) -> Bisection:
     """A search that has ended there; nowhere if it is infinite."""
     tried = {1.0: Growth(False)} if math.isinf(amount) else {0.9995 * amount: Growth(False), 1.0005 * amount: Growth(True)}
-    return Search(lambda amount: amount, amount, most=32.0, tried=tried)  # type: ignore[arg-type]
+    return Bisection(lambda amount: amount, amount, most=32.0, tried=tried)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from models.common.threads import AHEAD, side_by_side
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
-from sim.physics.run_blocks import Course, in_blocks, in_shares
+from sim.physics.run_blocks import BatchInputs, in_blocks, in_shares
 from sim.runs.run import run_all
 from synth.controller import open_loop
 from tests.analysed import simulate
@@ -63,7 +63,7 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     time = times(1e-3, 300.0)  # half a minute of work
     heights = np.zeros((len(time), 8, 1))
     before = threading.active_count()
-    course = Course([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)))
+    course = BatchInputs([paper] * 8, [designer.design("I")] * 8, heights, heights, 1e-3, (0, 10, len(time)))
     shares = in_shares(course, HALVES)
     begun, ended = [threading.Event() for _ in shares], []
 
@@ -92,7 +92,7 @@ def test_a_run_that_is_not_wanted_stays_where_it_is(paper, designer):
     heights = np.sin(20 * time)[:, None, None] * np.linspace(0.01, 0.03, 3)[:, None]
     vehicles = [paper, replace(paper, implementation=Implementation(sample_period=4e-3, delay=2)), paper]
     course, going = (
-        Course(vehicles, [designer.design("I")] * 3, heights, heights, 1e-3, (0, 100, 200, len(time))),
+        BatchInputs(vehicles, [designer.design("I")] * 3, heights, heights, 1e-3, (0, 100, 200, len(time))),
         np.full(3, True),
     )
     whole, left = in_blocks(course), in_blocks(replace(course, going=going))

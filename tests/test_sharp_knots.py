@@ -11,12 +11,12 @@ from models.roads.road import LOWEST, Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK, SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, Smaller, reference_at, smaller
+from sim.runs.prediction import Prediction, ScaledPrediction, reference_at, smaller
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, driver_again, run_all, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
-from tests.analysed import predict, predict_made, simulate
+from tests.analysed import predict, predict_replayed, simulate
 from tests.test_curves_beside import with_tables
 from tests.test_dampers import BOTH
 
@@ -79,7 +79,7 @@ def right_run(name: str) -> Run:
     return run_all(vehicle, [controller], road, sample_times(vehicle, 0.35, 1e-3))[0]
 
 
-def over_a_share(prediction: Prediction, built: Vehicle) -> tuple[Smaller, Response]:
+def over_a_share(prediction: Prediction, built: Vehicle) -> tuple[ScaledPrediction, Response]:
     """What is predicted, and made of a vehicle, over a hundredth of the road."""
     time, road = prediction.time, prediction.road.scaled(SMALL)
     small = simulate([built], [driver_again(prediction, time, SMALL)], [road], time).response.run(0)
@@ -98,7 +98,7 @@ def judged(name: str, built: Vehicle) -> Agreement:
 def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
     """What is predicted of a run, of physics where that is needed."""
     if vehicle.dampers:
-        return predict_made(vehicle, controller, road, time, physics, asked)
+        return predict_replayed(vehicle, controller, road, time, physics, asked)
     return predict(vehicle, controller, road, time)
 
 

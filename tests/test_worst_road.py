@@ -16,7 +16,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.frequency.identification import l2_gain
 from sim.studies.frequency.sweep import DRIVEN, REACHED
-from sim.studies.frequency.worst_case_gain import Apart, worst_road
+from sim.studies.frequency.worst_case_gain import PerWheelRoad, worst_road
 from sim.sweep import main
 from synth.analysis.sampled_norm import SampledNorm
 from synth.controller.controller import Controller
@@ -111,7 +111,7 @@ def test_a_road_under_each_wheel():
     """Every wheel of a full car has sinusoids of its own, from height zero, whose velocity is the derivative."""
     vehicle, rng = read_vehicle("full_car"), np.random.default_rng(0)
     omega, waves = np.array([3.0, -40.0]), rng.standard_normal((2, 4)) + 1j * rng.standard_normal((2, 4))
-    road, time = Apart.under(vehicle, omega, waves, 5.0).scaled(2.0), np.linspace(0, 5, 4001)
+    road, time = PerWheelRoad.under(vehicle, omega, waves, 5.0).scaled(2.0), np.linspace(0, 5, 4001)
     heights, rates = (under_wheels(one, road, vehicle, time) for one in (road.displacement, road.velocity))
     expected = 2 * np.real(np.exp(1j * np.multiply.outer(time, omega)) @ waves)
     assert rates == pytest.approx(expected, abs=1e-9)

@@ -22,7 +22,7 @@ from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
-from sim.physics.simulate import Watched
+from sim.physics.simulate import MonitoredBatch
 from sim.response.regime import END_NAMES
 from sim.response.response import SILENT
 from sim.studies.ride.expected import Expected, Settled, expect, settled
@@ -33,14 +33,14 @@ from synth.controller.open_loop import sampled
 from synth.plant.discrete import held_inputs
 
 
-class Twin:
+class ReferenceResponse:
     """Exact linear responses of the runs, sampled as in `sim.linear.sampled_response`, computed beside them and as fast.
 
     Sums run over states one by one, as in `sim.physics.simulate`. There is no such response here for a controller that is more
     than a gain, for a vehicle with curves, or for active forces through adjustable dampers.
     """
 
-    def __init__(self, runs: Sequence[PlannedRun], watched: Watched, first: int | None, loaded: bool) -> None:
+    def __init__(self, runs: Sequence[PlannedRun], watched: MonitoredBatch, first: int | None, loaded: bool) -> None:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
@@ -198,12 +198,12 @@ class _BatchRows:
 
 def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> _BatchRows | None:
     vehicles, time = [run.vehicle for run in runs], campaign.time
-    watched = Watched(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
+    watched = MonitoredBatch(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
     random = runs[0].choice.stationary
     first = campaign.first if random else 0
     meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs])
     linear_runs = [run for run in runs if isinstance(run.controller, Controller)]  # all, or none
-    twin = Twin(linear_runs, watched, None if random else first, campaign.loaded) if linear_runs else None
+    twin = ReferenceResponse(linear_runs, watched, None if random else first, campaign.loaded) if linear_runs else None
     for block in watched.blocks():
         if stopped():
             return None

@@ -44,14 +44,14 @@ class EndedError(Exception):
         self.named = named
 
 
-class Asides:
+class LawProcesses:
     """Processes that run batches of one plan, one to each thread that asks."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.payload = plan, cloudpickle.dumps(plan)
         self._own, self._all = threading.local(), list[_Process]()
 
-    def __enter__(self) -> "Asides":
+    def __enter__(self) -> "LawProcesses":
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -84,12 +84,12 @@ class Asides:
         return process
 
 
-_of_worker: list[Asides] = []
+_of_worker: list[LawProcesses] = []
 
 
-def of_worker(plan: Plan) -> Asides:
+def of_worker(plan: Plan) -> LawProcesses:
     """Returns the processes of a cluster's worker, as long as it has batches of one plan."""
-    made = Asides(plan)
+    made = LawProcesses(plan)
     if not _of_worker or _of_worker[0].payload != made.payload:
         for other in _of_worker:
             other.__exit__()

@@ -170,7 +170,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
     for road, speed in dict.fromkeys((entry["road"], entry["speed"]) for entry in entries):
         curves = []
         for i, (name, vehicle) in enumerate(campaign.vehicles.items()):
-            place = Place(plan, name, vehicle, road, speed)
+            place = RoadAndSpeed(plan, name, vehicle, road, speed)
             line = place.constant_dampers()
             if len(line):
                 color = OTHERS[-1 - i % len(OTHERS)]
@@ -201,7 +201,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class RoadAndSpeed:
     """A vehicle of a campaign on one of its roads at one of its speeds, and what is expected there.
 
     Nothing is expected over a road that is not random, of a vehicle whose parameters are sampled, and without adjustable dampers.

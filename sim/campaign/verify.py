@@ -16,7 +16,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.threads import one_thread
 from models.laws.linear import LinearLaw, law_of
-from sim.campaign.law_process import Asides
+from sim.campaign.law_process import LawProcesses
 from sim.campaign.manifest import FaultError, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
@@ -73,7 +73,7 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
     if not faults:
         faults += _inputs(plan, table)
         drawn = np.random.default_rng(seed).choice(plan.count, size=min(count, plan.count), replace=False)
-        with Asides(plan) as asides:
+        with LawProcesses(plan) as asides:
             for run in sorted(drawn.tolist()):
                 if plan.programmed(run) and not own:
                     left_out += 1

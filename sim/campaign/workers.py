@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.threads import AHEAD, one_thread, side_by_side
 from sim.campaign import HERE
 from sim.campaign.batch import Rows, run_batch
-from sim.campaign.law_process import Asides, of_worker
+from sim.campaign.law_process import LawProcesses, of_worker
 from sim.campaign.plan import Plan
 
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
@@ -25,7 +25,7 @@ RETRIES = 5  # of a batch whose Ray worker dies
 
 @one_thread()
 def run_timed(
-    plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False, asides: Asides | None = None
+    plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False, asides: LawProcesses | None = None
 ) -> tuple[Rows | None, float]:
     """`run_batch`, and how long it took [s]; laws in Python are run aside, by default by a process of this worker's."""
     began = time.monotonic()
@@ -45,7 +45,7 @@ def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Itera
     def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
         return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped, asides))
 
-    with Asides(plan) as asides, closing(side_by_side(map(piece, batches), workers)) as done:
+    with LawProcesses(plan) as asides, closing(side_by_side(map(piece, batches), workers)) as done:
         for _, (start, rows, took) in done:
             if rows is not None:
                 yield start, rows, took

@@ -10,7 +10,7 @@ from sim.command.road_options import add_run_options
 if TYPE_CHECKING:
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
@@ -39,14 +39,14 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to."""
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
     from sim.runs.run import sample_times
 
     names = chosen(vehicle.controller_names, options.controller)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return Asked(
+    return ExpectedLog(
         names,
         samples,
         options.timestep,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from models.roads.choice import RoadChoice
     from models.roads.road import Road
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
@@ -51,10 +51,10 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to. Files of roads and loads are compared by name, and not read."""
     from models.roads.choice import choose_road
-    from sim.command.road_options import Asked, same_path
+    from sim.command.road_options import ExpectedLog, same_path
     from sim.runs.run import sample_times
 
     text, added = split_off(_road_text(options))
@@ -72,7 +72,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
 
     names = chosen(vehicle.controller_names, options.controller)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
+    return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
 
 
 def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":

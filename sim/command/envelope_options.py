@@ -12,7 +12,7 @@ from sim.command.road_options import add_loads, without_loads
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
@@ -47,11 +47,11 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to: some of the cells."""
     from models.figures.outputs import written
     from models.roads.road import Bump
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
     from sim.response.regime import END_NAMES
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, read_axes
@@ -75,7 +75,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
         **written({"csv": options.csv, "picture": options.picture}),
     }
     names = {nearest_run(name, end) for end in (-1, *range(len(END_NAMES)))}
-    return Asked(
+    return ExpectedLog(
         [name], samples, options.timestep, is_it, lambda run, how: run in names and how == vehicle.implementation, result
     )
 

@@ -9,7 +9,7 @@ from sim.studies.stability import TIMESTEP
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 errors [%]: every reading is off by a factor of its own, between 1 - error and
@@ -41,16 +41,16 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to."""
     from models.vehicle.limits_and_implementation import Implementation
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
     from sim.runs.run import sample_times
     from sim.studies.stability.growth_test import BUMP, EARLIER, SHORTEST
 
     name = one_chosen(vehicle.controller_names, options.controller)
     samples, result = len(sample_times(vehicle, SHORTEST, options.timestep)), {"controller": name}
-    return Asked(
+    return ExpectedLog(
         [name],
         samples,
         options.timestep,

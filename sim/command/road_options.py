@@ -18,7 +18,7 @@ Road = Mapping[str, Any]  # as it describes itself
 
 
 @dataclass(frozen=True)
-class Asked:
+class ExpectedLog:
     """Log that a command line leads to.
 
     Attributes:

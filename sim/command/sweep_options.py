@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from models.common.arrays import Array
     from models.roads.sinusoids import Multisine
     from models.vehicle.vehicle import Vehicle
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
 
 EPILOG = """
 A law in Python has no line of analysis: it is driven over one sinusoid at a time, and of each there are the fundamental and the
@@ -41,11 +41,11 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
+def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to: worst sinusoids, whose frequencies the command finds itself."""
     from models.roads.description import described_road
     from models.roads.sinusoids import Multisine
-    from sim.command.road_options import Asked
+    from sim.command.road_options import ExpectedLog
     from sim.studies.frequency.identification import ideal_measurements
 
     def is_it(road: Mapping[str, Any]) -> bool:
@@ -55,7 +55,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "Asked":
     result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
     names, ideal = asked_names(vehicle, options), ideal_measurements(vehicle).implementation
     samples = len(worst_times(vehicle, options))
-    return Asked(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
+    return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
 
 
 def asked_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:

@@ -17,7 +17,7 @@ from sim.command import drive_options as drive
 from sim.command import envelope_options as envelope
 from sim.command import margins_options as margins
 from sim.command import sweep_options as sweep
-from sim.command.road_options import Asked, same_path
+from sim.command.road_options import ExpectedLog, same_path
 from sim.inspect.findings import FAILS, HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded
 from sim.recording.run_log import RESULTS
@@ -28,7 +28,7 @@ MOST_LINE = 32_767  # characters; Windows starts no command with more, and shlex
 
 
 @dataclass(frozen=True)
-class Held:
+class LoggedRun:
     """Data of one logged run: its name, its controller's, the implementation, the number of samples, the road."""
 
     name: str
@@ -38,7 +38,7 @@ class Held:
     road: Any
 
 
-def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequence[Held]) -> Iterator[Finding]:
+def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequence[LoggedRun]) -> Iterator[Finding]:
     """The command, its line and the vehicle's file name, against vehicle, runs and result.
 
     Raises:
@@ -50,7 +50,7 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     if command not in RESULTS or command_of(line) != command:
         raise InputError(f"the command {command[:40]!r} and its line do not fit together; {', '.join(RESULTS)} record")
     options = _options(command, line)
-    asked: Asked = COMMANDS[command].asked(vehicle, options)
+    asked: ExpectedLog = COMMANDS[command].asked(vehicle, options)
     wrong = list(_wrong(log, asked, timestep, runs))
     source = log.metadata.get("vehicle", "")
     ships = options.vehicle in shipped() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
@@ -67,7 +67,7 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
         yield Finding("command", NOTE, f"vehicle.toml is not the {options.vehicle} that ships with this version")
 
 
-def _wrong(log: Recorded, asked: Asked, timestep: float, runs: Sequence[Held]) -> Iterator[str]:
+def _wrong(log: Recorded, asked: ExpectedLog, timestep: float, runs: Sequence[LoggedRun]) -> Iterator[str]:
     """Yields the differences between the options of the line and the log, in words."""
     names = [run.controller for run in runs]
     wanted = list(asked.controllers)

@@ -22,7 +22,7 @@ from sim.inspect.claims import (
     check_states,
     claimed_samples,
 )
-from sim.inspect.command_line import Held, check_command
+from sim.inspect.command_line import LoggedRun, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
@@ -153,11 +153,11 @@ def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected]
     yield Finding("unchecked", NOTE, UNCHECKED)
 
 
-def _held(one: Inspected) -> Held:
+def _held(one: Inspected) -> LoggedRun:
     """Returns the data of a run for the check of the command line."""
     assert one.again is not None, "the caller has asked"
     recorded, how = one.recorded, one.again.vehicle.implementation
-    return Held(recorded.name, recorded.claims.get("name"), how, recorded.claim("samples"), recorded.claim("road"))
+    return LoggedRun(recorded.name, recorded.claims.get("name"), how, recorded.claim("samples"), recorded.claim("road"))
 
 
 def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:

@@ -33,7 +33,7 @@ from sim.recording.run_log import MUJOCO, RunLog
 from sim.recording.run_records import run_log
 from sim.response.response import Response
 from sim.runs.forces import read_forces
-from sim.runs.prediction import Prediction, predict, predict_made
+from sim.runs.prediction import Prediction, predict, predict_replayed
 from sim.runs.run import Run, balanced, driver_again
 from synth.analysis.record import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, checked
@@ -203,7 +203,7 @@ def predicted_again(
             raise InputError("the forces of its law in Python are not attached")
         asked = read_forces(content, command_names(vehicle), samples)
     physics = as_response(vehicle, run, MUJOCO, samples, timestep, kept(controller))
-    return predict_made(controller, met, physics, asked)
+    return predict_replayed(controller, met, physics, asked)
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:

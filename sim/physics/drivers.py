@@ -24,7 +24,7 @@ WILD = 1e8  # of any measurement, in SI units: beyond it the run has diverged, a
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class RecordedForces:
     """Forces that are known beforehand, whatever the measurements.
 
     Attributes:
@@ -36,7 +36,7 @@ class Played:
     forces: Array
 
 
-class Again:
+class RepeatedForces:
     """Law that repeats the known forces of N runs, shape (T, N, m)."""
 
     def __init__(self, forces: Array) -> None:
@@ -60,7 +60,7 @@ class Failure:
     together: bool
 
 
-RunDriver = Driver | Played
+RunDriver = Driver | RecordedForces
 
 
 def preview_samples(controller: RunDriver, period: float) -> int:

@@ -19,13 +19,13 @@ from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE
 from sim.physics.drivers import (
-    Again,
     Clipped,
     Damped,
     Dampers,
     Failure,
-    Played,
     PythonLaws,
+    RecordedForces,
+    RepeatedForces,
     RunDriver,
     SemiActiveLaws,
     dampers_of,
@@ -93,7 +93,7 @@ def runs_at_once(samples: int, wheels: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class BatchInputs:
     """N runs from rest to be stepped, each over its road.
 
     Attributes:
@@ -128,13 +128,13 @@ class Course:
     loads: Array | None = None
 
 
-def in_blocks(course: Course) -> Iterator[Block]:
+def in_blocks(course: BatchInputs) -> Iterator[Block]:
     """Yields the runs of `simulate` in blocks of samples: only the roads need be held whole."""
     (blocks,) = in_shares(course, [slice(None)])
     yield from blocks(lambda: False)
 
 
-def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
+def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Callable[[], bool]], Iterator[Block]]]:
     """Returns the blocks of each share of the runs, to be stepped on a thread of its own until told to stop.
 
     A run's numbers do not depend, to the last bit, on the runs of its controller beside it, on shares, or on blocks: sums over a
@@ -225,8 +225,8 @@ def in_shares(course: Course, shares: Sequence[slice]) -> list[Callable[[Callabl
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            played = [one.forces for one in controllers[runs] if isinstance(one, Played)]
-            law = Again(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
+            played = [one.forces for one in controllers[runs] if isinstance(one, RecordedForces)]
+            law = RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
@@ -277,7 +277,7 @@ def _of_reading(readout: Readout, sensors: slice) -> Array:
     return np.concatenate([of_state, np.where(readout.linear[:, None], 0.0, readout.of_sensors[:, sensors])], axis=-1)
 
 
-def _laws_of(course: Course, runs: slice, names: Sequence[str], gain: Array, memory: Array, dampers: Dampers | None) -> Laws:
+def _laws_of(course: BatchInputs, runs: slice, names: Sequence[str], gain: Array, memory: Array, dampers: Dampers | None) -> Laws:
     """Returns the laws of some of the runs, on signals of these names.
 
     Args:

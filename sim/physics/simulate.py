@@ -24,7 +24,7 @@ from models.roads.road import Road, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.drivers import Failure, RunDriver, steps_ahead
-from sim.physics.run_blocks import Block, Course, in_blocks, in_shares
+from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -88,7 +88,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     )  # Python is run by one thread at a time
     edges = (0, len(time))
     loads = loads_on(met)
-    course = Course(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -171,7 +171,7 @@ def loads_on(met: Sequence[RoadInput]) -> Array | None:
     return np.stack([road.held_loads for road in met], axis=1) if any(road.loaded for road in met) else None
 
 
-class Watched:
+class MonitoredBatch:
     """N runs from rest over a road each, whose divergence and end of the linear regime are detected block by block.
 
     Attributes:
@@ -212,7 +212,7 @@ class Watched:
     def blocks(self) -> Iterator[Block]:
         """Yields every block in its turn; after a run has diverged, its values are clipped."""
         edges = [*range(0, len(self.time), BLOCK), len(self.time)]
-        course = Course(
+        course = BatchInputs(
             self.vehicles,
             self.controllers,
             self.now,

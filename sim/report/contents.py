@@ -13,7 +13,7 @@ from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section, paper_section
 from sim.report.front import front_section
-from sim.report.headline import Finding
+from sim.report.headline import Statement
 from sim.report.limits import map_of, margins_section, regime_section, validity_section
 from sim.report.loads import loads_section, workshop_section
 from sim.report.regime_end import regime_end
@@ -118,7 +118,7 @@ class Frequencies:
         workshop: on a workshop's plate; None in a quick report.
     """
 
-    findings: list[Finding]
+    findings: list[Statement]
     section: Section | None
     workshop: Section | None
 
@@ -142,7 +142,7 @@ def _frequencies(scope: Scope) -> Frequencies:
     )
 
 
-def _margins(scope: Scope) -> tuple[Section, list[Finding]]:
+def _margins(scope: Scope) -> tuple[Section, list[Statement]]:
     """What loops bear, of the vehicle at rest."""
     return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 

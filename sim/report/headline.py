@@ -19,25 +19,25 @@ from synth.controller.controller import Controller
 
 
 @dataclass(frozen=True)
-class Finding:
+class Statement:
     """One sentence of the answer, and what it says of physics against analysis."""
 
     text: str
     state: State = "holds"
 
 
-def worst(findings: Sequence[Finding]) -> State:
+def worst(findings: Sequence[Statement]) -> State:
     """What all of them together say."""
     order: tuple[State, ...] = ("fails", "ends", "holds")
     return next(state for state in order if state == "holds" or any(one.state == state for one in findings))
 
 
-def loops(scope: Scope) -> list[Finding]:
+def loops(scope: Scope) -> list[Statement]:
     """Which of two loops is meant where; whose is stable only as the ideal one, or not at all; who keeps no goals."""
     found = []
     if not scope.plain:
         found.append(
-            Finding(
+            Statement(
                 "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
                 f"certificates are of it. MuJoCo runs the loop as built: {scope.built}."
             )
@@ -48,19 +48,19 @@ def loops(scope: Scope) -> list[Finding]:
                 f"{one.name} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
                 "no margins."
             )
-            found.append(Finding(text))
+            found.append(Statement(text))
         elif not one.certificate.stable:
-            found.append(Finding(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
+            found.append(Statement(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
-            found.append(Finding(text, "ends"))
+            found.append(Statement(text, "ends"))
         if broken := [promise for promise in one.promises if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
-            found.append(Finding(text, "ends"))
+            found.append(Statement(text, "ends"))
     if scope.laws:
         found.append(
-            Finding(
+            Statement(
                 f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
                 f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
                 f"up to which analysis is true. MuJoCo drives {'them' if len(scope.laws) > 1 else 'it'} as it drives the others, "
@@ -77,7 +77,7 @@ def _held_against(scope: Scope) -> str:
     return "the linear vehicle's response to the forces that it asked for"
 
 
-def norms(scope: Scope) -> list[Finding]:
+def norms(scope: Scope) -> list[Statement]:
     """The H-infinity norms, of the ideal loop and, where that is another, as built."""
     values = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     if not values:
@@ -93,10 +93,10 @@ def norms(scope: Scope) -> list[Finding]:
     if scope.built_norms:
         built = ", ".join(f"{name} {value.value:.4g}" for name, value in scope.built_norms.items())
         text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."
-    return [Finding(text)]
+    return [Statement(text)]
 
 
-def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
     built = "" if scope.plain else " of the loop as built"
     which = f"{scope.analysis}{built}"
@@ -104,7 +104,7 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
     found = []
     if throughout:
         found.append(
-            Finding(
+            Statement(
                 f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
                 f"{joined(throughout)}{_how(scope, runs)}."
             )
@@ -116,19 +116,19 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
                 f"Over the paper's bump, {run.controller.name} agrees with {which} until {until:.3g} s of "
                 f"{BUMP_DURATION:g} s: {what_ended(run)}."
             )
-            found.append(Finding(text, "ends"))
+            found.append(Statement(text, "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
         text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {joined(wrong)}."
-        found.append(Finding(text, "fails"))
+        found.append(Statement(text, "fails"))
     unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
     if unbalanced:
         text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
-        found.append(Finding(text, "fails"))
+        found.append(Statement(text, "fails"))
     return found
 
 
-def left_short(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
+def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     """How much of the force that linear controllers ask of adjustable dampers these leave out, and what is not true then."""
     missing = {}
     for run in runs:
@@ -143,7 +143,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Finding]:
         f"{joined([f'{share} of {name}' + chr(39) + 's' for name, share in missing.items()])}. Norms, frequency responses and "
         "margins are of the loop whose every force is given, and say nothing of these rides."
     )
-    return [Finding(text)]
+    return [Statement(text)]
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
@@ -168,23 +168,23 @@ def what_ended(run: Run) -> str:
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
 
 
-def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Finding]:
+def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Statement]:
     """How close the frequency responses are, and the claims on gains that fail."""
     if not lines:
         return []
     off = max(float(one.error(one.sampled).max()) for one in lines)
     found = [
-        Finding(
+        Statement(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
             f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}{scope.given}."
         )
     ]
     for one in sweeps:
         if not one.ended:
-            found += [Finding(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
+            found += [Statement(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
         else:
             text = f"{one.lines.controller.name}'s sweep left the linear regime: {joined(list(one.ended))}."
-            found.append(Finding(text, "ends"))
+            found.append(Statement(text, "ends"))
     return found
 
 
@@ -205,14 +205,14 @@ def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: S
     )
 
 
-def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Finding]:
+def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[Statement]:
     """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
     if not ends:
         return []
     wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
     ends = [(one, end) for one, end in ends if one.name not in wrong]
     heights: list[str] = []
-    found = [Finding(none, "fails")] if none else []
+    found = [Statement(none, "fails")] if none else []
     for one, end in ends:
         if end is None:
             heights.append(f"{one.name} at no height")
@@ -221,7 +221,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
                 f"MuJoCo DOES NOT end {one.name}'s linear regime as predicted, by {end.predicted_end} at {end.predicted:.4g} m: "
                 f"see the table."
             )
-            found.append(Finding(text, "fails"))
+            found.append(Statement(text, "fails"))
         else:
             height = (end.stays + end.leaves) / 2
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
@@ -238,4 +238,4 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             f" MuJoCo{scope.without}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
-    return [Finding(text), *found] if heights else found
+    return [Statement(text), *found] if heights else found

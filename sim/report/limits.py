@@ -12,7 +12,7 @@ from models.figures.figure import Figure
 from models.figures.page import Section, Table
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
-from sim.report.headline import Finding, unclaimed_words
+from sim.report.headline import Statement, unclaimed_words
 from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
@@ -31,7 +31,7 @@ MAP = ("height:0.02:0.3:20", "speed:3:30:20")
 THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
-def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
+def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     """What the loops bear, predicted and found; and the controllers of which physics says something else."""
     rows, figures, robust, found = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
@@ -56,14 +56,14 @@ def margins_section(scope: Scope) -> tuple[Section, list[Finding]]:
         agrees = loop.agrees and fragile.agrees
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
-            found.append(Finding(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
+            found.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
         others = ("-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
             others = (cell(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
-                found.append(Finding(text, "fails"))
+                found.append(Statement(text, "fails"))
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
         figures.append(replace(margins_figure(vehicle, one, loop, fragile, box, timestep), name=f"margins-{one.name}"))
     tables = (
@@ -131,7 +131,7 @@ class Map:
 
     figure: Figure
     row: tuple[str, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[Statement, ...]
 
 
 def map_of(scope: Scope, number: int) -> Map:
@@ -149,11 +149,11 @@ def map_of(scope: Scope, number: int) -> Map:
         f"{cells.unexplained}",
     )
     text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
-    findings = () if cells.as_predicted else (Finding(text, "fails"),)
+    findings = () if cells.as_predicted else (Statement(text, "fails"),)
     return Map(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.without}"), row, findings)
 
 
-def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Finding]]:
+def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:
     """The map of every controller; and the controllers whose runs break otherwise than predicted."""
     axes, bump = read_axes(MAP), Bump()
     headings = (

@@ -14,7 +14,7 @@ from models.roads.loaded import Loaded
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from sim.linear.nonlinear_elements import at_rest_words
-from sim.report.headline import Finding
+from sim.report.headline import Statement
 from sim.report.scope import Scope, joined
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
@@ -42,7 +42,7 @@ def duration_of(loads: Sequence[Load]) -> float:
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
-def loads_section(scope: Scope) -> tuple[Section, list[Finding]]:
+def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     """What loads do on a flat road: how they come, how the body leans, and where it rests; and where physics says otherwise."""
     vehicle, loads = scope.vehicle, scope.loads
     road = loaded_road(loads)
@@ -70,11 +70,11 @@ def loads_section(scope: Scope) -> tuple[Section, list[Finding]]:
     text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
     wrong = [run.controller.name for run in runs if not run.holds]
     findings = (
-        [Finding(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {joined(wrong)}.", "fails")] if wrong else []
+        [Statement(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {joined(wrong)}.", "fails")] if wrong else []
     )
     if not wrong:
         agreed = joined([run.controller.name for run in runs])
-        findings = [Finding(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
+        findings = [Statement(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
     table = Table("loads", caption, headings, tuple(rows), words=3)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
     return Section("What do loads do?", "brakes, curves, payloads, wind", tuple(text), (table,), (figure,)), findings

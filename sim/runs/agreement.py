@@ -23,7 +23,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
-from sim.runs.prediction import Prediction, Smaller
+from sim.runs.prediction import Prediction, ScaledPrediction
 from synth.controller.controller import Controller
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
@@ -131,7 +131,7 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
 
 
-def look_closer(agreement: Agreement, small: Smaller, physics: Response) -> Agreement:
+def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response) -> Agreement:
     """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
 
     Args:

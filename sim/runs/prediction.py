@@ -149,7 +149,7 @@ def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Pre
 
 
 @dataclass(frozen=True, eq=False)
-class Smaller:
+class ScaledPrediction:
     """Prediction of a run over a share of its road's height.
 
     Attributes:
@@ -161,11 +161,11 @@ class Smaller:
     integrated: Response | None
 
 
-def smaller(prediction: Prediction, share: float) -> Smaller:
+def smaller(prediction: Prediction, share: float) -> ScaledPrediction:
     """Predicts the run over a share of the road's height, with the same share of the forces of a law in Python."""
     whole, loop = prediction.sampled, prediction.loop
     if not is_curved(prediction.vehicle):
-        return Smaller(Response(whole.time, whole.signals, share * whole.values), None)
+        return ScaledPrediction(Response(whole.time, whole.signals, share * whole.values), None)
     road = prediction.input.scaled(share)
 
     def response(exponential: Callable[[Array], Array]) -> Response:
@@ -175,7 +175,7 @@ def smaller(prediction: Prediction, share: float) -> Smaller:
 
         return forced_response(share * prediction.asked, road, exponential)
 
-    return Smaller(response(linalg.expm), response(taylor4))
+    return ScaledPrediction(response(linalg.expm), response(taylor4))
 
 
 def predict_switched(
@@ -250,7 +250,7 @@ NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # the same with curves: RK4 steps over their 
 NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share of a peak; over less of it in proportion
 
 
-def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: Array) -> Prediction:
+def predict_replayed(controller: Driver, road: RoadInput, physics: Response, asked: Array) -> Prediction:
     """Predicts a run from rest whose decisions are taken from the MuJoCo run.
 
     Args:
@@ -267,7 +267,7 @@ def predict_made(controller: Driver, road: RoadInput, physics: Response, asked: 
     return predict_forced(controller, road, asked)
 
 
-def reference_at(share: float, prediction: Prediction, physics: Response) -> Smaller:
+def reference_at(share: float, prediction: Prediction, physics: Response) -> ScaledPrediction:
     """Predicts a run at a share of its road's height: proportional, as far as it is linear.
 
     Args:
@@ -282,7 +282,7 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Sma
     asked = scaled_commands(vehicle, prediction.asked, share) if len(prediction.asked) else None
     near = share * NEAR_GEOMETRY
     again = predict_switched(prediction.controller, road, physics, near, asked)
-    return Smaller(again.sampled, again.integrated)
+    return ScaledPrediction(again.sampled, again.integrated)
 
 
 def with_noise(share: float, vehicle: Vehicle) -> Vehicle:

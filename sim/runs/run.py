@@ -22,7 +22,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT
 from sim.response.response import Response
 from sim.runs.agreement import SMALL, Agreement, compare, look_closer
-from sim.runs.prediction import Prediction, predict, predict_made, reference_at, with_noise
+from sim.runs.prediction import Prediction, predict, predict_replayed, reference_at, with_noise
 from synth.controller.controller import Controller, Driver
 from synth.controller.open_loop import LoopModel
 
@@ -239,7 +239,7 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: A
     ]
     made = simulate(controllers, [met] * len(controllers))
     predictions = [
-        each if isinstance(each, Prediction) else predict_made(each, met, made.run(i), made.asked[i])
+        each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.asked[i])
         for i, each in enumerate(known)
     ]
     return balanced(judge(predictions, [made.run(i) for i in range(len(predictions))]), made)
@@ -264,7 +264,7 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
     met = RoadInput(vehicle, road, time)
     made = simulate([controller], [met])
     if vehicle.dampers:
-        return Reference(made.run(0), predict_made(controller, met, made.run(0), made.asked[0]).sampled)
+        return Reference(made.run(0), predict_replayed(controller, met, made.run(0), made.asked[0]).sampled)
     return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
 
 
@@ -335,10 +335,10 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
         return prediction.controller
     held = round(prediction.timestep / float(time[1]))
     from sim.linear.dampers import scaled_commands
-    from sim.physics.drivers import Played
+    from sim.physics.drivers import RecordedForces
 
     asked = scaled_commands(prediction.vehicle, prediction.asked, share)
-    return Played(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
+    return RecordedForces(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:

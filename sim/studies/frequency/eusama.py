@@ -31,7 +31,7 @@ from sim.response.regime import ended_by
 from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
-from sim.studies.frequency.worst_case_gain import Apart, whole_periods
+from sim.studies.frequency.worst_case_gain import PerWheelRoad, whole_periods
 from synth.controller.controller import Controller
 
 STROKE = 3e-3  # m, the plate's amplitude
@@ -135,7 +135,9 @@ def _driven(
     time = sample_times(vehicle, (1 + lead_in(vehicle, [controller], timestep, samples)) * samples * timestep, timestep)[:-1]
     waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
     waves[0, wheel] = STROKE * tried[0]
-    run = simulate([controller], [RoadInput(vehicle, Apart.under(vehicle, tried, waves, float(time[-1])), time)]).response.run(0)
+    run = simulate(
+        [controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]
+    ).response.run(0)
     ended = ended_by(vehicle, run)
     curved = bool(vehicle.fitted)
     if ended or curved:

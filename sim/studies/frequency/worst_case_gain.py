@@ -58,7 +58,7 @@ from synth.controller.problem import twists
 
 
 @dataclass(frozen=True)
-class Apart(Road):
+class PerWheelRoad(Road):
     """A sum of sinusoids under each wheel that starts at height zero.
 
     The road is one: under the rear wheels lies at the beginning what the front ones have passed long before, and a run is over
@@ -76,7 +76,7 @@ class Apart(Road):
     speed: float
 
     @classmethod
-    def under(cls, vehicle: Vehicle, omega: Array, waves: Array, duration: float) -> "Apart":
+    def under(cls, vehicle: Vehicle, omega: Array, waves: Array, duration: float) -> "PerWheelRoad":
         """A road for a vehicle.
 
         Args:
@@ -118,7 +118,7 @@ class Apart(Road):
         ]
         return {"type": "apart", "omega": list(self.omega), "waves": waves, "speed": self.speed}
 
-    def scaled(self, factor: float) -> "Apart":
+    def scaled(self, factor: float) -> "PerWheelRoad":
         """The same road, higher or lower."""
         return replace(self, waves=tuple((side, late, tuple(factor * x for x in c)) for side, late, c in self.waves))
 
@@ -348,7 +348,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     predicted, waves, omega = _worst(vehicle, controller, angle, h)
     settling = h * math.log(PERIODIC_SETTLED) / math.log(LoopModel(vehicle, controller, h).radius)
     time = sample_times(vehicle, settling + (count + 2) * h, h)
-    road = Apart.under(vehicle, omega, waves, float(time[-1]))
+    road = PerWheelRoad.under(vehicle, omega, waves, float(time[-1]))
     scale = amplitude / road.highest(time[: count + 1])
     response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).response.run(0)
     # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude, but

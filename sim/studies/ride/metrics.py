@@ -45,7 +45,7 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous
 
 
-class Midway:
+class AccelerationAtJumps:
     """Takes N runs of one kind of vehicle block by block, from their first sample on."""
 
     def __init__(self, vehicles: Sequence[Vehicle], accelerations: Sequence[str], index: Mapping[str, int]) -> None:
@@ -290,7 +290,7 @@ class Meter:
         }
         self.running = {name: np.zeros((count, 1)) for name in self.where.accelerations}
         places = {name: i for i, name in enumerate(names)}
-        self.midway = Midway(vehicles, self.where.accelerations, places)
+        self.midway = AccelerationAtJumps(vehicles, self.where.accelerations, places)
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
         self.before: dict[str, Array] = {}  # the last sample of what work is made of, shape (N, 1)
         self.sums: dict[str, Array] = {}

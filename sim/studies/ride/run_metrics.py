@@ -48,7 +48,7 @@ def _name(one: Roughness, found: Sequence[Roughness]) -> str:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MetricComparison:
     """Values of one metric of one run: in physics, predicted and expected.
 
     Attributes:
@@ -68,7 +68,7 @@ class Measured:
     approximate: bool
 
 
-METRIC: tuple[Column[Measured], ...] = (
+METRIC: tuple[Column[MetricComparison], ...] = (
     Column("unit", lambda one: one.unit, key="unit"),
     Column("MuJoCo", lambda one: one.mujoco, ".4g", key="mujoco"),
     Column("sampled", lambda one: one.sampled, ".4g", key="linear"),  # in files it is called so, see `sim.recording.run_log`
@@ -91,7 +91,7 @@ class RunMetrics:
             without a rest.
     """
 
-    metrics: Mapping[str, Measured]
+    metrics: Mapping[str, MetricComparison]
     settled: Settled | None
     error: float | None
     line: Equivalent | None = None
@@ -141,7 +141,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
             mujoco, sampled = (measure(vehicle, response, first, road.loaded) for response in (run.physics, run.sampled))
     metrics = {
-        metric.name: Measured(
+        metric.name: MetricComparison(
             metric.unit,
             mujoco.get(metric.name),
             sampled.get(metric.name),
@@ -201,7 +201,10 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     rows: list[Sequence[str] | str] = [("", *titles(shown))]
     source = ""
     if roughness:
-        roads = [(_name(one, roughness), Measured(UNIT, one.iri, one.iri, one.expected, one.spread, False)) for one in roughness]
+        roads = [
+            (_name(one, roughness), MetricComparison(UNIT, one.iri, one.iri, one.expected, one.spread, False))
+            for one in roughness
+        ]
         rows += ["road", *(_row(name, one, shown) for name, one in roads)]
         notes.append(ABOUT_IRI)
     for metric in metrics_of(run.vehicle, run.road.loaded):
@@ -211,7 +214,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
 
 
-def _row(name: str, one: Measured, columns: Sequence[Column[Measured]]) -> tuple[str, ...]:
+def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:
     """Returns a row of the table of metrics; ~ stands before approximate values, and an unknown spread is left out."""
     said = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
     if one.approximate and one.expected:

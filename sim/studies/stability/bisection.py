@@ -17,7 +17,7 @@ AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2  # times what is expected
 
 
 @dataclass(eq=False)
-class Search:
+class Bisection:
     """For the smallest amount of something that makes the loop unstable.
 
     Attributes:
@@ -80,7 +80,7 @@ class Search:
         return sorted(set(amounts) - set(self.tried))
 
 
-def run_searches(searches: Sequence[Search], timestep: float, progress: Callable[[str], None] = silent) -> None:
+def run_searches(searches: Sequence[Bisection], timestep: float, progress: Callable[[str], None] = silent) -> None:
     """Runs searches to their ends, one round of all of them in one batch."""
     while asked := [(search, amount) for search in searches for amount in search.next()]:
         for (search, amount), growth in zip(asked, grow([s.trial(a) for s, a in asked], timestep, progress), strict=True):

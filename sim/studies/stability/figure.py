@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.figures.figure import Curve, Figure, Marker, Panel, Shades
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.bisection import Search
+from sim.studies.stability.bisection import Bisection
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import LoopMargins
@@ -65,7 +65,7 @@ def margins_figure(
     gain = loop.gain
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
     title = "more gain: any; what ends it here is the sampling" if ended else "more gain, all loops at once"
-    searches: list[tuple[str, Search, Callable[[float], float], float, str, str]] = [
+    searches: list[tuple[str, Bisection, Callable[[float], float], float, str, str]] = [
         (title, gain.search, of_gain, 1.0, "factor on the gain", ""),
         ("delay from measurement to force", loop.delay, of_delay, 1e3, "delay [ms]", " ms"),
         ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
@@ -85,7 +85,7 @@ def margins_figure(
     return Figure("margins", title, tuple(panels))
 
 
-def _search_panel(title: str, label: str, search: Search, growth: Callable[[float], float], scale: float) -> Panel:
+def _search_panel(title: str, label: str, search: Bisection, growth: Callable[[float], float], scale: float) -> Panel:
     """The predicted rate over the amount, and that of the runs near where it changes its sign."""
     # Far from the margin nothing is to be seen, and the rates are large.
     end = 1.35 * search.unstable if math.isfinite(search.unstable) else max(search.tried)

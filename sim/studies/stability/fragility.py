@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.bisection import Search, run_searches
+from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.growth_test import Trial, silent
 from sim.studies.stability.margin_search import GainMargin
 from synth.analysis.certificate import Certificate
@@ -23,7 +23,7 @@ GRID = 64  # amounts up to it at which the sampled loop is looked at
 EXACT = 1e-6  # relative; how closely its own edge is found
 
 
-class Edge(GainMargin):
+class FragilityEdge(GainMargin):
     """The error at which a loop is lost, which is a gain margin but for how it tends to the loop's own as the timestep shrinks.
 
     Of a factor of 1.1 a tenth of the way is little; of an error of 10 % it is as much as the error.
@@ -52,7 +52,7 @@ class FragilityFound:
 
     gain: ScaledGain
     predicted: Fragility
-    edge: Edge
+    edge: FragilityEdge
     rounding: dict[str, Certificate]
     timestep: float
 
@@ -75,8 +75,8 @@ def find_fragility(
         return Trial(vehicle, with_errors(controller, predicted, amount))
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
-    coarse, fine = Search(trial, at, most=MOST), Search(trial, at_half, most=MOST)
-    edge = Edge(predicted.stable.found, (at, at_half), coarse, fine)
+    coarse, fine = Bisection(trial, at, most=MOST), Bisection(trial, at_half, most=MOST)
+    edge = FragilityEdge(predicted.stable.found, (at, at_half), coarse, fine)
     run_searches([coarse], timestep, progress)
     if edge.doubtful:
         run_searches([fine], timestep / 2, progress)

@@ -18,7 +18,7 @@ from models.common.arrays import Array
 from models.common.threads import cores, side_by_side
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.physics.run_blocks import Course, in_blocks
+from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.physics.sensor_readout import stage_of
 from sim.physics.simulate import met_alike, shared
 from sim.studies.stability.late_loop import LateLoop, late_loop
@@ -143,7 +143,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
         np.full(len(trials), True),
     )
     found: dict[int, Growth] = {}
-    course = Course(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)

@@ -21,7 +21,7 @@ from synth.plant.discrete import held_inputs
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class LoopTransfer:
     """A loop, cut at k actuators.
 
     Attributes:
@@ -48,10 +48,10 @@ class Loop:
         """Returns the direct gain of a force through its own measurement: from 1 on the loop has no delay margin."""
         return float(np.abs(np.linalg.eigvals(self.H)).max(initial=0.0))
 
-    def balanced(self) -> "Loop":
+    def balanced(self) -> "LoopTransfer":
         """The same with its states in units that make its numbers of a like size, powers of two."""
         _, (scale, _) = linalg.matrix_balance(np.abs(self.A) + np.abs(self.M), permute=False, separate=True)
-        return Loop(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.at_period)
+        return LoopTransfer(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.at_period)
 
     def closed(self, factor: Array | complex) -> Array:
         """A of the loops that are closed by u = factor v, shape (..., n, n), for factors of any shape."""
@@ -66,7 +66,7 @@ class Loop:
         return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.H
 
 
-def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> Loop:
+def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> LoopTransfer:
     """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
     law, model = controller.law.continuous(), with_lag(vehicle)
     C, D = model.rows(controller.measured)
@@ -74,13 +74,13 @@ def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> L
     if not law.states and not np.any(D):
         G = continuous(vehicle, controller).G
         H = np.zeros((len(actuators), len(actuators)))
-        return Loop(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
+        return LoopTransfer(model.A + model.B[:, others] @ G[others], model.B[:, actuators], G[actuators], H)
     A = np.block([[model.A, np.zeros((len(model.A), law.states))], [law.B @ C, law.A]])
     B, G, H = np.vstack([model.B, law.B @ D]), np.hstack([law.D @ C, law.C]), law.D @ D
     # The others' forces: u = inverse (their rows of G x + H u of the cut ones).
     inverse = np.linalg.inv(np.eye(len(others)) - H[np.ix_(others, others)])
     closing, through = inverse @ G[others], inverse @ H[np.ix_(others, actuators)]
-    return Loop(
+    return LoopTransfer(
         A + B[:, others] @ closing,
         B[:, actuators] + B[:, others] @ through,
         G[actuators] + H[np.ix_(actuators, others)] @ closing,

@@ -9,7 +9,7 @@ import numpy as np
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
-from sim.studies.stability.bisection import Search, run_searches
+from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.growth_test import Trial, silent
 from sim.studies.stability.loop_transfer import cut, cut_sampled
 from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
@@ -37,8 +37,8 @@ class GainMargin:
 
     own: float
     sampled: tuple[float, float]
-    search: Search
-    finer: Search
+    search: Bisection
+    finer: Bisection
 
     @property
     def doubtful(self) -> bool:
@@ -82,8 +82,8 @@ class LoopMargins:
     predicted: Margins
     gain: GainMargin
     gain_lower: GainMargin
-    delay: Search
-    sample_period: Search
+    delay: Bisection
+    sample_period: Bisection
     timestep: float
 
     @property
@@ -171,7 +171,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
     def gain_margin(trial: Callable[[float], Trial], own: float, power: int) -> GainMargin:
         # A factor to this power is an amount above 1: how many times more gain, or how many times less.
         coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
-        return GainMargin(own, (coarse, fine), Search(trial, coarse, most=AMPLE), Search(trial, fine, most=AMPLE))
+        return GainMargin(own, (coarse, fine), Bisection(trial, coarse, most=AMPLE), Bisection(trial, fine, most=AMPLE))
 
     def built(how: Implementation) -> Trial:
         cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
@@ -187,8 +187,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         gain_lower=gain_margin(
             lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
         ),
-        delay=Search(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
-        sample_period=Search(
+        delay=Bisection(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
+        sample_period=Bisection(
             lambda amount: built(Implementation(sample_period=amount)), predicted.sample_period, most=SLOWEST, step=timestep
         ),
         timestep=timestep,

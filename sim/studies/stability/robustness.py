@@ -30,7 +30,7 @@ BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to
 
 
 @dataclass(frozen=True)
-class Corner:
+class ParameterVertex:
     """A vehicle with other parameters than its controller was designed for.
 
     Attributes:
@@ -64,7 +64,7 @@ class Robustness:
     varied: tuple[Variation, ...]
     norm: float
     at: dict[str, float]
-    corners: tuple[Corner, ...]
+    corners: tuple[ParameterVertex, ...]
     factors: tuple[Array, ...]
     norms: Array
 
@@ -104,7 +104,7 @@ def robustness(
                 norm=worst,
                 at=_changed(vehicle, at),
                 corners=tuple(
-                    Corner(corner, _changed(vehicle, corner), norm(corner), not growth.grows, agrees)
+                    ParameterVertex(corner, _changed(vehicle, corner), norm(corner), not growth.grows, agrees)
                     for corner, (growth, agrees) in zip(corners, told, strict=True)
                 ),
                 factors=factors,

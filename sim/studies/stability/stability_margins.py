@@ -24,7 +24,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from sim.studies.stability.loop_transfer import Loop
+from sim.studies.stability.loop_transfer import LoopTransfer
 from synth.plant.discrete import held_inputs
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
@@ -91,7 +91,7 @@ class Margins:
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
 
-def margins(loop: Loop) -> Margins:
+def margins(loop: LoopTransfer) -> Margins:
     """All margins of a loop that is stable when closed."""
     factors = gain_crossings(loop)
     return Margins(
@@ -102,7 +102,7 @@ def margins(loop: Loop) -> Margins:
     )
 
 
-def gain_crossings(loop: Loop) -> list[float]:
+def gain_crossings(loop: LoopTransfer) -> list[float]:
     """Factors on the gain, between 0 and `LARGEST_FACTOR`, at which the loop changes between stable and unstable.
 
     Beyond the factor that makes the spectral radius of H one no loop that is built is stable, as the least delay shows. Where
@@ -137,7 +137,7 @@ def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
     return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), tried)
 
 
-def crossovers(loop: Loop) -> tuple[Crossover, ...]:
+def crossovers(loop: LoopTransfer) -> tuple[Crossover, ...]:
     """Every crossover at a frequency above zero, by the delay that it allows."""
     # The pencil has squares of the loop's numbers in it. Of states in unlike units, as a lagged force in N beside metres, it
     # hides solutions that a balanced one shows. A crossover is cheap to verify and a missing one is not, so a grid is
@@ -148,7 +148,7 @@ def crossovers(loop: Loop) -> tuple[Crossover, ...]:
     return _by_delay([*beyond, *found, *_crossings_on_a_grid(loop)])
 
 
-def _of_the_pencil(loop: Loop) -> list[Crossover | None]:
+def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
     """Crossovers by the quadratic eigenvalue problem, see the top."""
     A, M, identity = loop.A, loop.M, np.eye(len(loop.A))
     # z^2 kron(M, I) + z (A (+) A) + kron(I, M) is singular.
@@ -177,7 +177,7 @@ def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
     return tuple(sorted(different, key=lambda crossover: crossover.delay))
 
 
-def _crossings_on_a_grid(loop: Loop) -> list[Crossover | None]:
+def _crossings_on_a_grid(loop: LoopTransfer) -> list[Crossover | None]:
     """Crossovers where, between two lags of a fine grid, another number of poles is unstable."""
     angles = np.linspace(0, 2 * np.pi, ANGLES)
     # A lag and what it lacks of a whole turn have poles that are each other's conjugates.
@@ -191,7 +191,7 @@ def _crossings_on_a_grid(loop: Loop) -> list[Crossover | None]:
     return found
 
 
-def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
+def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | None:
     """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:
@@ -208,7 +208,7 @@ def _refined(loop: Loop, theta: float, pole: complex) -> Crossover | None:
     return Crossover(reached.imag, angle % (2 * np.pi))
 
 
-def largest_sample_period(loop: Loop) -> float:
+def largest_sample_period(loop: LoopTransfer) -> float:
     """Returns the shortest sample period at which the loop is unstable [s], or infinity.
 
     The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. The result is 0

@@ -14,7 +14,7 @@ MOST_CELLS = 100_000
 
 
 @dataclass(frozen=True)
-class Axis:
+class GridAxis:
     """Quantity of a bump, varied evenly.
 
     Attributes:
@@ -26,7 +26,7 @@ class Axis:
     values: tuple[float, ...]
 
 
-def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
+def read_axes(texts: Sequence[str]) -> tuple[GridAxis, GridAxis]:
     """Two axes from `name:low:high:count` each.
 
     Raises:
@@ -52,7 +52,7 @@ def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
         if not 2 <= count <= MOST_CELLS:
             raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more")
-        axes.append(Axis(name, tuple(np.linspace(low, high, count).tolist())))
+        axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[1].name:
         raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {listing(UNITS)}")
     if len(axes[0].values) * len(axes[1].values) > MOST_CELLS:
@@ -60,7 +60,7 @@ def read_axes(texts: Sequence[str]) -> tuple[Axis, Axis]:
     return axes[0], axes[1]
 
 
-def grid(axes: tuple[Axis, Axis], fixed: dict[str, float]) -> list[Bump]:
+def grid(axes: tuple[GridAxis, GridAxis], fixed: dict[str, float]) -> list[Bump]:
     """The bump of every cell, the second axis running faster."""
     pairs = itertools.product(axes[0].values, axes[1].values)
     cells = [fixed | {axes[0].name: first, axes[1].name: second} for first, second in pairs]

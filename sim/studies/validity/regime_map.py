@@ -30,7 +30,7 @@ from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response, sampled_responses
 from sim.linear.switched_response import switched_response
 from sim.physics.run_blocks import runs_at_once
-from sim.physics.simulate import Watched
+from sim.physics.simulate import MonitoredBatch
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -106,7 +106,7 @@ class Cells:
         return self.agreement >= ENOUGH and not self.unexplained
 
 
-class Interrupted(KeyboardInterrupt):
+class InterruptedMap(KeyboardInterrupt):
     """Ctrl-C, with what was done before it.
 
     Attributes:
@@ -159,7 +159,7 @@ def validity(
     arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
     cells = Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
     if not complete:
-        raise Interrupted(cells)
+        raise InterruptedMap(cells)
     return cells
 
 
@@ -200,7 +200,7 @@ def _run(
     flat = sampled_response(loop, RoadInput(vehicle.straight, loaded(Flat(), loads), time))  # what loads alone do is added
     push = flat.values[:, outputs, None]
 
-    watched, apart = Watched([vehicle] * count, [controller] * count, roads, time), np.zeros((len(outputs), count))
+    watched, apart = MonitoredBatch([vehicle] * count, [controller] * count, roads, time), np.zeros((len(outputs), count))
     forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
     squares = np.zeros((2, count))  # of what is missing, and of what was asked
     for block in watched.blocks():

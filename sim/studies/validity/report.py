@@ -17,7 +17,7 @@ from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import is_curved
 from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
-from sim.studies.validity.grid import UNITS, Axis
+from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
 
@@ -38,7 +38,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
             writer.writerow([*of_cell, *(row[name] for name in dampers), complete])
 
 
-def envelope_object(cells: Cells, axes: Sequence[Axis], controller: str, threshold: float) -> dict[str, Any]:
+def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
     """The map as JSON has it: SI units, None for what never happens."""
     done = np.flatnonzero(cells.done)
     return {
@@ -106,7 +106,7 @@ def envelope_figure(
     vehicle: Vehicle,
     controller: Controller,
     cells: Cells,
-    axes: "Sequence[Axis]",
+    axes: "Sequence[GridAxis]",
     fixed: Mapping[str, float],
     threshold: float,
     loads: Sequence[Load] = (),
