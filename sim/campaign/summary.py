@@ -1,4 +1,4 @@
-"""What a campaign came to, controllers against roads, beside its linear prediction; and ride against road holding, drawn.
+"""Results of a campaign, controllers against roads, with the linear prediction; and ride against road holding, drawn.
 
 With adjustable dampers a line shows what no damper that stays as it is can leave: all constant ones between their limits, as
 they are expected to do over the same roads. What lies below it on the left is worth its control.
@@ -45,7 +45,7 @@ UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
 
 
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
-    """One entry per vehicle, road, speed and controller of what is there, over its samples and seeds.
+    """Returns one entry per vehicle, road, speed and controller, over its samples and seeds.
 
     Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
     square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
@@ -93,7 +93,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
 
 
 def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
-    """Of the worst of some columns over those runs that have metrics: root mean square, 95th percentile, and predicted.
+    """Returns root mean square, 95th percentile and prediction of the worst of some columns, over the runs that have metrics.
 
     A kind of vehicle may have no such column, as one without a suspension has no travel.
     """
@@ -137,7 +137,7 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _law_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What there is to say of laws in Python, a sentence each."""
+    """Returns a sentence on each law in Python."""
     lines = []
     for entry in entries:
         if "law" in entry:
@@ -221,7 +221,7 @@ class RoadAndSpeed:
 
     @cached_property
     def spectrum(self) -> Spectrum | None:
-        """Of the road; None where nothing is to be expected."""
+        """Returns the spectrum of the road, or None if no expectation exists."""
         campaign = self.plan.campaign
         choice = next(one for one in campaign.roads if one.text == self.road)
         if not choice.random or not self.vehicle.adjustable or any(campaign.samples[self.name]):

@@ -1,4 +1,4 @@
-"""What was found in a log: in lines for the terminal, and as JSON has it."""
+"""Result of an inspection: in lines for the terminal, and as JSON."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ LONGEST = 400  # characters of a text from a log on the terminal
 
 
 def proof_object(proof: Proof) -> dict[str, Any]:
-    """What was found, as JSON has it: SI units, None for what does not exist."""
+    """Returns the result as JSON has it: SI units, None for missing values."""
     log = proof.log
     return {
         "log": str(log.path),
@@ -45,7 +45,7 @@ def _run_object(one: Inspected) -> dict[str, Any]:
 
 
 def proof_lines(proof: Proof) -> list[str]:
-    """What was found, in lines for the terminal."""
+    """Returns the result in lines for the terminal."""
     log, vehicle = proof.log, proof.vehicle
     about = {
         "command": log.metadata.get("command_line"),
@@ -88,7 +88,7 @@ def _broken(findings: Sequence[Finding]) -> list[str]:
 
 
 def _road(recorded: RecordedRun) -> dict[str, Any] | None:
-    """The description of a run's road; None where there is none."""
+    """Returns the description of a run's road, or None if the log has none."""
     try:
         road = recorded.claim("road")
     except InputError:
@@ -97,7 +97,7 @@ def _road(recorded: RecordedRun) -> dict[str, Any] | None:
 
 
 def _versions(log: Recorded) -> dict[str, str]:
-    """What the log was written with."""
+    """Returns the versions of the packages that wrote the log."""
     try:
         found = read_json(log.metadata.get("versions", "{}"), "versions")
     except InputError:

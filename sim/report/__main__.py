@@ -119,7 +119,7 @@ def _reported(
 
 
 def _usual(vehicle: "Vehicle") -> list[str]:
-    """Those that are reported where none is asked for: the paper's four, or all of a vehicle file that has others instead."""
+    """Returns the controllers of a report by default: the paper's four, or all of a vehicle file that has others instead."""
     names = vehicle.controller_names
     return [name for name in USUAL if name in names] if set(USUAL) & {*vehicle.controllers} else list(names)
 

@@ -134,12 +134,12 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What a panel has of one run.
+    """Curves of one run in a panel.
 
     Attributes:
         curves: its line and its points.
-        values: those that there should be room for.
-        bounded: whether they have a bound.
+        values: values that the axis should hold.
+        bounded: True if they have a bound.
     """
 
     curves: tuple[Curve, ...]
@@ -148,15 +148,15 @@ class _Drawn:
 
 
 def _bounded(scope: Scope, run: Run) -> bool:
-    """Whether what a run does after its linear regime has ended is a vehicle's, and its line's size that of a response."""
+    """Returns True if the motion after the linear regime is still a vehicle's, so that its line has a bound."""
     return not scope.unstable(run.controller) and run.broke_off is None
 
 
 def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
-    """One signal of one run; None where there is none: no control force, or no roll on a road that is the same on both sides.
+    """Draws one signal of one run, or returns None if the signal is silent: no control force, or no roll on a symmetric road.
 
-    A loop that is unstable, or a run that broke off, has no bound: its line ends with its linear regime, its points where it
-    breaks off, and there is room for what lies within the regime at most.
+    An unstable loop, or a run that broke off, has no bound. Its line ends with its linear regime, its points where it breaks off,
+    and the axis holds at most the values within the regime.
     """
     if float(run.physics.peak(name)) < run.physics.scale(name):
         return None
@@ -181,7 +181,7 @@ def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
 
 
 def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
-    """What an axis has to hold: all that has a bound, and beside it no more than three times as much."""
+    """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far."""
     within = [one.values for one in drawn if one.bounded]
     if not within:
         return [one.values for one in drawn]
@@ -191,7 +191,7 @@ def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
-    """How far MuJoCo is from the analysis, and with which power of the step that shrinks."""
+    """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     rows, kinds = [], set()
     for run, fine in zip(runs, finer, strict=True):
         geometry = any(signal.small is not None for signal in run.agreement.signals.values())
@@ -257,7 +257,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
 
 
 def _energy(runs: Sequence[Run]) -> Table:
-    """Where the energy of every run came from and went to."""
+    """Returns the table of every run's energy balance."""
     columns: tuple[Column[tuple[str, Energy]], ...] = (
         Column("controller", lambda of: of[0]),
         Column("road [J]", lambda of: of[1].road, "{:.5g}".format),
@@ -273,7 +273,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 
 def _settles(scope: Scope, run: Run) -> bool:
-    """Whether a run's sampled response tends to the continuous one with the step."""
+    """Returns True if a run's sampled response tends to the continuous one with the step."""
     return not scope.beyond and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
 
 

@@ -1,4 +1,4 @@
-"""What a report says: its answer, then section by section."""
+"""Contents of a report: its answer, then section by section."""
 
 import json
 from dataclasses import dataclass, replace
@@ -91,7 +91,7 @@ def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool) -> tuple[str
 
 
 def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
-    """What of a page depends on nothing else there, by stage and of what, the longest first."""
+    """Returns the independent pieces of a page, by stage and subject, the longest first."""
     pieces: dict[tuple[str, str], Piece] = {}
     if scope.front is not None:
         pieces[FRONT, ""] = front_section
@@ -110,12 +110,12 @@ def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
 
 @dataclass(frozen=True, eq=False)
 class Frequencies:
-    """What is found on sinusoids.
+    """Results on sinusoids.
 
     Attributes:
         findings: for the answer.
-        section: on frequency responses; None where nothing has any.
-        workshop: on a workshop's plate; None in a quick report.
+        section: on frequency responses, or None without any.
+        workshop: on a workshop's plate, or None in a quick report.
     """
 
     findings: list[Statement]
@@ -143,7 +143,7 @@ def _frequencies(scope: Scope) -> Frequencies:
 
 
 def _margins(scope: Scope) -> tuple[Section, list[Statement]]:
-    """What loops bear, of the vehicle at rest."""
+    """Returns the section on margins, for the vehicle at rest."""
     return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 
 
@@ -153,7 +153,7 @@ def _rides(scope: Scope) -> list[Ride]:
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
-    """What the page was made from: every number of the vehicle file that it depends on, and every setting."""
+    """Returns the section on the sources of the page: every number of the vehicle file that it depends on, and every setting."""
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
     h = 1e3 * scope.timestep

@@ -97,14 +97,14 @@ def design_section(scope: Scope) -> Section:
 
 
 def _known(scope: Scope) -> str:
-    """Of which measurements it is known what laws ask for that are not linear."""
+    """Describes the extent to which the requests of nonlinear laws are known."""
     if all(isinstance(one, SemiActive) for one in scope.laws):
         return "no linear function of what it measures"
     return "known only of the measurements that it was called with"
 
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
-    """What controllers keep of their goals, a row each, with the numbers as `python -m synth` has them; None without any."""
+    """Returns the table of controllers' goals, with the numbers as `python -m synth` has them, or None without goals."""
     columns: tuple[Column[tuple[str, Promise]], ...] = (
         Column("controller", lambda of: of[0]),
         Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
@@ -120,16 +120,16 @@ def goals_table(controllers: Sequence[Controller]) -> Table | None:
 
 
 def _held(scope: Scope, controller: Controller) -> str:
-    """What of a certificate does not hold, or holds only with the computer, in words."""
+    """Describes the parts of a certificate that fail, or hold only with the computer."""
     certificate, norm = controller.certificate, scope.built_norms.get(controller.name)
     failures = failures_as_it_runs(scope.vehicle, certificate, certificate.failures, norm)
     return "; ".join(failures or notes_as_it_runs(scope.vehicle, certificate, norm)) or "holds"
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
-    """What a controller asks for, a row per measured signal; None where it measures nothing.
+    """Returns the table of a controller's gains, a row per measured signal, or None if it measures nothing.
 
-    A column per force, K transposed, of a static gain; of a law with states a column per frequency, as on a Bode plot: the
+    A static gain has a column per force, K transposed. A law with states has a column per frequency, as on a Bode plot: the
     magnitude of all its forces together.
     """
     if not controller.measured:

@@ -36,7 +36,7 @@ TERM = "a trade-off: designs of which none beats another in all"
 
 
 def check_front(vehicle: Vehicle, asked: str) -> None:
-    """Whether there can be such a section, before the work.
+    """Checks that the section is possible, before the work.
 
     Raises:
         InputError: bad axes, or no controller that a front can be designed for.
@@ -46,7 +46,7 @@ def check_front(vehicle: Vehicle, asked: str) -> None:
 
 
 def front_section(scope: Scope) -> Section:
-    """The front of the usual controller; where there is none, why."""
+    """Returns the front of the usual controller, or the reason why it is missing."""
     vehicle, name, asked = scope.vehicle, usual(scope.vehicle), scope.front
     assert asked is not None, "a front was asked for"
     axes = axes_of(vehicle, asked)
@@ -111,7 +111,7 @@ def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) 
 
 
 def _driven_at(vehicle: Vehicle, controller: Controller, norm: float, at: float) -> float:
-    """Where a norm is reached [rad/s], or nearly, on the fastest sinusoid that is no faster; NaN where on none."""
+    """Returns a frequency of slow sinusoids at which a norm is nearly reached [rad/s], or NaN if there is no such frequency."""
     if at >= SLOW[0]:
         return at
     loop = controller.loop(vehicle)

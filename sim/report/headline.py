@@ -1,4 +1,4 @@
-"""What a report answers at its top, sentence by sentence, and whether all of it is good news."""
+"""Answer at the top of a report, sentence by sentence, and its overall state."""
 
 import math
 from collections.abc import Sequence
@@ -20,20 +20,22 @@ from synth.controller.controller import Controller
 
 @dataclass(frozen=True)
 class Statement:
-    """One sentence of the answer, and what it says of physics against analysis."""
+    """Sentence of the answer, and its state of physics against analysis."""
 
     text: str
     state: State = "holds"
 
 
 def worst(findings: Sequence[Statement]) -> State:
-    """What all of them together say."""
+    """Returns the worst state of all statements."""
     order: tuple[State, ...] = ("fails", "ends", "holds")
     return next(state for state in order if state == "holds" or any(one.state == state for one in findings))
 
 
 def loops(scope: Scope) -> list[Statement]:
-    """Which of two loops is meant where; whose is stable only as the ideal one, or not at all; who keeps no goals."""
+    """Returns statements on the two loops of the page, on loops that are unstable or stable only as the ideal one, and on missed
+    goals.
+    """
     found = []
     if not scope.plain:
         found.append(
@@ -71,7 +73,7 @@ def loops(scope: Scope) -> list[Statement]:
 
 
 def _held_against(scope: Scope) -> str:
-    """What MuJoCo is held against with laws of which there is no linear claim."""
+    """Describes the reference of MuJoCo for laws without linear claims."""
     if scope.vehicle.dampers:
         return "the exact response of the system that its dampers switch"
     return "the linear vehicle's response to the forces that it asked for"
@@ -97,7 +99,7 @@ def norms(scope: Scope) -> list[Statement]:
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
-    """Whether MuJoCo is the linear analysis over the paper's bump, and until when."""
+    """Returns statements on the agreement of MuJoCo with linear analysis over the paper's bump, and its end."""
     built = "" if scope.plain else " of the loop as built"
     which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
@@ -129,7 +131,9 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
 
 
 def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
-    """How much of the force that linear controllers ask of adjustable dampers these leave out, and what is not true then."""
+    """Returns statements on the force that adjustable dampers leave out of the requests of linear controllers, and its
+    consequences.
+    """
     missing = {}
     for run in runs:
         if isinstance(run.controller, Controller) and not is_linear(scope.vehicle, run.controller):
@@ -147,7 +151,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
-    """How closely those agree that agree throughout."""
+    """Describes how closely the runs agree that agree throughout."""
     some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     words = []
     if any(one.blurred for one in some):
@@ -162,14 +166,14 @@ def _how(scope: Scope, runs: Sequence[Run]) -> str:
 
 
 def what_ended(run: Run) -> str:
-    """What ended the comparison of a run, in words."""
+    """Describes the event that ended the comparison of a run."""
     one = run.agreement
     causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {"the run diverges": run.diverged}
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
 
 
 def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> list[Statement]:
-    """How close the frequency responses are, and the claims on gains that fail."""
+    """Returns statements on the differences of frequency responses, and on failed claims on gains."""
     if not lines:
         return []
     off = max(float(one.error(one.sampled).max()) for one in lines)
@@ -195,7 +199,7 @@ def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequenc
 
 
 def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
-    """The same in a sentence; empty where there is none."""
+    """Describes the controllers without a claimed height; empty if there are none of them."""
     names = unclaimed(ends, runs)
     if not names:
         return ""

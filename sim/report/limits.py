@@ -32,7 +32,7 @@ THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 
 def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
-    """What the loops bear, predicted and found; and the controllers of which physics says something else."""
+    """Returns the section on margins, predicted and found, and statements on controllers for which physics differs."""
     rows, figures, robust, found = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
     actuators = range(len(vehicle.linear_model.inputs))

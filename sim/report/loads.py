@@ -37,13 +37,15 @@ def loaded_road(loads: Sequence[Load]) -> Loaded:
 
 
 def duration_of(loads: Sequence[Load]) -> float:
-    """How long is looked at what they do [s]."""
+    """Returns the duration of the runs under loads [s]."""
     last = max((kink for load in loads for kink in load.kinks), default=0.0)
     return min(max(DURATION, math.ceil(last + AFTER)), LONGEST)
 
 
 def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
-    """What loads do on a flat road: how they come, how the body leans, and where it rests; and where physics says otherwise."""
+    """Returns the section on loads on a flat road: their course, the body's angles and rest; and statements on differences of
+    physics.
+    """
     vehicle, loads = scope.vehicle, scope.loads
     road = loaded_road(loads)
     time = sample_times(vehicle, duration_of(loads), scope.timestep)

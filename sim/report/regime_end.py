@@ -33,16 +33,16 @@ POINTS = 9  # heights that are run side by side
 
 @dataclass(frozen=True)
 class RegimeEnd:
-    """Where the linear regime of one controller ends, over bumps of one length and speed.
+    """End of the linear regime of one controller, over bumps of one length and speed.
 
     Attributes:
-        predicted: height at which linear analysis says that it does [m].
-        predicted_end: by which of `REGIME_ENDS`.
-        near: what of these comes within the second of `REACHES` of that height: a body that turns may meet another one first.
-        stays: the highest bump that was run in MuJoCo and broke nothing [m]; 0 where every one did.
-        error: largest difference of that run from the analysis, over the whole run, of any signal's peak; 0 where there is none.
-        leaves: the lowest bump that was run and broke something [m]; infinite where none did.
-        end: what broke first there, of `REGIME_ENDS`; empty where nothing did.
+        predicted: height of the end by linear analysis [m].
+        predicted_end: its name in `REGIME_ENDS`.
+        near: names of the ends within the second of `REACHES` of that height: a body that turns may meet another one first.
+        stays: highest bump in MuJoCo without an end [m]; 0 if every bump had one.
+        error: largest difference of that run from the analysis, over any signal's peak; 0 without such a run.
+        leaves: lowest bump in MuJoCo with an end [m], or infinity.
+        end: first end there, of `REGIME_ENDS`; empty without an end.
     """
 
     predicted: float
@@ -55,16 +55,16 @@ class RegimeEnd:
 
     @property
     def confirmed(self) -> bool:
-        """Whether MuJoCo has an end, and it is the predicted one, or one as near."""
+        """Returns True if MuJoCo has an end, and it is the predicted one, or one as near."""
         return self.end in self.near and self.stays > 0
 
 
 def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array) -> RegimeEnd | None:
-    """Where the linear regime ends over bumps of this length, speed and track; None where none of an allowed height ends it.
+    """Returns the end of the linear regime over bumps of this length, speed and track, or None if no allowed height has one.
 
     Args:
         controller: its controller, whose loop is stable.
-        bump: its height does not matter.
+        bump: of any height.
         time: equidistant sample times from 0 [s].
     """
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
@@ -96,7 +96,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
 
 
 def _narrowed(found: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
-    """What is found, narrowed by runs of more heights, ascending [m]."""
+    """Returns the end narrowed by runs of more heights, ascending [m]."""
     cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time, foretold=False)
     breaks = (cells.first >= 0) | np.isinf(cells.error)
     first = int(breaks.argmax()) if breaks.any() else len(heights)

@@ -29,16 +29,16 @@ LONGEST = 20.0  # s; more than that no loop is waited for
 
 @dataclass(frozen=True)
 class Ride:
-    """One metric of one controller over the roads of one class; NaN where there is none.
+    """Metric of one controller over the roads of one class; numbers are NaN if they do not exist.
 
     Attributes:
         road_class: of ISO 8608.
         controller: its name.
-        metric, unit: what is measured.
+        metric, unit: of the numbers.
         measured: in MuJoCo, root mean square over the seeds.
         predicted: from the class' spectrum.
-        spread: by how much one road differs from that.
-        events: how often tyres left these roads, in words.
+        spread: standard deviation from road to road.
+        events: frequency of lift-offs on these roads, in words.
     """
 
     road_class: str
@@ -121,7 +121,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
 
 
 def ride_text(vehicle: Vehicle) -> str:
-    """What the table of ride is of, and what its predictions leave out."""
+    """Describes the table of ride, and the parts that its predictions leave out."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
     left_out = joined([*ends.words(vehicle.kind.suspensions), *blur.words])
     return (

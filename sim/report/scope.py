@@ -1,4 +1,4 @@
-"""What the sections of a report share: what it is about, which loops it speaks of, what it found, and how it writes a number."""
+"""Data shared by the sections of a report: its subject, its loops, common results, and the format of numbers."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """What a report is about.
+    """Subject of a report.
 
     Two loops are spoken of. The *ideal loop* is continuous, without limits and without a computer: designs and certificates are
     of it. The loop *as built* has the vehicle file's `[limits]` and `[implementation]`: MuJoCo runs that, step by step.
@@ -59,18 +59,18 @@ class Scope:
         return (*self.controllers, *self.laws)
 
     def unstable(self, controller: Driver) -> bool:
-        """Whether a loop is known not to be stable, ideal or as built."""
+        """Returns True if a loop is known to be unstable, ideal or as built."""
         return isinstance(controller, Controller) and controller not in self.stable
 
     @property
     def kind_of_laws(self) -> str:
-        """What those are of which linear analysis does not speak, in words for one of them."""
+        """Describes a law that linear analysis does not cover."""
         kinds = {one.kind: None for one in self.laws}
         return " or ".join(kinds)
 
     @property
     def given(self) -> str:
-        """Which loop linear analysis speaks of where there are adjustable dampers or curves, after a comma; else empty."""
+        """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
         words = (
             "all forces given" * bool(self.vehicle.dampers),
             "curves being their lines at rest" * is_curved(self.vehicle),
@@ -79,7 +79,7 @@ class Scope:
 
     @property
     def analysis(self) -> str:
-        """What MuJoCo is held against, in words."""
+        """Describes the reference of MuJoCo."""
         beyond = [
             what for what, there in (("curves", is_curved(self.vehicle)), ("adjustable dampers", self.vehicle.dampers)) if there
         ]
@@ -87,22 +87,22 @@ class Scope:
 
     @property
     def beyond(self) -> bool:
-        """Whether MuJoCo is held against more than a linear loop, to which no continuous one is the limit."""
+        """Returns True if the reference of MuJoCo is more than a linear loop, and so tends to no continuous one."""
         return is_curved(self.vehicle) or bool(self.vehicle.dampers)
 
     @property
     def plain(self) -> bool:
-        """Whether the vehicle file has neither limits nor an implementation: then only the step tells the loops apart."""
+        """Returns True if the vehicle file has neither limits nor an implementation: only the step then separates the loops."""
         return self.vehicle.limits == Limits() and self.vehicle.implementation.ideal
 
     @property
     def blurred(self) -> bool:
-        """Whether measurements are noisy, or read in steps."""
+        """Returns True if measurements are noisy or quantised."""
         return self.vehicle.implementation.blurred
 
     @property
     def without(self) -> str:
-        """What a linear loop lacks of the measurements as built, after a comma; empty where nothing blurs them."""
+        """Returns the noise and quantisation that a linear loop leaves out, after a comma; empty without them."""
         return f", without its {self.vehicle.implementation.blur}" if self.blurred else ""
 
     @property
@@ -113,24 +113,26 @@ class Scope:
 
     @property
     def prompt(self) -> bool:
-        """Whether the controller acts at every timestep, at once: then its loop tends to the continuous one with the step."""
+        """Returns True if the controller acts at every timestep without delay: its loop then tends to the continuous one with the
+        step.
+        """
         return self.vehicle.implementation.prompt
 
     @property
     def each_step(self) -> bool:
-        """Whether the controller samples at every timestep, so that its loop is time-invariant."""
+        """Returns True if the controller samples at every timestep, so that its loop is time-invariant."""
         return steps_per_sample(self.vehicle.implementation, self.timestep) == 1
 
     @property
     def as_it_runs(self) -> str:
-        """What the sampled linear loop has, in words: nothing that ends its regime, and nothing that blurs what it measures."""
+        """Describes the sampled linear loop, without ends of the regime and measurement noise."""
         how = self.vehicle.implementation.clear
         held = f"its force held over every step of {1e3 * self.timestep:g} ms"
         return ", ".join([*(how.words or (held,)), *self._lag.words(())])
 
     @property
     def lag(self) -> str:
-        """What of the limits is linear, and so part of the continuous loop too."""
+        """Describes the linear part of the limits, which belongs to the continuous loop too."""
         return "".join(f", with {words}" for words in self._lag.words(()))
 
     @property
@@ -139,7 +141,7 @@ class Scope:
 
     @cached_property
     def stable(self) -> list[Controller]:
-        """Those whose loop is stable as built; and ideal too, unless there is a computer, without which it need not be."""
+        """Returns the controllers whose loop is stable as built, and ideal too unless a computer replaces the ideal loop."""
         return [
             one
             for one in self.controllers
@@ -156,12 +158,12 @@ class Scope:
 
     @cached_property
     def styles(self) -> dict[str, tuple[str, Dash]]:
-        """How each controller is drawn, in every figure of the page alike."""
+        """Returns the style of each controller, the same in every figure of the page."""
         return styles(tuple(one.name for one in self.driven))
 
     @property
     def active(self) -> list[Controller]:
-        """Those of them that do something, and whose ideal loop is stable, so that it has margins."""
+        """Returns the stable controllers that act and whose ideal loop is stable, so that it has margins."""
         return [one for one in self.stable if one.law.acts and one.certificate.stable]
 
     @property
@@ -182,7 +184,7 @@ class Scope:
 
 
 def check_scope(vehicle: Vehicle, timestep: float) -> None:
-    """Whether a vehicle can be reported at this timestep, before any work.
+    """Checks that a vehicle can be reported at this timestep, before any work.
 
     Raises:
         InputError: the timestep is too coarse, or the controller's sample period is no multiple of it.

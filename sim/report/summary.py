@@ -1,4 +1,4 @@
-"""What a report shows first: what control gains, and until where the analysis is true, in one figure and one table."""
+"""Summary of a report: the gain by control, and the range of the analysis, in one figure and one table."""
 
 import math
 from collections.abc import Sequence
@@ -93,15 +93,17 @@ def summary(
 
 
 def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str, str]:
-    """What the body feels with stable loops, predicted and in MuJoCo: of the ride where there is one, or else over the bump."""
+    """Returns the body's acceleration with stable loops, predicted and in MuJoCo: of the ride if there is one, else over the
+    bump.
+    """
     if rides:
         metric, unit = rides[0].metric, rides[0].unit
         some = [one for one in rides if (one.road_class, one.metric) == (CLASS, metric)]
-        found = {one.controller: (one.predicted, one.measured) for one in some}
-        return found, metric, unit.replace("s2", "s²"), f"road of class {CLASS} at {SPEED:g} m/s"
+        values = {one.controller: (one.predicted, one.measured) for one in some}
+        return values, metric, unit.replace("s2", "s²"), f"road of class {CLASS} at {SPEED:g} m/s"
     vehicle = scope.vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
-    found = {
+    values = {
         run.controller.name: (
             float(run.sampled.rms(name)) if isinstance(run.controller, Controller) else math.nan,
             float(run.physics.rms(name)),
@@ -110,7 +112,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
         if not scope.unstable(run.controller)
     }
     unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return found, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
+    return values, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
 
 
 def _with(scope: Scope) -> str:
@@ -124,7 +126,7 @@ def _metres(height: tuple[float, float]) -> str:
 
 
 def _height(end: RegimeEnd) -> tuple[float, float]:
-    """Where a linear regime ends, predicted and in MuJoCo [m]."""
+    """Returns the height of the end of a linear regime, predicted and in MuJoCo [m]."""
     return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
 
 
@@ -158,7 +160,7 @@ def _bars(
 
 
 def _verdict(scope: Scope, run: Run) -> str:
-    """What physics says of the analysis, in a few words."""
+    """Describes the agreement of physics and analysis in a few words."""
     until = run.agreement.until
     agrees = "agrees throughout" if until == math.inf else f"agrees until {until:.3g} s"
     unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""

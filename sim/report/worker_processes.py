@@ -27,10 +27,10 @@ Piece = Callable[["Scope"], Any]  # a function of a module, or a `partial` of on
 
 
 def processes(vehicle: Vehicle, quick: bool) -> int:
-    """Returns how many are worth to be begun: none in a library, none of one core, and none where a user's own code is run.
+    """Returns the number of worthwhile processes: 0 in a library, on a single core, and if a user's own code is run.
 
     A quick report has one long piece only, so it has one process at most. A user's code may print, start processes or never end;
-    the process that was asked for knows how to bear that.
+    only the main process can handle that.
     """
     own = vehicle.kind.folder != HERE or any(entry.python is not None for entry in vehicle.controllers.values())
     return 0 if own or interrupt.came() is None else min(cores() - 1, 1 if quick else MOST)
@@ -122,4 +122,4 @@ def _show(scope: "Scope", name: Name) -> None:
 
 
 def _silent(text: str) -> None:
-    """Says nothing: how far the work is, says the process that was asked for it."""
+    """Ignores progress, which the main process shows."""

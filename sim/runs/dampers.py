@@ -59,13 +59,15 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 
 
 def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
-    """What there is to say of a run's adjustable dampers, as JSON has it."""
+    """Returns the results of a run's adjustable dampers, as JSON has them."""
     short = {name: asdict(one) for name, one in shortfalls(prediction.vehicle, physics).items()}
     return {"shortfall": short, "otherwise": [asdict(one) for one in prediction.otherwise], "played": prediction.played}
 
 
 def damper_lines(prediction: Prediction, physics: Response, until: float) -> list[str]:
-    """The same in sentences, of decisions before a time [s], from which nothing is compared; none where there are none."""
+    """Returns the same in sentences, with decisions before a time [s], after which there is no comparison; empty without
+    dampers.
+    """
     vehicle, lines = prediction.vehicle, []
     otherwise = [one for one in prediction.otherwise if one.time < until]
     names = {one.force: one.coefficient for one in vehicle.adjustable}

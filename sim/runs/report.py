@@ -62,7 +62,7 @@ MOST_FLIGHTS = 4  # of a run that are told one by one
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
 def run_object(run: Run) -> dict[str, Any]:
-    """One run as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns a run as JSON has it: SI units, None for infinite or missing values."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
     agreement = run.agreement
     return {
@@ -84,7 +84,7 @@ def run_object(run: Run) -> dict[str, Any]:
 
 
 def _dampers_object(run: Run) -> dict[str, Any]:
-    """How far adjustable dampers are set, under a key of its own, of a vehicle that has some."""
+    """Returns the results of adjustable dampers under their own key; empty without such dampers."""
     if not run.vehicle.dampers:
         return {}
     from sim.runs.dampers import dampers_object
@@ -93,7 +93,7 @@ def _dampers_object(run: Run) -> dict[str, Any]:
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
-    """What half the step changes after a lift-off, as JSON has it; None where that is not known."""
+    """Returns the change by half the step after a lift-off, as JSON has it, or None if it is unknown."""
     found = run.half_step
     return {"difference": finite(found.difference), "signal": found.signal} if found else None
 
@@ -120,7 +120,7 @@ def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
 
 
 def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
-    """What is known of a controller beside its gain, in sentences."""
+    """Returns sentences on a controller beside its gain."""
     if isinstance(controller, SemiActive):
         return [NO_CLAIM_OF_SWITCHING, "sampled and continuous are the exact response of the system that it switches at samples"]
     if not isinstance(controller, Controller):
@@ -145,7 +145,7 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
 
 
 def verdict(run: Run) -> str:
-    """What the comparison of physics and analysis came to, and the balance of energy, in a few words."""
+    """Returns the verdict on physics against analysis, and the energy balance, in a few words."""
     agreement = run.agreement
     if math.isfinite(agreement.until):
         ended = [name for name, when in agreement.ended.items() if when == agreement.until]
@@ -183,7 +183,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 
 def verdict_lines(run: Run) -> list[str]:
-    """What the comparison of physics and analysis came to, in sentences."""
+    """Returns the verdict on physics against analysis in sentences."""
     agreement, blur, lines = run.agreement, run.vehicle.implementation.blur, []
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
@@ -249,7 +249,7 @@ def verdict_lines(run: Run) -> list[str]:
 
 
 def _reference(run: Run) -> str:
-    """What the physics is held against."""
+    """Describes the reference of the physics."""
     if isinstance(run.controller, Programmed):
         return "the exact linear response to the forces of the law"
     return "the exact sampled response"

@@ -159,7 +159,7 @@ def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: fl
 
 
 def describing_lines(one: DescribingFunction) -> list[str]:
-    """It in words and numbers."""
+    """Returns the describing function in words and numbers."""
     hertz, law = one.omega / (2 * np.pi), one.controller.text
     if isinstance(one.controller, Programmed):
         law = f"law in Python {one.controller.law.law}"
@@ -189,12 +189,12 @@ def describing_lines(one: DescribingFunction) -> list[str]:
 
 
 def describing_failures(one: DescribingFunction) -> list[str]:
-    """What went wrong, in words: nothing is claimed of a law, but something is to be measured."""
+    """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
     return ["every run diverged, and nothing is measured"] if np.all(np.isfinite(one.diverged)) else []
 
 
 def describing_verdict(one: DescribingFunction) -> str:
-    """What it came to, in a sentence."""
+    """Returns the verdict in a sentence."""
     if describing_failures(one):
         return "NOTHING MEASURED: every run diverged"
     if one.ended:
@@ -203,7 +203,7 @@ def describing_verdict(one: DescribingFunction) -> str:
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:
-    """It as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    """Returns the describing function as JSON has it: SI units, complex numbers as [real, imaginary], None for missing values."""
     return {
         "controller": one.controller.name,
         **one.controller.law.record,

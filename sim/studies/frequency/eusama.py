@@ -153,7 +153,7 @@ def _driven(
 
 
 def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
-    """What MuJoCo measures elsewhere than predicted, in words."""
+    """Returns the minimum loads that differ from the prediction, in words."""
     return [
         f"on EUSAMA's plate {one.tyre} leaves {one.measured:.5f} of the load; {one.driven:.5f} is predicted"
         for one in loads

@@ -1,4 +1,4 @@
-"""What a sweep finds of a controller, held against its claims: in words, and as `--json` has it."""
+"""Results of a sweep against the claims of a controller: in words, and as `--json` has them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ DRIVEN = 1e-4  # above it, of its worst road, whose steps are shorter: 3e-5 is f
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """What was found of one controller: its frequency response, and the most that it lets through."""
+    """Results of one controller: its frequency response, and its largest gains."""
 
     lines: Lines
     extremes: Extremes
@@ -48,12 +48,12 @@ class Sweep:
 
     @property
     def controller(self) -> Controller:
-        """Its controller."""
+        """Returns the controller."""
         return self.lines.controller
 
     @property
     def omega(self) -> Array:
-        """Its lines [rad/s], shape (F,)."""
+        """Returns the frequencies of the lines [rad/s], shape (F,)."""
         return self.lines.omega
 
     @property
@@ -63,7 +63,7 @@ class Sweep:
 
     @property
     def ended(self) -> tuple[str, ...]:
-        """What ended the linear regime, in whichever run."""
+        """Returns the ends of the linear regime in any of the runs."""
         on_road = self.road.ended if self.road is not None else ()
         return tuple(dict.fromkeys((*self.lines.ended, *self.extremes.ended, *on_road)))
 
@@ -132,7 +132,7 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
 
 
 def holds(one: Sweep | DescribingFunction) -> bool:
-    """Whether every claim holds as far as the linear regime goes, and anything was measured at all."""
+    """Returns True if every claim holds within the linear regime, and a run was measured."""
     return not failures(one) or (isinstance(one, Sweep) and bool(one.ended))
 
 
@@ -208,7 +208,7 @@ def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
 
 
 def _verdict(one: Sweep | DescribingFunction) -> str:
-    """What a sweep came to, in a sentence."""
+    """Returns the verdict of a sweep in a sentence."""
     if isinstance(one, DescribingFunction):
         return describing_verdict(one)
     if one.ended:

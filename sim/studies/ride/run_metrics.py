@@ -158,7 +158,7 @@ def measure_run(run: Run, first: int) -> RunMetrics:
 
 
 def beside(vehicle: Vehicle) -> list[str]:
-    """What MuJoCo's metrics have in them, and sampled and expected ones have not."""
+    """Describes the effects in MuJoCo's metrics that sampled and expected ones leave out."""
     lines = []
     if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
         lines.append("sampled and expected numbers are of a vehicle without bump stops and with forces of any size")

@@ -317,7 +317,7 @@ def _with_remainder(
 
 
 def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
-    """What is expected of a vehicle with curves, in a sentence; none of one without."""
+    """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
     found = line_object(vehicle, line)

@@ -58,7 +58,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
 
 
 def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]:
-    """What the sampled loop bears at each timestep that physics ran with."""
+    """Returns the margin of the sampled loop at each timestep that physics ran with."""
     return [
         {"timestep": timestep / k, "predicted": finite(at), "found": finite(search.found)}
         for k, at, search in zip((1, 2), margin.sampled, (margin.search, margin.finer), strict=True)
@@ -69,7 +69,7 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
 def margins_lines(
     vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> list[str]:
-    """What a loop bears, predicted and found, in lines for a terminal."""
+    """Returns the margins of a loop, predicted and found, in lines for a terminal."""
     lines = []
     for name, one in found.items():
         lines += ["", *_loop_lines(_called(name, len(found)), one)]
@@ -91,7 +91,7 @@ def _agreement(agrees: bool) -> str:
 
 
 def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound) -> list[str]:
-    """How large errors of its readings and forces a loop bears."""
+    """Returns lines on the loop's margin for errors of its readings and forces."""
     predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
     names = controller.measured, vehicle.linear_model.inputs
     worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
@@ -102,7 +102,7 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
 
 
 def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
-    """Whether MuJoCo bears what is predicted."""
+    """Returns the verdict on the predicted margins."""
     wrong = [_called(name, len(found)) for name, one in found.items() if not one.agrees]
     if not fragile.agrees:
         wrong.append(f"errors of {whose(fragile.predicted)}")
@@ -115,7 +115,7 @@ def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustn
 
 
 def _called(name: str, count: int) -> str:
-    """What a loop is called, one of so many."""
+    """Returns the name of a loop, one of so many."""
     return f"the loop of {name}, the others closed" if name else ("all loops at once" if count > 1 else "the loop")
 
 
@@ -151,7 +151,9 @@ def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[st
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
-    """What the sampled loop bears at both timesteps, where that is not what the loop itself does; a lower factor has power -1."""
+    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power
+    -1.
+    """
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")

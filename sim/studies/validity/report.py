@@ -23,7 +23,9 @@ from synth.controller.controller import Controller
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """One line per cell that was run, SI units; what never happens is left empty; in every line whether all cells are there."""
+    """Writes a row per cell that was run, in SI units; events that never happen are left empty, and each row says if the map is
+    complete.
+    """
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -72,7 +74,7 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
 
 
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
-    """What a map shows, in lines for a terminal."""
+    """Returns a map in lines for a terminal."""
     done = cells.done
     that = "" if done.all() else " that were run"
 
@@ -169,7 +171,7 @@ def envelope_figure(
 
 
 def _at(vehicle: Vehicle, end: End) -> str:
-    """Where the vehicle has a limit that was chosen for it, the same either way; of a curve how far off its line that is."""
+    """Describes the vehicle's own limit that is the same either way; for a curve, the share off its line."""
     if end is CURVE:
         return f" (off its line by {100 * LEAVES:g} % of its largest force)"
     values = {(limit.value, vehicle.kind.signal(limit.signal).unit) for limit in end.thresholds(vehicle) if not limit.sign}
