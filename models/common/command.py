@@ -45,7 +45,7 @@ class Parser(argparse.ArgumentParser):
 
     by_verb = False  # if `roadproof VERB` was called: its errors name the command so
 
-    def __init__(self, prog: str, description: str, epilog: str = "") -> None:
+    def __init__(self, prog: str, description: str, epilog: str) -> None:
         page = f"{prog.partition('.')[0]}/README.md"
         super().__init__(
             prog=f"python -m {prog}",

@@ -210,13 +210,13 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
     yield GAP.join([f"{indent}{first:{name}}", *(f"{cell:>{width}}" for cell, width in zip(rest, widths, strict=True))]).rstrip()
 
 
-def command(words: Sequence[str], indent: str = GAP) -> list[str]:
+def command(words: Sequence[str]) -> list[str]:
     """Returns a command to be copied, wrapped by backslashes; each of `words` is an option with its value."""
-    lines, line = [], indent + words[0]
+    lines, line = [], GAP + words[0]
     for word in words[1:]:
         if len(f"{line} {word} \\") > WIDTH:
             lines.append(Whole(f"{line} \\"))
-            line = f"{indent}  {word}"
+            line = f"{GAP}  {word}"
         else:
             line = f"{line} {word}"
     return [*lines, Whole(line)]

@@ -50,7 +50,7 @@ class Range:
         """
         return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
 
-    def seen(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice = slice(None)) -> tuple[Array, Array]:
+    def seen(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
 
         Args:

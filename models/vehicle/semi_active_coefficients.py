@@ -50,7 +50,7 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
     return rows[:, [model.states.index(mode) for mode in law.modes]].T
 
 
-def numbers_at(numbers: Numbers, of: "Range", closing: Array, which: Array | slice = slice(None)) -> Numbers:
+def numbers_at(numbers: Numbers, of: "Range", closing: Array, which: Array | slice) -> Numbers:
     """Returns the coefficients with the limits of curved dampers at velocities.
 
     Args:

@@ -222,7 +222,7 @@ def kept(controller: Driver) -> tuple[Signal, ...]:
 
 
 def as_response(
-    vehicle: Vehicle, run: RecordedRun, name: str, samples: int, timestep: float, states: tuple[Signal, ...] = ()
+    vehicle: Vehicle, run: RecordedRun, name: str, samples: int, timestep: float, states: tuple[Signal, ...]
 ) -> Response:
     """A logged response with the vehicle's signals, in their order, and those of its controller's states.
 

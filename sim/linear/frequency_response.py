@@ -177,7 +177,7 @@ def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) ->
 
 
 def _inputs_by_step(
-    cut: Controlled, how: Implementation, s: Array, h: float, x: Array, through_readings: Array | None = None
+    cut: Controlled, how: Implementation, s: Array, h: float, x: Array, through_readings: Array | None
 ) -> list[Array]:
     """Returns all inputs at every timestep of a period that begins with state x, per unit of Z."""
     intervals, steps = steps_held(how, h), steps_per_sample(how, h)

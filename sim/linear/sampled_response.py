@@ -277,7 +277,7 @@ def response_of(
     road: RoadInput,
     states: Array,
     inputs: Array,
-    beyond: Array | float = 0.0,
+    beyond: Array | float,
     beside: Mapping[str, Array] | None = None,
 ) -> Response:
     """Returns all signals of the vehicle from the states and inputs of its model over time, shapes (T, n) and (T, m).

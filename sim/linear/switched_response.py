@@ -162,7 +162,7 @@ def switched(
     road: RoadInput,
     decisions: Decisions | None,
     commands: Array,
-    measured: tuple[str, ...] = (),
+    measured: tuple[str, ...],
     as_rk4: bool = False,
 ) -> Switched:
     """Returns the response from rest.

@@ -143,7 +143,7 @@ def step_batch(
     edges: Sequence[int],
     going: Array | None,
     stopped: Callable[[], bool],
-    push: Push | None = None,
+    push: Push | None,
 ) -> Iterator[tuple[int, Array, Array, Array, Array, Array, Array]]:
     """Steps a batch through all samples.
 

@@ -310,7 +310,7 @@ def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
 def _simulated(
     predictions: Sequence[Prediction],
     time: Array,
-    vehicle: Callable[[Vehicle], Vehicle] = lambda same: same,
+    vehicle: Callable[[Vehicle], Vehicle],
     share: float = 1.0,
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.

@@ -216,7 +216,7 @@ ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero t
 UNREACHED = 1e-8  # relative; an input whose effect on a mode is smaller does not reach it
 
 
-def unreached(A: Array, B: Array, dt: float | None = None) -> list[tuple[complex, Array]]:
+def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
     """Returns the uncontrollable modes that do not decay: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
 
     Args:
@@ -242,11 +242,11 @@ def unreached(A: Array, B: Array, dt: float | None = None) -> list[tuple[complex
     return found
 
 
-def obstacles(plant: GeneralizedPlant, Cy: Array | None = None, states: Sequence[str] = ()) -> list[str]:
+def obstacles(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] = ()) -> list[str]:
     """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
 
     Args:
-        Cy: shape (q, n). Default: every state is measured.
+        Cy: shape (q, n), or None if every state is measured.
         states: names of the states. Default: x1, x2, ...
     """
     names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt

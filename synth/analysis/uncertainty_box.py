@@ -243,7 +243,7 @@ class ParameterDependentLyapunov:
         return alone and definite_beyond(-left_side(gain.loops(corners), self.X, self.F, self.G, self.gamma), lost)
 
 
-def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float = np.inf, sign: float = -1.0) -> Array:
+def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float, sign: float = -1.0) -> Array:
     """Returns the left side of the inequality at all corners, shape (V, k, k); from sizes, with `sign` 1, its terms' sizes.
 
     With a bound it is that of the bounded real lemma, bordered by [F Bw, C'; G Bw, 0] and [-gamma I, Dw'; Dw, -gamma I].

@@ -235,9 +235,7 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 
 @numerics()
-def state_design(
-    plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None, states: Sequence[str] = ()
-) -> Design:
+def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> Design:
     """State feedback, the optimum of (22).
 
     Args:
@@ -252,7 +250,7 @@ def state_design(
         from synth.analysis.bounding import certify_tightly
 
         return Design(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
-    return replace(furthest(plant, everything, path or state_path(plant, states), lower_bound), case=problem.case)
+    return replace(furthest(plant, everything, path or state_path(plant), lower_bound), case=problem.case)
 
 
 def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:

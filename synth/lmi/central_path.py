@@ -114,7 +114,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
     return list(along_path(plant, Q, R, mu))
 
 
-def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> Iterator[CentralPoint]:
+def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float) -> Iterator[CentralPoint]:
     """The same points one by one, for those who can use the first where the last cannot be reached."""
     if plant.dt is None:
         yield from _in_differences(plant, Q, R, mu, 0.0)

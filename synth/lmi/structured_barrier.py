@@ -42,7 +42,7 @@ class Basis:
         size: N.
     """
 
-    def __init__(self, system: Array, n: int, m: int, free: int, step: float = 0.0) -> None:
+    def __init__(self, system: Array, n: int, m: int, free: int, step: float) -> None:
         self.system, self.n, self.m, self.free, self.step = system, n, m, free, step
         self.places = places(n, m, free)
         self.size = len(self.places[0]) + 1

@@ -90,7 +90,7 @@ class Unseen:
         return from_differences(self.whole.closed_loop(gain), self.step)
 
 
-def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float = 0.0) -> Unseen | None:
+def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen | None:
     """Removes states that can be made unobservable from z without changing (12). Returns None if there are none.
 
     Args:

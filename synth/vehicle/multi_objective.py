@@ -184,7 +184,7 @@ def goals_design(
     goals: Goals,
     posed: Problem,
     lower_bound: LowerBound,
-    told: Told = lambda goal, within: None,
+    told: Told,
 ) -> Controller:
     """The controller of a section with goals.
 
@@ -251,9 +251,7 @@ def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def promises_of(
-    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool = True
-) -> tuple[Promise, ...]:
+def promises_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool) -> tuple[Promise, ...]:
     """Verifies a given gain against the goals of its section.
 
     Args:

@@ -163,7 +163,7 @@ class Judged:
         values = [_norm(each.on(posed), self.K, asked)[0] for each in tried]
         return Worst(max(values), proved, tried[int(np.argmax(values))])
 
-    def worst_of(self, posed: Posed, enough: float | None = None) -> WorstNorm:
+    def worst_of(self, posed: Posed, enough: float | None) -> WorstNorm:
         """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
         tolerance = self.asked.tolerance
         return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw, enough=enough)

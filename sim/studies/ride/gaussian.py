@@ -74,7 +74,7 @@ class Gaussian:
             return self.sigma**2
         return statistics.fmean(_clipped_square(sigma, clip) for sigma in self.sigmas)
 
-    def mean_square_variance(self, window: float, clip: float = math.inf) -> float:
+    def mean_square_variance(self, window: float, clip: float) -> float:
         """Variance of the mean of min(x, clip)^2 over a window [s]: that of a constant at most."""
         if not self.sigma:
             return 0.0

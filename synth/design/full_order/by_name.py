@@ -35,8 +35,8 @@ def named_design(
     Cy: Array,
     lower_bound: LowerBound,
     states: Sequence[str],
-    noise: Sequence[float] | None = None,
-    Dyw: Array | None = None,
+    noise: Sequence[float] | None,
+    Dyw: Array | None,
 ) -> NamedDesign:
     """Designs a controller by one of these methods.
 

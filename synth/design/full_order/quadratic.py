@@ -137,9 +137,9 @@ def quadratic_design(
     name: str,
     plant: GeneralizedPlant,
     Cy: Array,
-    states: Sequence[str] = (),
-    noise: Sequence[float] | None = None,
-    Dyw: Array | None = None,
+    states: Sequence[str],
+    noise: Sequence[float] | None,
+    Dyw: Array | None,
 ) -> QuadraticDesign:
     """Designs an LQR, LQG or H2 controller by its name, with a law on y = C_y x.
 

@@ -31,8 +31,8 @@ class BandLandscape(Landscape):
         self,
         plant: GeneralizedPlant,
         Cy: Array,
-        Dyw: Array | None = None,
-        band: Band = EVERYWHERE,
+        Dyw: Array | None,
+        band: Band,
         like: Landscape | None = None,
     ) -> None:
         """Args:

@@ -132,7 +132,6 @@ def stacked(supports: Sequence[tuple[int, Support]], count: int) -> tuple[Array,
     return np.concatenate([each.values for _, each in supports]), np.concatenate([each.slopes for _, each in supports])
 
 
-ROUNDS = 60
 FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
 FLAT = 1e-7  # relative fall over so many rounds that is none
 OVER = 10
@@ -143,7 +142,7 @@ def descend(
     terrain: Terrain,
     x: Array,
     M: Array,
-    rounds: int = ROUNDS,
+    rounds: int,
     told: Callable[[Array, Height], None] = lambda x, height: None,
     enough: float = 0.0,
     settled: float = -np.inf,

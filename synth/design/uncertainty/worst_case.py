@@ -410,7 +410,7 @@ def worst_norm(
     return worst_in(gain, box_of(gain, d, e), enough)
 
 
-def worst_in(gain: ScaledGain, box: Box, enough: float | None = None) -> WorstNorm:
+def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
     """The worst norm over a box of factors; arguments as for `worst_norm`."""
     heights = Heights(gain)
     climb(heights, box)
