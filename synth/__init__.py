@@ -10,7 +10,7 @@ Public names, imported when they are first used; all units are SI:
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, whose period has a `Piece` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
-- no controller is ever empty: `DesignError`, `InfeasibleError` say why there is none
+- no controller is ever empty: `DesignError`, `InfeasibleError` say why
 
 Whatever else a module holds may move without notice.
 """

@@ -11,8 +11,8 @@ norm), or on an interval of it. It exists for unstable systems too and is infini
 Both share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies; every value that
 is returned was computed without them, from a linear system of equations.
 
-The rounding of the values is bounded, to first order. If the bound is large, as with a huge gain, whose loop A + B G has fast and
-slow poles, both routes continue from their results with twice the digits, on the loop before it was rounded. So the two routes
+The rounding of the values is bounded, to first order. The bound is large for a huge gain, whose loop A + B G has fast and slow
+poles. Then both routes continue from their results with twice the digits, on the loop before it was rounded. So the two routes
 cannot agree by a common error.
 """
 

@@ -1,11 +1,12 @@
 """Proofs of stability and of norms for a box of errors, in which every reading and force of a gain has its own factor.
 
-The acting gain is S_u K S_y with diagonal S_y, S_u. Every factor enters the loop through one column and one row: along each of
-them, with the others fixed, A, C, Bw and Dw are straight lines in t / (1 - c t), or in t if no measurement contains a force. That
-is monotone as long as the loop through the measurements is well-posed. It is everywhere in the box if its determinant, of first
-degree in every factor, has one sign at all corners. For a fixed X the largest eigenvalue of LMI (20), in which the disturbance
-may appear squared, is convex in these lines. So it is largest at a corner: one X that satisfies (20) at all corners of a box
-proves stability and the bound everywhere in it (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
+The acting gain is S_u K S_y with diagonal S_y, S_u. Every factor enters the loop through one column and one row. Along each of
+them, with the others fixed, A, C, Bw and Dw are straight lines in t / (1 - c t), or in t if no measurement contains a force.
+That is monotone as long as the loop through the measurements is well-posed. It is everywhere in the box if its determinant, of
+first degree in every factor, has one sign at all corners. For a fixed X the largest eigenvalue of LMI (20), in which the
+disturbance may appear squared, is convex in these lines. So it is largest at a corner: one X that satisfies (20) at all corners
+of a box proves stability and the bound everywhere in it (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994,
+section 5.1).
 
 One X for all errors also allows for rapidly changing errors, which is conservative for constant ones. Let A be one of the loops
 of a box, in the convex hull of the A_i at its corners, and let

@@ -4,13 +4,13 @@
 2. L (14) with W' in the place of X, so that the W of the first step has the form that the second asks for; then the LMIs with
    W = Q W_Q + R W_R R' and Y = Y_R R'.
 
-**The solver proposes, the certificate decides.** What is returned is proved for every plant without the solver, by an X just
-above that plant's norm; the scalar f of the LMIs is the one whose gain has the least worst norm.
+**The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above
+that plant's norm. The scalar f of the LMIs is the one whose gain has the least worst norm.
 
-The problem is solved in units in which its numbers have size one: states as the inputs and disturbances of the first plant reach
-them, forces and disturbances as large as its A, and time so that f is always the same number. Plants that measure in different
-ways, as a sensor that is 10 % off does, are each put into coordinates of its own in which all measure the same: X_i is each
-plant's own, and needs no common ones.
+The problem is solved in units in which its numbers have size one. These are states as the inputs and disturbances of the first
+plant reach them, forces and disturbances as large as its A, and time so that f is always the same number. Plants may measure in
+different ways, as with a sensor that is 10 % off. Each is put into coordinates of its own in which all measure the same. X_i is
+each plant's own, and needs no common ones.
 """
 
 from collections.abc import Sequence

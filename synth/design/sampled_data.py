@@ -8,8 +8,8 @@ depends on no solver and no unit. What it gains is then computed exactly, withou
 
 Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
 state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. Where there is none by either, or where the continuous design does better as it runs, or no control at all, descent on the
-exact norm goes on from what is known, and the result says so.
+not. If neither finds a gain, or if the continuous design or no control does better, descent on the exact norm goes on from what
+is known. The result says so.
 
 That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
 of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through

@@ -3,8 +3,8 @@
 No quick method finds the best static gain for sure. Three things make a poor one, and each has its remedy:
 
 - *Where a descent starts.* Samples of every size (`descent/starts.py`), stabilising gains where samples are too few
-  (`descent/starts.py`), and the paper's two steps, refined. Of many starts few are followed long: heats of short descents,
-  after each of which those that are behind and hardly fall any more, and those that ended where another did, are left.
+  (`descent/starts.py`), and the paper's two steps, refined. Of many starts few are followed long. After each heat of short
+  descents, those that are behind and hardly fall any more are dropped, and those that ended where another did.
 - *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
   (`descent/coordinates.py`), and one kind (`descent/minimax.py`) knows edges and curvature.
 - *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`).

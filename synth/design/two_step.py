@@ -192,7 +192,7 @@ class Design:
         instead: the fallback method and why the two steps found no gain, in words, or empty.
         moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
             times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
-            of 40 states; but the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
+            of 40 states. But the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
             gain the norm is proved, and no digit is that of the optimum.
     """
 

@@ -1,6 +1,6 @@
 """The central path of the design problem, followed to its limit: the one optimal solution that is unique.
 
-The optimum of (22) or (25) is attained on a whole face of pairs (X, Y): gamma is well defined, the gain is not, and an
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). So gamma is well defined, and the gain is not: an
 interior-point solver returns whichever point of the face its scaling and tolerance lead to. The limit of
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,

@@ -206,8 +206,8 @@ def _walk(
 def _inside(plant: GeneralizedPlant) -> Array:
     """Returns X that satisfies the plant's `SynthesisInequality`, for some eta.
 
-    It is the inverse of the solution of a Riccati equation in which z is joined by the states and the inputs, in the plant's own
-    units and of the size of what there is: what is inside then is so without, and it is the same whatever units are given.
+    It is the inverse of the solution of a Riccati equation in which states and inputs join z, in the plant's own units. What is
+    inside then is inside without them, too. It is the same in any units.
     """
     units = own_units(plant)
     own = units.into(plant)

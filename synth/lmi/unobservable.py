@@ -1,9 +1,9 @@
 """States that z does not see, and that decay by themselves: they are left out of the LMI problems, and put back afterwards.
 
-Where some gain F keeps a set of states out of z, (C + D F) x = 0 from there on, and they decay meanwhile, X of (22) and (25) may
-grow without bound in them at no price: the problem has no central path, and gains on them mean nothing. So they are left out. The
-problem of the other states is the same as that of a plant which never had them: it has the same optimum, its gain is the gain,
-and the states left out get F, which is zero where z weighs the force by itself.
+Where some gain F keeps a set of states out of z, (C + D F) x = 0 from there on. If they decay meanwhile, X of (22) and (25) may
+grow without bound in them at no price: the problem has no central path, and gains on them mean nothing. So they are left out.
+The problem of the other states is the same as that of a plant which never had them. It has the same optimum, and its gain is
+the gain; the states left out get F, which is zero where z weighs the force by itself.
 
 In (25) X and Y are bound to (12), and those sets count that are, in the coordinates of [Q R], made of a part in Q, on which F is
 zero, and a part in R.

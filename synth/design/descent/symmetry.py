@@ -1,7 +1,7 @@
 """Gains that differ and make the same loop.
 
-Where the plant's state holds what a controller remembers (a controller of some order, written as a static gain of the larger
-plant), the units of that memory are free: another choice changes the gain, and nothing else. In general, with a T for which
+If the plant's state holds a controller's states, as with a law written as a static gain of the larger plant, their units are
+free. Another choice changes the gain, and nothing else. In general, with a T for which
 
     T A = A T,   T B = B R,   C_y T = S C_y,   C T = 0,   T Bw = 0,   S Dyw = 0,
 

@@ -1,8 +1,9 @@
 """LQR, LQG and H2: the same weights with the mean square in the place of the worst case, which is what a reader compares with.
 
 w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
-loop. Of the state that is a gain (LQR); of measurements with noise it is the gain on the state that a Kalman filter estimates,
-and no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+loop. From the state that is a gain (LQR). From measurements with noise it is the gain on the state that a Kalman filter
+estimates; no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and
+8).
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
 plant the second. Where a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is

@@ -5,23 +5,23 @@ from w to y lies on the imaginary axis. Glover, Doyle 1988; Zhou, Doyle, Glover 
 its names: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats.
 
 With any D11 the formulas want D12 = [0; I] and D21 = [0 I]: z and w are turned, u and y scaled, and both are taken back. The
-solvers of the equations are not believed: near the gamma below which there is none they return what solves nothing.
+solvers of the equations are not believed: near the gamma below which no solution exists they return what solves nothing.
 
 - *Fast modes* follow their input at once: they are left at rest, and what they feed through joins D_c (residualised; Kokotovic,
   Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
-- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values and are
-  cut off (balanced truncation; Moore 1981), where they decay: of those that do not, every one is kept.
+- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values. They
+  are cut off if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 Neither promises anything of the loop: whoever reduces a law looks at its loop again.
 
 Without noise on the measurements, or with a force that costs nothing, the problem is singular: the best observer, or the best
 gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added where there is
-none, in the plant's own units, in which a share means the same for all signals, and all states are disturbed and weighed a
-little. The norm that the regularised problem promises holds for the true loop, which has fewer disturbances and outputs:
+none, in the plant's own units, in which a share means the same for all signals. All states are disturbed and weighed a little.
+The norm that the regularised problem promises holds for the true loop, which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-and the larger the share, the slower the controller. So shares fall until the gamma that is asked for is reached, and the slowest
+and the larger the share, the slower the controller. So shares fall until the wanted gamma is reached, and the slowest
 controller that reaches it is taken. Where none does, or none that an actuator could follow, the trade between norm and speed is
 walked: for each share the smallest gamma that its problem allows.
 

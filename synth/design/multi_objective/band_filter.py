@@ -1,7 +1,7 @@
 """A band as a weight: a filter that is at least one in it and falls beside it, before w.
 
-A bound on the weighted norm is one on the norm in the band. It is how a bound that is only known to hold for whole norms, as that
-over a box of errors, is proved of a band; what it loses lies at the edges, where the filter takes some room to fall.
+A bound on the weighted norm is one on the norm in the band. It is how a bound that is only known to hold for whole norms, as
+that over a box of errors, is proved of a band. What it loses lies at the edges, where the filter takes some room to fall.
 """
 
 from functools import reduce

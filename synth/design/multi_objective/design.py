@@ -1,4 +1,4 @@
-"""The door of the engine: from a problem of goals to a gain, or why there is none."""
+"""The door of the engine: from a problem of goals to a gain, or to the reason why no gain meets them."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,11 +1,11 @@
 """The way down a terrain, and within its bounds: sequential quadratic programming for a minimax problem with an exact penalty.
 
-While bounds are passed, a share of the excess is added (an exact penalty): at a factor larger than what a bound costs, the least
-of the sum is the least of the goals within the bounds. A sum of two maxima is the maximum over pairs, so that the model of a
-step is the one of `synth.design.descent.minimax`.
+While bounds are exceeded, a share of the excess is added (an exact penalty). At a factor larger than what a bound costs, the
+least of the sum is the least of the goals within the bounds. A sum of two maxima is the maximum over pairs, so that the model
+of a step is the one of `synth.design.descent.minimax`.
 
-The way down is `synth.design.descent.minimax.along_edges`, over the terms of a problem instead of one norm: a step minimises the
-largest of the functions that support the terms, linearised, plus their curvature; what a failed step met joins the model.
+The way down is `synth.design.descent.minimax.along_edges`, over the terms of a problem instead of one norm. A step minimises
+the largest of the functions that support the terms, linearised, plus their curvature. What a failed step met joins the model.
 """
 
 from collections.abc import Callable, Sequence

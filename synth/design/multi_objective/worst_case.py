@@ -35,7 +35,7 @@ class WorstErrors:
 
         Args:
             K: shape (m, q).
-            rate: of the decay [rad/s]; 0 where there is none.
+            rate: of the decay [rad/s]; 0 if no decay is demanded.
         """
         problem = self.problem
         for i in range(len(problem.members)):

@@ -283,7 +283,7 @@ def _proof(parts: Parts, bound: Callable[[], float]) -> BoxProof:
 
 
 def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
-    """Parts with an X each that proves a bound; None where there is none, or that took too many trials.
+    """Parts with an X each that proves a bound; None if no such parts were found within the trials.
 
     Returns:
         The parts, and how often an X may still be looked for.
@@ -310,7 +310,7 @@ def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: in
 
 
 def _x_for(heights: Heights, box: Box, eta: float) -> Array | None:
-    """An X that proves a bound on a box; None where none is found."""
+    """Returns an X that proves a bound on a box, or None if no X is found."""
     gain, level = heights.gain, eta**-0.5
     norm = heights.norm(box.middle)
     if not norm < level or not gain.posed(box):
@@ -348,7 +348,7 @@ class WorstNorm:
         readings: the errors there, relative, shape (q,).
         forces: likewise, shape (m,).
         proved: what no norm in the box exceeds, stability included; infinite where that is not proved.
-        proof: of that; None where there is none.
+        proof: of that; None if it is not proved.
     """
 
     found: float
@@ -394,7 +394,7 @@ def worst_norm(
         enough: a bound that is asked about, which is tried by itself where no closer one is proved below it.
 
     Raises:
-        InputError: a matrix has the wrong shape, or is none of real finite numbers, or a tolerance is none from 0 to 1.
+        InputError: a matrix has the wrong shape or entries that are not finite, or a tolerance lies outside of 0 to 1.
         DesignError: rounding leaves no answer.
 
     Example:

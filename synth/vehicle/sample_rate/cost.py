@@ -1,8 +1,8 @@
 """Cost of a low sample rate: the exact norm of a loop over the sample period, undelayed and delayed, and its stability limit.
 
-The end is where, from the fastest computer on, the sampled loop is lost. Stability is that of the sampled loop itself. From one
-period that is tried to the next no mode of the vehicle or of the law turns by more than a tenth of a radian, as long as anything
-is left of it. Between the last that is stable and the first that is not the interval is halved until it is nothing.
+The end is where, from the fastest computer on, the sampled loop is lost. Stability is that of the sampled loop itself. Between
+neighbouring periods no mode of the vehicle or of the law turns by more than a tenth of a radian, as long as anything is left of
+it. Between the last that is stable and the first that is not the interval is halved until it is nothing.
 """
 
 from collections.abc import Callable, Collection, Sequence
