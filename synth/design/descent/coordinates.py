@@ -4,8 +4,8 @@ Where a measurement is large and another nearly equal to it, a gain may be free 
 move in their sum: of a reference that wanders slowly and a position that follows it, the difference is small. So with forces: two
 may nearly cancel in z. In the landscape's own coordinates that is a narrow valley. A change dK of the gain changes z by
 T_zu dK T_yw w. There is no valley in coordinates in which measurements are uncorrelated and of one size under white noise w,
-and the answers of z to white noise of the forces are orthogonal and of one size. For a quadratic cost they are what makes the curvature
-alike (the natural gradient).
+and the answers of z to white noise of the forces are orthogonal and of one size. For a quadratic cost they make
+the curvature alike (the natural gradient).
 """
 
 import numpy as np
