@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.printed import finite
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.choice import RoadChoice
-from models.roads.road import track_width
+from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.columns import EXPECTED, LINEAR
 from sim.campaign.file import Campaign, with_sample
@@ -36,8 +36,7 @@ from synth.plant.discrete import held_inputs
 class ReferenceResponse:
     """Exact linear responses of the runs, sampled as in `sim.linear.sampled_response`, computed beside them and as fast.
 
-    Sums run over states one by one, as in `sim.physics.simulate`. There is no such response here for a controller that is more
-    than a gain, for a vehicle with curves, or for active forces through adjustable dampers.
+    Sums run over states one by one, as in `sim.physics.simulate`.
     """
 
     def __init__(self, runs: Sequence[PlannedRun], watched: MonitoredBatch, first: int | None, loaded: bool) -> None:
@@ -45,8 +44,6 @@ class ReferenceResponse:
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
         timestep = watched.timestep
-        linear = all(is_linear(run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller))
-        self.ideal = vehicle.implementation.ideal and linear and not is_curved(vehicle)
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:
@@ -68,8 +65,6 @@ class ReferenceResponse:
 
     def update(self, start: int, values: Array, until: Array, times: Array) -> None:
         """Compares the next block of signals, shape (B, S, N), before the times [s] until which it is linear, shape (N,)."""
-        if not self.ideal:
-            return
         some = slice(start, start + len(values))
         now, midway = np.moveaxis(self.now[some], 1, 2), np.moveaxis(self.midway[some], 1, 2)
         push, jump = _applied(self.of_now, now) + _applied(self.of_midway, midway), _applied(self.jump, now)
@@ -104,9 +99,7 @@ class ReferenceResponse:
                 self.meter.update(np.clip(values, -DIVERGED, DIVERGED))
 
     def errors(self) -> Array:
-        """Largest difference of any state from its twin, over the twin's peak, shape (N,); NaN where there is no twin."""
-        if not self.ideal:
-            return np.full(self.off.shape[1], np.nan)
+        """Largest difference of any state from its twin, over the twin's peak, shape (N,)."""
         units = [next(signal.unit for signal in self.signals if signal.name == name) for name in self.outputs]
         worst = np.zeros(self.off.shape[1])
         for i in self.known:
@@ -117,7 +110,16 @@ class ReferenceResponse:
 
     def metrics(self) -> Mapping[str, Array]:
         """The twin's metrics, where a road that is not random asks for them."""
-        return self.meter.result() if self.meter is not None and self.ideal else {}
+        return self.meter.result() if self.meter is not None else {}
+
+
+def _is_exact(runs: Sequence[PlannedRun]) -> bool:
+    """Returns True if a `ReferenceResponse` is that of the runs: of linear laws that act at once, without curves or active forces
+    through adjustable dampers.
+    """
+    vehicle = runs[0].vehicle
+    linear = all(isinstance(run.controller, Controller) and is_linear(run.vehicle, run.controller) for run in runs)
+    return linear and vehicle.implementation.ideal and not is_curved(vehicle)
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
@@ -198,12 +200,12 @@ class _BatchRows:
 
 def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> _BatchRows | None:
     vehicles, time = [run.vehicle for run in runs], campaign.time
-    watched = MonitoredBatch(vehicles, [run.controller for run in runs], [run.road for run in runs], time)
+    met = [RoadInput(run.vehicle, run.road, time) for run in runs]
+    watched = MonitoredBatch([run.controller for run in runs], met)
     random = runs[0].choice.stationary
     first = campaign.first if random else 0
     meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs])
-    linear_runs = [run for run in runs if isinstance(run.controller, Controller)]  # all, or none
-    twin = ReferenceResponse(linear_runs, watched, None if random else first, campaign.loaded) if linear_runs else None
+    twin = ReferenceResponse(runs, watched, None if random else first, campaign.loaded) if _is_exact(runs) else None
     for block in watched.blocks():
         if stopped():
             return None
@@ -217,7 +219,7 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
     expected = _Expectations(campaign)
     rows = []
     for i, run in enumerate(runs):
-        inputs = {**run.inputs, **_roughness(campaign, run.choice, _as_wide(run, campaign), run.speed, run.seed)}
+        inputs = {**run.inputs, **_roughness(campaign, run)}
         if i in watched.failures:
             rows.append({**inputs, "reason": f"{FAILED}{watched.failures[i].why}"})
             continue
@@ -245,18 +247,19 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
     return _BatchRows(rows, [i for i, failure in watched.failures.items() if failure.together])
 
 
-def _as_wide(run: PlannedRun, campaign: Campaign) -> Vehicle:
-    """The vehicle of a run as its file has it, where what is sampled leaves its tracks as they are: IRIs know no more."""
-    vehicle = campaign.vehicles[run.name]
-    return vehicle if track_width(vehicle) == track_width(run.vehicle) else run.vehicle
+def _roughness(campaign: Campaign, run: PlannedRun) -> dict[str, float]:
+    """Returns every IRI of the run's road as far as it is driven, by name; computed once, whatever drives over it."""
+    kept = _kept_roughness(campaign, run.choice, track_width(run.vehicle), run.speed, run.seed)
+    if not kept:
+        found = roughness_object(driven_roughness(run.vehicle, run.road, campaign.time))
+        kept.append({name: entry["road"] for name, entry in found.items()})
+    return kept[0]
 
 
 @lru_cache(maxsize=MOST_ROADS)
-def _roughness(campaign: Campaign, choice: RoadChoice, vehicle: Vehicle, speed: float, seed: int) -> dict[str, float]:
-    """Every IRI of a road as far as it is driven, by name; reckoned once, whatever drives over it."""
-    road = choice.build(vehicle, speed, seed, speed * campaign.duration)
-    found = roughness_object(driven_roughness(vehicle, road, campaign.time))
-    return {name: entry["road"] for name, entry in found.items()}
+def _kept_roughness(campaign: Campaign, choice: RoadChoice, width: float, speed: float, seed: int) -> list[dict[str, float]]:
+    """Returns a list for the IRIs of a road on tracks this far apart [m], empty at first: the cache keeps no road alive."""
+    return []
 
 
 class _Expectations:

@@ -20,7 +20,7 @@ from models.common.threads import cores, side_by_side
 from models.kinds.signals import Signal, kept_signals
 from models.laws.linear import LinearLaw
 from models.laws.python_law import Programmed
-from models.roads.road import Road, RoadInput, under_wheels
+from models.roads.road import RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.drivers import Failure, RunDriver, steps_ahead
@@ -184,18 +184,17 @@ class MonitoredBatch:
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], roads: Sequence[Road], time: Array) -> None:
-        """Takes N vehicles that read out alike, their controllers and roads, and equidistant sample times from 0 [s], shape
-        (T,).
-        """
+    def __init__(self, controllers: Sequence[RunDriver], met: Sequence[RoadInput]) -> None:
+        """Takes N controllers, and vehicles that read out alike with their roads, all at the same sample times from 0 [s]."""
+        vehicles, time = [road.vehicle for road in met], met[0].time
         self.vehicles, self.controllers, self.time = vehicles, controllers, time
         ahead = steps_ahead(vehicles, controllers, self.timestep)
         halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
         heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
-        for i, (vehicle, road) in enumerate(zip(vehicles, roads, strict=True)):
-            heights[:, i] = under_wheels(road.displacement, road, vehicle, halves)
+        for i, road in enumerate(met):
+            heights[:, i] = under_wheels(road.road.displacement, road.road, road.vehicle, halves)
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
-        self.loads = loads_on([RoadInput(vehicle, road, time) for vehicle, road in zip(vehicles, roads, strict=True)])
+        self.loads = loads_on(met)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
 

@@ -196,11 +196,11 @@ def _run(
     if short:
         used[:, end], times[..., end] = 0.0, np.inf
     predicted = first_end(times)
-    roads = [loaded(bump, loads) for bump in bumps]
+    inputs = [RoadInput(vehicle, loaded(bump, loads), time) for bump in bumps]
     flat = sampled_response(loop, RoadInput(vehicle.straight, loaded(Flat(), loads), time))  # what loads alone do is added
     push = flat.values[:, outputs, None]
 
-    watched, apart = MonitoredBatch([vehicle] * count, [controller] * count, roads, time), np.zeros((len(outputs), count))
+    watched, apart = MonitoredBatch([controller] * count, inputs), np.zeros((len(outputs), count))
     forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
     squares = np.zeros((2, count))  # of what is missing, and of what was asked
     for block in watched.blocks():
