@@ -1,6 +1,7 @@
 """The verdict of a run: agreement where physics is right, over whatever road, time and step, and none where a fault is."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from sim.runs.run import Run, judge, run_all, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer, given
 from tests.analysed import predict, simulate
+from tests.curved import with_curves
 from tests.pages import hopper
 
 KINDS = ["quarter_car", "half_car", "full_car"]
@@ -28,6 +30,12 @@ DURATIONS = (0.05, 3.0)  # s
 HEIGHTS = (LOWEST, 0.15)  # m, of bumps
 STEPS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)  # s
 MOST = 2000  # samples
+WALL = '<site name="wall" pos="1 0 .3"/></worldbody>'
+TIE = '<spatial name="tie" stiffness="10" springlength="1"><site site="wall"/><site site="sprung"/></spatial></tendon>'
+OWN_GEOMETRY = {  # changes of an MJCF that has none
+    "a spring across": lambda drawn: drawn.replace("</worldbody>", WALL).replace("</tendon>", TIE),
+    "a cubic spring": lambda drawn: drawn.replace('axis="0 0 1"/>', 'axis="0 0 1" stiffness="0 0 1e6"/>'),
+}
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -52,6 +60,26 @@ def heavier(vehicle: Vehicle, share: float) -> Vehicle:
     """The vehicle with a sprung mass that is more by a share."""
     parameters = {**vehicle.parameters, "sprung_mass": (1 + share) * vehicle.parameters["sprung_mass"]}
     return dataclasses.replace(vehicle, parameters=parameters)
+
+
+def scaled(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
+    """The vehicle with those parameters whose name begins so multiplied."""
+    parameters = {
+        name: value * math.prod(factor for begins, factor in factors.items() if name.startswith(begins))
+        for name, value in vehicle.parameters.items()
+    }
+    return dataclasses.replace(vehicle, parameters=parameters)
+
+
+def light(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with 0.3 times its masses, on tyres that are four times as stiff."""
+    masses = dict.fromkeys(("sprung_mass", "unsprung_mass", "pitch_inertia", "roll_inertia"), 0.3)
+    return scaled(vehicle, {**masses, "tyre_stiffness": 4.0})
+
+
+def too_strong(vehicle: Vehicle) -> list[Vehicle]:
+    """The vehicle with springs that are 2 % too stiff, and with dampers that are 2 % too strong."""
+    return [scaled(vehicle, {name: 1.02}) for name in ("suspension_stiffness", "suspension_damping")]
 
 
 def delayed(vehicle: Vehicle) -> Vehicle:
@@ -118,12 +146,32 @@ def test_a_quarter_car_has_no_geometry_to_excuse_it(height):
 
 
 def test_geometry_is_asked_of_the_model(tmp_path):
-    """Cars that pitch or roll have it, cars that go up and down have not, of kinds that ship and of one's own."""
+    """Cars that pitch or roll have it however light they are, cars that go up and down have not, of any kind; springs may."""
     limited = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits(suspension_stroke=0.01, actuator_bandwidth=30.0))
-    for plain in (read_vehicle("quarter_car"), limited, read_vehicle(hopper(tmp_path))):
+    knotted = with_curves(suspension_damping="{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 0.0, 2000.0] }")
+    paper, own = read_vehicle("quarter_car"), read_vehicle(hopper(tmp_path))
+    for plain in (paper, limited, knotted, light(paper), own):
         assert not has_geometry(plain)
     for turning in (read_vehicle("half_car"), read_vehicle("full_car")):
         assert has_geometry(turning)
+        assert has_geometry(light(turning))
+    drawn = (tmp_path / "hopper.xml").read_text()
+    for name, changed in OWN_GEOMETRY.items():
+        (tmp_path / "hopper.xml").write_text(changed(drawn))
+        assert has_geometry(read_vehicle(tmp_path / "hopper.toml")), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_light_car_on_stiff_tyres_is_judged_as_any_other(kind):
+    """Tyres that its weight squeezes by 2 mm are no excuse and no fault; a spring or damper that is 2 % too strong is one."""
+    for vehicle in (read_vehicle(kind), light(read_vehicle(kind))):
+        road = Bump(height=0.03, length=20.0, track="left" if kind == "full_car" else "both")
+        prediction = predict(vehicle, Designer(vehicle).design("passive"), road, sample_times(vehicle, 1.0, 1e-3))
+        run = judged(prediction, vehicle)
+        assert run.agreement.agrees, verdict_lines(run)
+        assert run.agreement.until > 0.1
+        for wrong in too_strong(vehicle):
+            assert not judged(prediction, wrong).agreement.agrees
 
 
 NOISY = {
@@ -223,3 +271,24 @@ def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
     duration = min(float(np.exp(rng.uniform(*np.log(DURATIONS)))), MOST * step)
     for run in run_all(vehicle, controllers, road, sample_times(vehicle, duration, step)):
         assert run.agreement.agrees, (road.describe(), duration, step, run.controller.name, verdict_lines(run))
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(6))
+def test_any_car_is_judged_alike(seed):
+    """Half and full cars of any weight and size, on soft and stiff tyres, agree; what is 2 % too strong is found in each."""
+    rng = np.random.default_rng(20261124 + seed)
+    for kind in ("half_car", "full_car") * 5:
+        heavy, stiff, long = np.exp(rng.uniform(np.log((0.3, 0.3, 0.6)), np.log((3.0, 4.0, 1.5))))
+        ranges = {"sprung_mass": heavy, "unsprung_mass": heavy, "tyre_stiffness": stiff, "axle_distance": long, "track": long}
+        ranges |= {"pitch_inertia": heavy * long**2, "roll_inertia": heavy * long**2, "suspension": 1.0}
+        vehicle = scaled(read_vehicle(kind), {name: factor * rng.uniform(0.8, 1.25) for name, factor in ranges.items()})
+        track = str(rng.choice(["both", "left", "right"])) if kind == "full_car" else "both"
+        road = Bump(float(rng.uniform(0.01, 0.08)), float(rng.uniform(1, 8)), float(rng.uniform(4, 30)), track)
+        step = float(rng.choice([5e-4, 1e-3]))
+        prediction = predict(vehicle, Designer(vehicle).design("passive"), road, sample_times(vehicle, 1.0, step))
+        run = judged(prediction, vehicle)
+        assert run.agreement.agrees, (vehicle.parameters, road.describe(), step, verdict_lines(run))
+        for wrong in too_strong(vehicle):
+            found = judged(prediction, wrong).agreement
+            assert not found.agrees, (vehicle.parameters, road.describe(), step, found.until)

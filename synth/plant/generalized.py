@@ -247,28 +247,34 @@ def measured_with(plant: GeneralizedPlant, Cy: object, Dyw: object | None) -> tu
     return states, None if Dyw is None else noise
 
 
-def measurement_matrices(plant: GeneralizedPlant, Cy: object, Dyw: object = None) -> tuple[Array, Array]:
-    """Returns C_y and Dyw of y = C_y x + Dyw w after a check, shapes (q, n) and (q, r).
+def measurement_matrices(
+    plant: GeneralizedPlant, Cy: object, Dyw: object = None, through: Array | None = None
+) -> tuple[Array, Array]:
+    """Returns C_y and Dyw of y = C_y x + Dyw w + `through` u after a check, shapes (q, n) and (q, r).
 
     Args:
         Cy: a row for each measured signal.
         Dyw: likewise; zero if it is not given.
+        through: what the forces do to the measurements at once, shape (q, m); zero if it is not given.
 
     Raises:
         InputError: one of them is not one of real finite numbers of its shape, or no signal is measured, or one that is next to
-            zero in both.
+            zero in all.
     """
-    if Dyw is None:
-        states = measurement_matrix(Cy, len(plant.A))
-        return states, np.zeros((len(states), plant.Bw.shape[1]))
     states = _measured(Cy, len(plant.A))
     shape = len(states), plant.Bw.shape[1]
-    noise = real_matrix(Dyw, "Dyw", str(shape))
+    names, words, noise = ["Cy"], "of the state", np.zeros(shape)
+    if Dyw is not None:
+        noise = real_matrix(Dyw, "Dyw", str(shape))
+        names, words = ["Cy", "Dyw"], "of state or disturbance"
     if noise.shape != shape:
         raise InputError(
             f"Dyw has shape {noise.shape}; expected {shape}: a row for each measured signal, a column for each disturbance"
         )
-    _refuse_silent(np.hstack([states, noise]), "[Cy Dyw]", "of state or disturbance")
+    rows = [states, noise]
+    if through is not None:
+        names, words, rows = [*names, "Dyu"], f"{words} or force", [*rows, through]
+    _refuse_silent(np.hstack(rows), f"[{' '.join(names)}]" if len(names) > 1 else names[0], words)
     return states, noise
 
 

@@ -26,7 +26,7 @@ def scaled_gain(
     Raises:
         InputError: a matrix has the wrong shape, or is not one of real finite numbers.
     """
-    Cy, noise = measurement_matrices(plant, Cy, Dyw)
+    Cy, noise = measurement_matrices(plant, Cy, Dyw, through)
     (q, _), m = Cy.shape, plant.B.shape[1]
     law = law if isinstance(law, LinearLaw) else static_law(real_matrix(law, "K", f"({m}, {q})"))
     if law.D.shape != (m, q):
