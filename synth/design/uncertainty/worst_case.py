@@ -159,6 +159,7 @@ FASTER = 8.0  # how much weight t gains from one centre to the next
 CENTRES = 12  # of the path; then t is known to eight digits
 NEAR = 1e-2  # of the Newton decrement at a centre
 INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+SHORTEST = 1e-10  # likewise, of that step
 SURE = 1.1  # times as far as the least t can be from a centre's
 JOIN = 4  # corners that join in a round
 
@@ -213,15 +214,21 @@ def _for_all(loops: Loops, start: Array, eta: float) -> Array | None:
     for _ in range(CENTRES):
         c[-1] = weight
         p, _, here = newton(barrier, p, c, NEAR, lambda p: p[-1] < 0, here)
-        if 0 <= p[-1] <= SURE * count / weight:
-            # Along the tangent of the path, but inside.
+        on_path = 0 <= p[-1] <= SURE * count / weight
+        if on_path:
+            # Along the tangent of the path, but inside: near the boundary rounding may say otherwise, and then less far.
             step = -(1 - 1 / FASTER) * weight * here.solve(here.half(along))
-            p, here = p + min(1.0, INSIDE * boundary(here, step)) * step, None
+            length, start, here = min(1.0, INSIDE * boundary(here, step)), p, None
+            while here is None and length > SHORTEST:
+                p, length = start + length * step, length / 2
+                if p[-1] < 0:
+                    break
+                here = barrier.at(p)
             weight *= FASTER
         if p[-1] < 0:
             X = T @ barrier.matrix(p) @ T.T
             return (X + X.T) / 2
-        if here is not None:  # a centre's t is no further than that from the least
+        if here is None or not on_path:  # a centre's t is no further than that from the least
             return None
     return None
 
