@@ -67,7 +67,7 @@ def continuous_response(vehicle: Vehicle, controller: Controller, road: Road, ti
 
 
 def switched(vehicle: Vehicle, road: Road, time: Array, decisions: Decisions | None, made: Array) -> Switched:
-    return _switched(RoadInput(vehicle, road, time), decisions, made)
+    return _switched(RoadInput(vehicle, road, time), decisions, made, ())
 
 
 def simulate(

@@ -6,7 +6,7 @@ import pytest
 
 from models.common.columns import Column, cells, json_object, table, titles
 from models.figures.page import Table
-from sim.studies.ride.run_metrics import METRIC, Measured
+from sim.studies.ride.run_metrics import METRIC, MetricComparison
 
 LENGTHS: tuple[Column[float | None], ...] = (
     Column("length [mm]", lambda x: x, ".1f", 1e3, "length"),
@@ -41,7 +41,7 @@ def test_the_same_quantity_elsewhere():
 
 def test_a_metric_is_read_where_it_stands():
     """Each number of a metric stands under its own title and key."""
-    one = Measured("m", mujoco=1.0, sampled=2.0, expected=3.0, spread=4.0, approximate=False)
+    one = MetricComparison("m", mujoco=1.0, sampled=2.0, expected=3.0, spread=4.0, approximate=False)
     assert json_object(METRIC, one) == {"unit": "m", "mujoco": 1.0, "linear": 2.0, "expected": 3.0, "spread": 4.0}
     said = dict(zip(titles(METRIC), cells(METRIC, [one])[0], strict=True))
     assert said == {"unit": "m", "MuJoCo": "1", "sampled": "2", "expected": "3", "+- by road": "4"}

@@ -343,6 +343,7 @@ def test_a_file_is_its_numbers(tmp_path):
         turned = 1.0 if moment.startswith("N") else 1e3
         other.write_text(f"time [{second}],heave [{newton}],pitch [{moment}]\n0,2,3\n1,2,3\n")
         there = choose_load(str(other))
+        assert isinstance(there, History)
         assert there.time[1] == (1e-3 if second == "ms" else 1.0)
         assert (there.columns["heave"][0], there.columns["pitch"][0]) == (2 * factor, 3 * turned)
     road = described_road(json.loads(json.dumps(Loaded(Bump(), [load, choose_load("brake")]).describe())))

@@ -269,9 +269,8 @@ def test_own_units_are_no_units():
         assert ratio.max() / ratio.min() < 4.01**2
     # Where all units are open, that of the disturbance stays: an input of an extreme unit moves no other, on any machine.
     for weak in 10.0 ** np.arange(-300, 50, 49):
-        plant = GeneralizedPlant(
-            [[-1, 0], [0, -2]], [[1, 0], [0, weak]], np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))
-        )
+        one, none = np.eye(2), np.zeros((2, 2))
+        plant = GeneralizedPlant(np.diag([-1, -2]), np.diag([1, weak]), one, one, none, none)
         own = own_units(plant)
         np.testing.assert_array_equal(own.states, [1, 1])
         assert own.inputs[1] * weak == pytest.approx(1, rel=0.5)
