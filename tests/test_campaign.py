@@ -289,6 +289,28 @@ def test_a_short_road_has_no_iri(tmp_path):
     assert [rows[2]["iri"], rows[3]["iri"]] == [None, long["iri_left"]]
 
 
+def test_an_iri_is_of_its_road(small):
+    """Vehicles, controllers and samples share the IRI of a road; every class and seed has its own."""
+    found = {}
+    for row in small[0]:
+        if row["speed"] == 25.0 and row["seed"] is not None:
+            found.setdefault((row["road"], row["seed"]), set()).add(row["iri"])
+    assert len(found) == 2 * 3
+    assert all(len(one) == 1 for one in found.values())
+    assert len(set.union(*found.values()) - {None}) == len(found)
+
+
+def test_a_late_controller_has_no_exact_response_here(tmp_path):
+    """Where a controller is sampled or late, rows have neither a linear error nor linear metrics."""
+    vehicle = (ROOT / "models" / "quarter_car.toml").read_text()
+    (tmp_path / "late.toml").write_text(f"{vehicle}\n[implementation]\nsample_period = 4e-3\ndelay = 1\n")
+    text = QUICK.replace('"quarter_car"', '"quarter_car", "late.toml"').replace("seeds = 60", "seeds = 1")
+    rows, _ = run(tmp_path, text, "--workers", "1")
+    assert all((row["linear_error"] is None) == (row["vehicle"] == "late.toml") for row in rows)
+    bumps = [row for row in rows if row["road"].startswith("bump")]
+    assert all((row["linear_dynamic_load"] is None) == (row["vehicle"] == "late.toml") for row in bumps)
+
+
 def test_where_it_is_linear_it_agrees(small):
     """Runs that stay linear are their linear twins to RK4's error and geometry's; of others, wheels lift, and it says when."""
     rows, _ = small
