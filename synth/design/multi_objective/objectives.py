@@ -70,7 +70,7 @@ class Term(ABC):
 class NormObjective(Term):
     """The largest gain from w to z in a band, of one plant."""
 
-    def __init__(self, landscape: BandLandscape, unit: float = 1.0, name: str = "") -> None:
+    def __init__(self, landscape: BandLandscape, unit: float, name: str = "") -> None:
         self.landscape, self.unit, self.name = landscape, unit, name
 
     def value(self, x: Array, above: float = np.inf) -> float:
