@@ -23,7 +23,7 @@ from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.fragility import find_fragility, with_errors
-from sim.studies.stability.growth_test import BUMP, Growth, grow
+from sim.studies.stability.growth_test import BUMP, Growth, Trial, grow
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, cut, cut_sampled
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
@@ -39,6 +39,7 @@ from sim.studies.stability.stability_margins import (
 )
 from synth.analysis.certificate import certify
 from synth.analysis.norm import hinf_norm
+from synth.controller.open_loop import LoopModel
 from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer, design
 from tests import pages
@@ -224,6 +225,17 @@ def test_gain_and_delay_in_physics(paper, designer, name, timestep):
     run_searches([one.gain.search, one.delay], timestep)
     assert abs(one.delay.unstable - one.predicted.delay) <= timestep
     assert one.gain.found == pytest.approx(one.predicted.gain, rel=5e-3)  # asked for; the section ends at 0.2 %
+
+
+def test_a_faint_mode_that_creeps():
+    """Errors 0.7 % beyond those that a law with states bears make a mode grow in 100 s, which a bump hardly moves: it is seen."""
+    entry = '[controllers.best]\nmeasured = ["suspension_deflection", "sprung_acceleration", "control_force"]\norder = "full"\n'
+    vehicle, timestep = parse_vehicle(read_vehicle("quarter_car").text + entry), 2e-3
+    controller, signs = designed(vehicle, "best"), np.array([1, -1, -1])
+    off = [dataclasses.replace(controller, law=controller.law.read_as(1 + size * signs)) for size in (0.110, 0.112)]
+    rates = [math.log(LoopModel(vehicle, one, timestep).radius) / timestep for one in off]
+    assert -0.02 < rates[0] < 0 < rates[1] < 0.02  # the other modes decay by 5 1/s
+    assert [one.grows for one in grow([Trial(vehicle, one) for one in off], timestep)] == [False, True]
 
 
 THROWN = """

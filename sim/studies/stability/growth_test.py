@@ -153,7 +153,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
                 seen, peaks = _over_its_peak(states[i, :, :end], time[:end], diverged[i])
                 growth = _confirmed(trials[i], loops[i], seen, peaks, timestep, looks[end])
                 if growth is None and looks[end] >= SHORTEST:
-                    growth = _growth(trials[i], seen, timestep, looks[end])
+                    growth = _growth(trials[i], loops[i], seen, timestep, looks[end])
                 if growth is not None:
                     going[i], found[i] = False, growth
         if stopped() or not going.any():
@@ -185,12 +185,16 @@ def _follows(states: Array, loop: LateLoop, duration: float) -> bool:
     return alike and abs(loop.rate) * duration > TOLD * FOLLOWS and (after > before) == (loop.rate > 0)
 
 
-def _growth(trial: Trial, states: Array, timestep: float, duration: float) -> Growth | None:
-    """Returns the growth of a run of this duration [s], or None if it is too short."""
+def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float, duration: float) -> Growth | None:
+    """Returns the growth of a run of this duration [s], or None if it is too short.
+
+    A run with another rate than its loop may hide a slower mode of it, faint as the bump has left it, until faster ones are gone.
+    """
     enough = _enough(trial, timestep)
     rate = _rate(states, timestep, round(_hold(trial, timestep) / timestep))
     if trial.controller.law.states:
-        enough = max(enough, min(CREEPS / abs(rate), LONGEST) if rate else LONGEST)
+        slowest = min(abs(rate), math.inf if loop is None else abs(loop.rate))
+        enough = max(enough, min(CREEPS / slowest, LONGEST) if slowest else LONGEST)
     elif _still(states, round(STILL * _hold(trial, timestep) / timestep)):
         enough = duration
     grows = _grows(states, rate, last=duration >= max(LONGEST, enough))

@@ -163,6 +163,7 @@ def validity(
     return cells
 
 
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its cells say so
 def _run(
     vehicle: Vehicle,
     controller: Controller,

@@ -1,0 +1,118 @@
+"""Every command takes every kind of controller: it agrees, or says in one line why there is nothing of it to say."""
+
+from pathlib import Path
+
+import pytest
+
+from models.common.errors import InputError
+from models.kinds.kind import HERE
+from sim.__main__ import COMMANDS
+from tests.commands import main_of
+from tests.drives import MAP
+
+CAR = """
+[controllers.best]
+measured = ["suspension_deflection", "sprung_acceleration", "control_force"]
+order = "full"
+
+[controllers.lqg]
+measured = ["suspension_deflection", "sprung_velocity"]
+design = "lqg"
+
+[controllers.told_its_force]
+measured = ["sprung_velocity", "control_force"]
+gain = [[-4000.0, 0.1]]
+
+[controllers.goals]
+measured = ["suspension_deflection", "sprung_velocity"]
+minimise = { band = [4.0, 8.0] }
+bounds = [{ norm = 8.5 }, { decay = 0.5 }]
+
+[controllers.python]
+measured = ["sprung_velocity"]
+law = "python.py:step"
+"""
+PYTHON = """
+def step(sample, state):
+    return -3000.0 * sample["sprung_velocity"][:, None], state
+step.vectorised = True
+"""
+BUILT = """
+[implementation]
+sample_period = 0.008
+noise = { sprung_velocity = 0.005 }
+
+[controllers.sampled]
+measured = ["suspension_deflection", "sprung_velocity"]
+sampled = true
+
+[controllers.noisy]
+measured = ["suspension_deflection", "sprung_velocity"]
+order = "full"
+noise = true
+
+[controllers.discrete]
+measured = ["suspension_deflection", "sprung_velocity"]
+sample_period = 0.008
+A = [[0.5]]
+B = [[0.2, 0.1]]
+C = [[100.0]]
+D = [[8000.0, -1500.0]]
+"""
+CONTROLLERS = [
+    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "python")),
+    *(("built", name) for name in ("sampled", "noisy", "discrete")),
+    ("quarter_car_accelerometer", "accelerometer"),
+    ("quarter_car_semi_active", "skyhook"),
+]
+SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
+QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
+LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
+CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
+NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
+
+
+@pytest.fixture(scope="module")
+def vehicles(tmp_path_factory) -> Path:
+    """The folder of a file for each vehicle."""
+    folder = tmp_path_factory.mktemp("vehicles")
+    paper = (HERE / "quarter_car.toml").read_text(encoding="utf-8")
+    (folder / "python.py").write_text(PYTHON, encoding="utf-8")
+    (folder / "car.toml").write_text(paper + CAR, encoding="utf-8")
+    (folder / "built.toml").write_text(paper + BUILT, encoding="utf-8")
+    for name in ("quarter_car_accelerometer.toml", "quarter_car_semi_active.toml"):
+        (folder / name).write_text((HERE / name).read_text(encoding="utf-8"), encoding="utf-8")
+    return folder
+
+
+def takes(command: str, name: str, arguments: list[str]) -> None:
+    """Holds that a command agrees, or refuses a controller of which it has nothing to say."""
+    if command in NO_CLAIM and name in ("python", "skyhook"):
+        why = r"^controller '\w+' is a .*, of which there is no linear claim, .*: name another"
+        with pytest.raises(InputError, match=why) as said:
+            main_of(command)(arguments)
+        assert "\n" not in str(said.value)
+    else:
+        assert main_of(command)(arguments) == 0
+
+
+def test_no_command_is_forgotten():
+    """All but the one that reads logs are held below."""
+    assert {*QUICK, *LONG, "sim.campaign", "sim.inspect"} == {name for name, _, _ in COMMANDS}
+
+
+@pytest.mark.parametrize(("vehicle", "name"), CONTROLLERS)
+@pytest.mark.parametrize("command", [*QUICK, *(pytest.param(each, marks=pytest.mark.attack) for each in LONG)])
+def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicle, name):
+    """What is designed, given, sampled, noisy, in Python or semi-active is driven and judged by every command alike."""
+    monkeypatch.chdir(tmp_path)
+    takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command]])
+
+
+@pytest.mark.parametrize(("vehicle", "name"), CONTROLLERS)
+def test_a_campaign_takes_it(vehicles, tmp_path, vehicle, name):
+    """So does a campaign."""
+    pytest.importorskip("pyarrow", reason="needs the extra [campaign]")
+    file = vehicles / f"{vehicle}_{name}.toml"
+    file.write_text(f'vehicles = ["{vehicle}.toml"]\n{CAMPAIGN.format(name)}', encoding="utf-8")
+    takes("sim.campaign", name, [str(file), "--results", str(tmp_path / "results"), "--workers", "1"])
