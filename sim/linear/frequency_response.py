@@ -257,6 +257,19 @@ class WorstSinusoid:
     omega: float
 
 
+def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float) -> Array:
+    """Returns the gains from sinusoidal roads under the wheels to z, shape (F,).
+
+    Args:
+        response: frequency response at these frequencies, shape (F, p, r).
+        omega: angular frequencies, shape (F,).
+        speed: forward velocity [m/s].
+    """
+    wheel_roads = as_met(vehicle, omega, speed)
+    z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response, vehicle.road_shape(omega)[:, None] * wheel_roads)
+    return np.linalg.norm(z, axis=1) / np.linalg.norm(wheel_roads, axis=1)
+
+
 def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest: float, speed: float) -> WorstSinusoid:
     """Returns the largest gain from the road under the wheels to z, and its frequency.
 
@@ -269,9 +282,7 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     """
 
     def gain(omega: Array) -> Array:
-        wheel_roads = as_met(vehicle, omega, speed)
-        z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response(omega), vehicle.road_shape(omega)[:, None] * wheel_roads)
-        return np.linalg.norm(z, axis=1) / np.linalg.norm(wheel_roads, axis=1)
+        return sinusoid_gains(vehicle, response(omega), omega, speed)
 
     # Lightly damped poles make narrow peaks; those of a vehicle are wider than the grid's 0.4 %, and each is refined.
     omega = np.geomspace(LOWEST, 0.99 * highest, GRID)

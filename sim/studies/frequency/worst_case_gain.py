@@ -30,6 +30,7 @@ from sim.linear.frequency_response import (
     WorstSinusoid,
     leaps_by_step,
     sampled_frequency_response,
+    sinusoid_gains,
     stepwise_frequency_response,
     worst_sinusoid,
 )
@@ -137,6 +138,7 @@ DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long a
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
 ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
 FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
+BESIDE, DOUBLINGS = 3e-4, 6  # relative; how far below its peak it may be, and how often it has twice the samples for that at most
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ def _drive_worst(
     speed: float,
 ) -> tuple[list[Response], list[float]]:
     """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
-    samples = [whole_periods(one.omega, timestep) for one in worst]
+    samples = [_next_to(one, vehicle, each, timestep, speed) for one, each in zip(worst, controllers, strict=True)]
     tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
     slowest = max(LoopModel(vehicle, controller, timestep).radius for controller in controllers)
     settling = timestep * math.log(SETTLED) / math.log(slowest)
@@ -269,9 +271,20 @@ def _drive_worst(
     return last, tried
 
 
-def whole_periods(omega: float, timestep: float) -> tuple[int, int]:
-    """Returns a number of periods near this frequency and their exact number of samples, `FINEST` or more per period."""
-    periods = math.ceil(FINEST * timestep * omega / (2 * np.pi))
+def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
+    """Returns whole periods, as `whole_periods`, so near the worst sinusoid that a narrow peak is met, too."""
+    for finest in (FINEST * 2**k for k in range(DOUBLINGS + 1)):
+        periods, count = whole_periods(worst.omega, timestep, finest)
+        omega = np.array([2 * np.pi * periods / (count * timestep)])
+        gain = float(sinusoid_gains(vehicle, sampled_frequency_response(vehicle, controller, omega, timestep), omega, speed)[0])
+        if gain >= worst.gain * (1 - BESIDE):
+            break
+    return periods, count
+
+
+def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
+    """Returns a number of periods near this frequency and their exact number of samples, `finest` or more in all."""
+    periods = math.ceil(finest * timestep * omega / (2 * np.pi))
     return periods, round(periods * 2 * np.pi / (omega * timestep))
 
 
