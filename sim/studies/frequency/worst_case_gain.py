@@ -273,12 +273,13 @@ def _drive_worst(
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
     """Returns whole periods, as `whole_periods`, so near the worst sinusoid that a narrow peak is met, too."""
-    for finest in (FINEST * 2**k for k in range(DOUBLINGS + 1)):
-        periods, count = whole_periods(worst.omega, timestep, finest)
+    periods, count = whole_periods(worst.omega, timestep)
+    for k in range(1, DOUBLINGS + 1):
         omega = np.array([2 * np.pi * periods / (count * timestep)])
-        gain = float(sinusoid_gains(vehicle, sampled_frequency_response(vehicle, controller, omega, timestep), omega, speed)[0])
+        gain = sinusoid_gains(vehicle, sampled_frequency_response(vehicle, controller, omega, timestep), omega, speed)[0]
         if gain >= worst.gain * (1 - BESIDE):
             break
+        periods, count = whole_periods(worst.omega, timestep, FINEST * 2**k)
     return periods, count
 
 
