@@ -2,9 +2,14 @@
 
 import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
+
+import pytest
+
+from models.common.errors import InputError
 
 T = TypeVar("T")
 ROOT = Path(__file__).parent.parent
@@ -19,6 +24,16 @@ def main_of(command: str) -> Callable[[list[str]], int]:
 def prose(printed: str) -> str:
     """What was printed with its lines joined, as a sentence that goes over several reads."""
     return " ".join(printed.split())
+
+
+@contextmanager
+def refused(*words: str, match: str | None = None) -> Iterator[None]:
+    """Asserts that bad input is refused in one line, which has these words and fits the pattern."""
+    with pytest.raises(InputError, match=match) as error:
+        yield
+    line = str(error.value)
+    assert all(word in line for word in words), line
+    assert len(line.splitlines()) == 1, line
 
 
 def once(function: Callable[..., T]) -> Callable[..., T]:

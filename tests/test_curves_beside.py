@@ -79,13 +79,6 @@ def test_the_exact_response(text, far, more):
         check_physics(run, far)
 
 
-def test_half_the_step_is_nearer():
-    """With half the step physics is nearer to its exact response, the controller sampled as before."""
-    text = ROUGH + DAMPER + "[implementation]\nsample_period = 0.002\n"
-    (whole,), (half,) = (runs(text, "sky", duration=0.3, step=step) for step in (1e-3, 5e-4))
-    assert off(half, half.sampled) < 0.6 * off(whole, whole.sampled)
-
-
 @pytest.mark.parametrize("bandwidth", [None, 80.0])
 def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
     """Coefficients that are set at random make the motion that SciPy makes of (28) with tables, friction and lag, to 1e-8."""

@@ -21,6 +21,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import from_state_space
+from tests.commands import refused
 from tests.conftest import plant_with_feedthrough
 
 GOOD = {
@@ -323,9 +324,8 @@ def test_a_plant_without_a_state_is_refused(act):
 )
 def test_matrices_that_do_not_fit(change, message):
     """A matrix of the wrong shape, or with NaN, is named with what was found and what was expected."""
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(match=message):
         GeneralizedPlant(**{**GOOD, **change})
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -361,9 +361,8 @@ def test_measurements_that_do_not_fit(Cy, message):
     for use in (two_step_design, find_lower_bound):
         if use is find_lower_bound and message == "nothing is measured":
             continue  # of that there is a bound
-        with pytest.raises(InputError, match=message) as caught:
+        with refused(match=message):
             use(GeneralizedPlant(**GOOD), Cy)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -80,18 +80,11 @@ def test_static_gain_next_to_the_bound(a, dt):
         (1, None),
         (2, 0.1),
         *(pytest.param(*each, marks=pytest.mark.attack) for each in ((2, None), (12, None), (1, 0.1), (12, 0.1))),
+        *(pytest.param(seed, dt, marks=pytest.mark.attack) for seed in range(100, 107) for dt in (None, 0.1)),
     ],
 )
 def test_no_static_gain_is_better(seed, dt):
     """Of random plants no static gain of a grid beats full order by more than 0.2 %."""
-    no_grid_beats(*any_noisy(seed, dt))
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("dt", [None, 0.1])
-@pytest.mark.parametrize("seed", range(100, 107))
-def test_no_static_gain_is_better_of_many(seed, dt):
-    """The same of many."""
     no_grid_beats(*any_noisy(seed, dt))
 
 

@@ -112,20 +112,16 @@ def check(kind: str, road: Road, duration: float = DURATION) -> None:
 def test_over_a_bump(kind):
     """Over a bump every law is within 2e-6 of a peak of its exact response at 1 ms, and 1e-6 at 0.5 ms; cars over 1 mm."""
     steps = ((1e-3, 2 * EXACT), (5e-4, EXACT))
-    for timestep, most in steps if kind == "quarter_car" else steps[:1]:  # a car's half step is in `test_a_car_over_class_c`
+    for timestep, most in steps if kind == "quarter_car" else steps[:1]:  # a car's half step is in `test_over_class_c`
         for run in driven(kind, Bump(0.03 if kind == "quarter_car" else 0.001, 5.0, 12.5), timestep, 0.2):
             check_verdict(run)
             assert apart(run, run.sampled) < most, run.controller.name
 
 
-def test_over_class_c():
-    """Over class C MuJoCo does what the exact response does, but for RK4's own arithmetic, at 1 ms up to 3e-5 of a peak."""
-    check("quarter_car", rough(with_laws("quarter_car"), 0, 10.0), 0.2)
-
-
-def test_a_car_over_class_c():
-    """So do cars, corner by corner and by modes, over a thousandth of the road."""
-    check("half_car", rough(with_laws("half_car"), 0, 20.0), 0.15)
+@pytest.mark.parametrize(("kind", "speed", "duration"), [("quarter_car", 10.0, 0.2), ("half_car", 20.0, 0.15)])
+def test_over_class_c(kind, speed, duration):
+    """Over class C MuJoCo does what the exact response does, but for RK4: 3e-5 of a peak; cars over a thousandth of the road."""
+    check(kind, rough(with_laws(kind), 0, speed), duration)
 
 
 @pytest.mark.attack

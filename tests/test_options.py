@@ -11,7 +11,7 @@ import pytest
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from synth.vehicle.designer import Designer
-from tests.commands import main_of
+from tests.commands import main_of, refused
 from tests.pages import hopper
 
 MAP = ("--vary", "height:0.1:0.2:2", "--vary", "speed:5:10:2")
@@ -125,10 +125,8 @@ def test_what_makes_no_sense_together_is_refused(name, arguments, words, tmp_pat
         os.link(tmp_path / one, tmp_path / other)
     monkeypatch.chdir(tmp_path)
     before = tree(tmp_path)
-    with pytest.raises(InputError) as caught:
+    with refused(words):
         main_of(name)(list(arguments))
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert tree(tmp_path) == before
 
 

@@ -21,6 +21,7 @@ from models.roads.road import Bump, ScaledRoad, track_width, under_wheels
 from models.roads.sinusoids import SineSweep, random_road, sinusoid
 from models.roads.spectrum import coherency
 from models.vehicle.vehicle import read_vehicle
+from tests.commands import refused
 
 SPEED, STEP = 20.0, 0.04  # m/s, m between samples of a spectrum
 SEEDS = 200
@@ -499,11 +500,8 @@ def test_bad_profiles(tmp_path, text, said):
     """A file that is no profile is refused in one line that names it, the place and what is allowed."""
     path = tmp_path / "road.csv"
     path.write_text(text)
-    with pytest.raises(InputError) as error:
+    with refused(said, str(path)):
         choose_road(str(path))
-    assert said in str(error.value)
-    assert str(path) in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
 
 
 def test_lines_may_end_in_any_way(tmp_path):
@@ -553,10 +551,8 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
 )
 def test_bad_roads(text, said):
     """A road that is none is refused in one line."""
-    with pytest.raises(InputError) as error:
+    with refused(said):
         choose_road(text)
-    assert said in str(error.value)
-    assert len(str(error.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "1", 2**63])

@@ -15,6 +15,7 @@ from sim.inspect.__main__ import main as inspect
 from sim.runs.report import controller_lines, controller_object, verdict
 from sim.runs.run import Run, run_all, sample_times
 from tests.analysed import simulate
+from tests.commands import refused
 from tests.test_dampers import BUMP, DAMPER, HALF, QUARTER
 
 NAMES = [name for name in LAWS if name != "skyhook_modal"]
@@ -210,9 +211,8 @@ def test_laws_side_by_side():
 )
 def test_bad_laws(section, said):
     """What is wrong with a semi-active law is said in one line."""
-    with pytest.raises(InputError, match=said) as error:
+    with refused(match=said):
         parse_vehicle(f"{QUARTER}{DAMPER}[controllers.mine]\n{section}\n")
-    assert "\n" not in str(error.value)
 
 
 def test_a_law_needs_dampers():

@@ -24,7 +24,7 @@ from synth.lmi.full_order_bound import bound_beyond_control
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from tests.commands import prose
+from tests.commands import prose, refused
 from tests.pages import hopper
 
 
@@ -381,9 +381,8 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
 )
 def test_bad_input(arguments, message):
     """A mistake is one line that says what to do."""
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(match=message):
         main(arguments)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
