@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from models.common.columns import Column, cells, json_object, table, titles
+from models.common.printed import Column, cells, column_table, json_object, titles
 from models.figures.page import Table
 from sim.studies.ride.run_metrics import METRIC, MetricComparison
 
@@ -19,7 +19,7 @@ def test_one_quantity_in_three_forms():
     """A table has the number in its own unit and digits, JSON the number itself under the key, and nothing without a key."""
     rows = (("1234.6", "1e+00", "some"),)
     assert cells(LENGTHS, [1.23456]) == rows
-    assert table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
+    assert column_table(LENGTHS, [1.23456]) == ["  length [mm]  at least    is", "  1234.6          1e+00  some"]
     assert Table.of("lengths", "", LENGTHS, [1.23456]) == Table("lengths", "", ("length [mm]", "at least", "is"), rows)
     assert json_object(LENGTHS, 1.23456) == {"length": 1.23456}
 
@@ -33,7 +33,11 @@ def test_what_is_no_number(value, row):
 
 def test_the_same_quantity_elsewhere():
     """What has a result has its quantities, under their title or another one."""
-    pair = LENGTHS[0].of(lambda pair: pair[1], "its length [mm]"), LENGTHS[2].of(lambda pair: pair[1])
+
+    def second(pair: tuple[str, float]) -> float:
+        return pair[1]
+
+    pair = LENGTHS[0].of(second, "its length [mm]"), LENGTHS[2].of(second)
     assert titles(pair) == ("its length [mm]", "is")
     assert cells(pair, [("a", 0.5)]) == (("500.0", "some"),)
     assert json_object(pair, ("a", 0.5)) == {"length": 0.5}

@@ -13,9 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from models.common.columns import Column, T, cells, titles
 from models.common.errors import InputError
 from models.common.files import whole_file
+from models.common.printed import Column, T, cells, titles
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans, rgb
 from models.figures.svg import DASHES, MARKERS, levels, on_paper, page_text, shade_colors, svg
 

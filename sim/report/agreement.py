@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.columns import Column
+from models.common.printed import Column
 from models.figures.axis import axis_of
 from models.figures.figure import Curve, Figure, Marker, Panel, thinned
 from models.figures.page import Section, Table

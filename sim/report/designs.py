@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.columns import Column, cells, titles
+from models.common.printed import Column, cells, titles
 from models.figures.page import Section, Table
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.columns import Column, cells, titles
-from models.common.printed import cell, percent
+from models.common.printed import Column, cell, cells, percent, titles
 from models.figures.figure import Figure
 from models.figures.page import Section, Table
 from models.roads.road import Bump

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.common.columns import Column, cells, titles
-from models.common.printed import cell
+from models.common.printed import Column, cell, cells, titles
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
 from models.roads.load import Load

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.columns import Column
+from models.common.printed import Column
 from models.figures.figure import Curve, Dash, Figure, Panel
 from models.figures.page import Section, Table
 from models.roads.iri import roughness_of

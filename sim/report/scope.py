@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from models.common.columns import Column
+from models.common.printed import Column
 from models.figures.figure import Dash, styles
 from models.roads.load import Load
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.common.columns import Column
-from models.common.printed import cell
+from models.common.printed import Column, cell
 from models.figures.figure import Bars, Curve, Figure, Panel
 from models.figures.page import Section, Table
 from sim.report.headline import unclaimed

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from models.common.columns import cells, json_object, titles
-from models.common.printed import command, finite, option, percent, table, wrapped
+from models.common.printed import cells, command, finite, json_object, option, percent, table, titles, wrapped
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
 from synth.analysis.record import to_record

@@ -8,8 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
-from models.common.columns import Column
-from models.common.printed import finite, matrix, percent
+from models.common.printed import Column, finite, matrix, percent
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import IDEAL

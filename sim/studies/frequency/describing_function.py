@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.columns import Column, table
-from models.common.printed import cell, finite, finite_pairs, percent
+from models.common.printed import Column, cell, column_table, finite, finite_pairs, percent
 from models.laws.python_law import Programmed
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
@@ -177,7 +176,7 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     if wild.all():
         return lines
     name = Column[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
-    lines += table((name, *MOVING), one.moving)
+    lines += column_table((name, *MOVING), one.moving)
     gain = f"{cell(one.gains[one.worst], '.5g')} at {hertz[one.worst]:.3g} Hz"
     lines.append(f"  largest L2 gain of these sinusoids: {gain}; no norm, as another road may be amplified more")
     if one.drift > STEADY:

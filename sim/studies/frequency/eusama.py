@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.common.columns import Column, json_object, table
+from models.common.printed import Column, column_table, json_object
 from models.roads.road import RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -165,7 +165,7 @@ def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
     """The minimum loads as a table, and what is said against them."""
     name = Column[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
     ended = Column[MinimumLoad]("", lambda one: one.end)
-    return [*table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
+    return [*column_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
 
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:

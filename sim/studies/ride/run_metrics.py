@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.columns import Column, cells, json_object, titles
-from models.common.printed import finite, percent, table
+from models.common.printed import Column, cells, finite, json_object, percent, table, titles
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import Vehicle

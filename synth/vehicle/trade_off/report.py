@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.columns import Column, json_object
 from models.common.files import whole_file
 from models.common.interrupt import LATE
-from models.common.printed import finite, table, wrapped
+from models.common.printed import Column, finite, json_object, table, wrapped
 from models.figures.figure import Curve, Figure, Panel, styles
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
