@@ -10,7 +10,7 @@ import pytest
 
 from tests.pages import ROOT, page, sections
 
-MARK = "\n\n# By the name that a command line"
+MARK = "\n\n# By their names on a command line"
 
 
 @pytest.mark.attack  # four processes in a copy that has to be compiled
