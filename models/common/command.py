@@ -222,8 +222,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 
 def _ended_by(error: BaseException) -> int:
     """Prints why a command ended and returns its exit code. Raises unforeseen errors again."""
-    # After a Ctrl-C an import that failed is one that it broke: some compiled modules drop the interrupt, and its trace.
-    if interrupt.caused(error) or (isinstance(error, ImportError) and interrupt.raised()):
+    if interrupt.caused(error):
         complain(interrupt.word())
         return interrupt.code()
     if isinstance(error, InputError):

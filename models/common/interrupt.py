@@ -92,7 +92,12 @@ def raise_from_now_on() -> None:
 
 
 def caused(error: BaseException | None) -> bool:
-    """Returns True if an error is or stems from Ctrl-C: a compiled module turns it into ImportError during its import."""
+    """Returns True if an error is or stems from Ctrl-C: a compiled module turns it into ImportError during its import.
+
+    Some of these modules drop the interrupt with its trace. So an import that fails after a Ctrl-C counts as broken by it.
+    """
+    if isinstance(error, ImportError) and _raised:
+        return True
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

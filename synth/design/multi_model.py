@@ -25,7 +25,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.norm import hinf_norm
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import first_step, second_step, together
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrix, real_matrix
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrices, real_matrix
 from synth.plant.numerics import DesignError, numerics
 from synth.plant.units import Scaled, own_units, reachable
 
@@ -134,7 +134,7 @@ def _checked(
     for plant in plants:
         check_continuous(plant)
         check_posed(plant)
-    checked = [measurement_matrix(Cy, len(plant.A)) for plant, Cy in zip(plants, Cys, strict=True)]
+    checked = [measurement_matrices(plant, Cy)[0] for plant, Cy in zip(plants, Cys, strict=True)]
     for i, (plant, Cy) in enumerate(zip(plants, checked, strict=True)):
         if plant.B.shape != plants[0].B.shape or Cy.shape != checked[0].shape:
             raise InputError(

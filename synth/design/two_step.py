@@ -22,7 +22,7 @@ from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
 from synth.lmi.unobservable import RANK, hidden, nulling, unseen
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrix
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import own_units, size
 
@@ -379,7 +379,7 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
 
 def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
     """C_y, checked, and which of its rows do not follow from those before them."""
-    Cy = measurement_matrix(Cy, len(plant.A))
+    Cy = measurement_matrices(plant, Cy)[0]
     return Cy, independent_rows(plant, Cy)
 
 

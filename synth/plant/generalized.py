@@ -229,18 +229,6 @@ def check_posed(plant: GeneralizedPlant) -> None:
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
 
 
-def measurement_matrix(Cy: object, n: int) -> Array:
-    """Returns C_y after a check, shape (q, n).
-
-    Raises:
-        InputError: the plant has no state; or it is not one of real finite numbers with n columns, or has no row, or one that is
-            next to zero.
-    """
-    matrix = _measured(Cy, n)
-    _refuse_silent(matrix, "Cy", "of the state")
-    return matrix
-
-
 def measured_with(plant: GeneralizedPlant, Cy: object, Dyw: object | None) -> tuple[Array, Array | None]:
     """Returns checked C_y and Dyw like `measurement_matrices`, with Dyw None if it is not given."""
     states, noise = measurement_matrices(plant, Cy, Dyw)
@@ -258,8 +246,8 @@ def measurement_matrices(
         through: what the forces do to the measurements at once, shape (q, m); zero if it is not given.
 
     Raises:
-        InputError: one of them is not one of real finite numbers of its shape, or no signal is measured, or one that is next to
-            zero in all.
+        InputError: the plant has no state, a matrix is not one of real finite numbers of its shape, no signal is measured, or one
+            that is next to zero in all.
     """
     states = _measured(Cy, len(plant.A))
     shape = len(states), plant.Bw.shape[1]
