@@ -5,6 +5,7 @@ mode, the twist, is fixed by the suspension deflections and the twist of the roa
 """
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from models.kinds import rigid_body, signals
 from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Bar, Corner, RigidBody
+
+if TYPE_CHECKING:
+    from models.kinds.motion import Motion
 
 AXLES = ("front", "rear")
 SIDES = ("left", "right")
@@ -116,6 +120,15 @@ def linear_model(p: Parameters) -> LinearModel:
     return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 
+def motion(p: Parameters) -> "Motion":
+    """Returns the exact equations of motion, which have every tyre's own deflection."""
+    from models.kinds.rigid_motion import rigid_motion
+
+    lengths = (*_at_corners(signals.SUSPENSION_DEFLECTION), *_at_corners(signals.TYRE_DEFLECTION))
+    rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
+    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)))
+
+
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
@@ -149,4 +162,5 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS,
     angles=lambda p: rigid_body.angles(_body(p)),
+    motion=motion,
 )

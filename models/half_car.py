@@ -1,11 +1,16 @@
 """Half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from models.kinds import rigid_body, signals
 from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Corner, RigidBody
+
+if TYPE_CHECKING:
+    from models.kinds.motion import Motion
 
 CORNERS = ("front", "rear")
 
@@ -78,6 +83,13 @@ def linear_model(p: Parameters) -> LinearModel:
     return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 
+def motion(p: Parameters) -> "Motion":
+    """Returns the exact equations of motion."""
+    from models.kinds.rigid_motion import rigid_motion
+
+    return rigid_motion(_body(p), STATES)
+
+
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
@@ -104,5 +116,6 @@ KIND = VehicleKind(
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS[:2],
     angles=lambda p: rigid_body.angles(_body(p)),
+    motion=motion,
     lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car"},
 )

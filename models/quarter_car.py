@@ -5,13 +5,16 @@ does: preloads hold the masses up, and the tyre can leave the road.
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.kinds import signals
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
+
+if TYPE_CHECKING:
+    from models.kinds.motion import Motion
 
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, what one wheel carries of the body", varied=Variation("sprung mass", 0.7, 1.4)),
@@ -108,6 +111,24 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     tyre.springlength[0] = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
 
 
+def motion(p: Parameters) -> "Motion":
+    """Returns the equations of motion, in which the tyre pushes and never pulls: a body on one strut, which only heaves."""
+    from models.kinds.rigid_body import Corner, RigidBody
+    from models.kinds.rigid_motion import rigid_motion
+
+    corner = Corner(
+        name="",
+        x=0.0,
+        y=0.0,
+        unsprung_mass=p["unsprung_mass"],
+        suspension_stiffness=p["suspension_stiffness"],
+        suspension_damping=p["suspension_damping"],
+        tyre_stiffness=p["tyre_stiffness"],
+    )
+    body = RigidBody((corner,), p["sprung_mass"], 1.0, None, tyre_modes=np.eye(1), twist=np.zeros(1))
+    return rigid_motion(body, STATES)
+
+
 # From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which contains no suspension force.
 INVARIANTS = (
     Invariant(
@@ -142,5 +163,6 @@ KIND = VehicleKind(
     invariants=INVARIANTS,
     on_demand=ON_DEMAND,
     loads=(BodyLoad(signals.HEAVE_LOAD.name, "sprung"),),
+    motion=motion,
     lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a quarter-car only goes up and down: take a full_car"},
 )

@@ -16,7 +16,7 @@ COMMANDS = (  # name, the question it answers, the options that one reaches for 
     ("sim.sweep", "what are the frequency responses and the norm, measured?", "--amplitude --picture"),
     ("sim.margins", "how much gain, delay and sample period does the loop bear?", "--picture"),
     ("sim.envelope", "over which bumps may linear analysis be trusted?", "--vary --picture --csv"),
-    ("sim.campaign", "what comes out over thousands of roads and vehicles?", "--results --verify"),
+    ("sim.campaign", "what comes out over thousands of roads and vehicles?", "--best --results --verify"),
     ("sim.report", "all of it for one vehicle file, on one page?", "--out --quick --figures"),
     ("sim.inspect", "does a log still prove what it claims?", "--csv --kinds"),
 )

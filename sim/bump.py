@@ -2,16 +2,15 @@
 
 import json
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from models.common.command import chosen, run_command
-from sim.command.bump_options import asked_road, parser
+from sim.command.bump_options import parser, requested_road
 
 if TYPE_CHECKING:
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
-    from sim.runs.run import Run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,13 +23,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.common.printed import say
     from models.figures.outputs import check_outputs
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import check_view, compared_lines, recorded, run_named, view
-    from sim.runs.report import half_step_object, run_object
+    from sim.command.comparison import (
+        check_view,
+        compared_lines,
+        log_lines,
+        passive_beside,
+        recorded,
+        run_named,
+        standings_of,
+        view,
+    )
+    from sim.runs.report import half_step_object, run_object, summary_lines
     from sim.runs.run import sample_times
+    from sim.studies.ride.standing import standing_lines, standings_object
     from synth.vehicle.designer import Designer
 
     vehicle = read_vehicle(options.vehicle)
-    names, road = chosen(vehicle.controller_names, options.controller), asked_road(options)
+    names, road = chosen(vehicle.controller_names, options.controller), requested_road(options)
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
     check_view(options)
@@ -44,34 +53,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
     }
     logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    passive = passive_beside(runs, design)
+    standings = standings_of(runs, passive)
     if options.json:
-        print(json.dumps({**result, "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
-        say(_text(vehicle, road, runs, compared_lines(runs, design), options, logs))
+        lines = _titled(vehicle, road, options)
+        if not options.brief:
+            for of_run in compared_lines(runs, passive):
+                lines += ["", *of_run]
+        recordings = [] if options.brief else log_lines(logs)
+        say([*lines, "", *standing_lines(standings, "MuJoCo, all of the run"), *recordings, "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 
 
-def _text(
-    vehicle: "Vehicle",
-    road: "Bump",
-    runs: "Sequence[Run]",
-    compared: list[list[str]],
-    options: Namespace,
-    logs: Mapping[str, str | None],
-) -> list[str]:
+def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:
     from models.common.printed import titled
-    from sim.command.comparison import log_lines
-    from sim.runs.report import summary_lines
 
-    lines = titled(
+    return titled(
         f"{vehicle.kind.name} over a bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s"
         f"{'' if road.track == 'both' else f', {road.track} wheels only'}; {options.duration:g} s at {options.timestep:g} s",
         vehicle.source,
     )
-    for of_run in compared:
-        lines += ["", *of_run]
-    return [*lines, *log_lines(logs), "", *summary_lines(runs)]
 
 
 if __name__ == "__main__":

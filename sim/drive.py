@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
-from sim.command.drive_options import asked_road, parser
+from sim.command.drive_options import parser, requested_road
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,7 +17,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.common.printed import say, titled
     from models.figures.outputs import check_outputs
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import check_view, compared_lines, log_lines, recorded, run_named, view
+    from sim.command.comparison import (
+        check_view,
+        compared_lines,
+        log_lines,
+        passive_beside,
+        recorded,
+        run_named,
+        standings_of,
+        view,
+    )
     from sim.runs.report import half_step_object, run_object, summary_lines
     from sim.runs.run import sample_times
     from sim.studies.ride.metrics import DEFINITIONS
@@ -29,12 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metrics_object,
         roughness_object,
     )
+    from sim.studies.ride.standing import standing_lines, standings_object
     from synth.vehicle.designer import Designer
 
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
-    road = asked_road(vehicle, options, time)
+    road = requested_road(vehicle, options, time)
     check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
@@ -55,16 +65,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "iri": roughness_object(roughness),
     }
     logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    passive = passive_beside(runs, design)
+    standings = standings_of(runs, passive, first)
     if options.json:
-        print(json.dumps({**result, "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
-        for run, one, compared in zip(runs, measured, compared_lines(runs, design), strict=True):
-            lines += ["", *compared, ""]
-            lines += metric_lines(run, one, float(time[first]), options.duration, roughness)
-        say([*lines, *log_lines(logs), "", *summary_lines(runs)])
+        if not options.brief:
+            for run, one, compared in zip(runs, measured, compared_lines(runs, passive), strict=True):
+                lines += ["", *compared, ""]
+                lines += metric_lines(run, one, float(time[first]), options.duration, roughness)
+        window = f"MuJoCo, from {time[first]:.4g} s on"
+        recordings = [] if options.brief else log_lines(logs)
+        say([*lines, "", *standing_lines(standings, window), *recordings, "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.holds for run in runs) else 1
 

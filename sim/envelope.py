@@ -95,16 +95,18 @@ def _nearest_runs(
     import numpy as np
 
     from sim.response.regime import END_NAMES
-    from sim.runs.run import run_all
+    from sim.runs.run import run_controllers
     from sim.studies.validity.regime_map import loaded
 
-    found, used = {}, cells.used.max(axis=-1)
+    nearest, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
         mine = np.flatnonzero(cells.done & (cells.first == end))
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
-            (found[nearest_run(controller.name, end)],) = run_all(vehicle, [controller], loaded(cells.bumps[i], loads), time)
-    return found
+            (nearest[nearest_run(controller.name, end)],) = run_controllers(
+                vehicle, [controller], loaded(cells.bumps[i], loads), time
+            )
+    return nearest
 
 
 def _check(vehicle: "Vehicle", bumps: "Sequence[Bump]", time: "Array", threshold: float) -> None:

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     controller = _with_loop(vehicle, Designer(as_built, search=False).design(name), options.timestep)
     say_false_claims([controller])
     stage("margins")
-    found = find_margins(vehicle, controller, options.timestep, stage)
+    margins = find_margins(vehicle, controller, options.timestep, stage)
     stage("fragility")
     fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
@@ -61,13 +61,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from models.figures.picture import write_picture
         from sim.studies.stability.figure import margins_figure
 
-        write_picture(margins_figure(vehicle, controller, found[""], fragile, box, options.timestep), options.picture)
+        write_picture(margins_figure(vehicle, controller, margins[""], fragile, box, options.timestep), options.picture)
     result = {
-        **margins_object(vehicle, controller, found, fragile, box),
+        **margins_object(vehicle, controller, margins, fragile, box),
         "loop": _which_loop(as_built) or None,
     }
     built = replace(as_built, implementation=Implementation())
-    delayed = functools.partial(_delayed_runs, built, controller, found[""], options.timestep)
+    delayed = functools.partial(_delayed_runs, built, controller, margins[""], options.timestep)
     logs = recorded(options, built, [controller.name], delayed, result)
     stage.end()
     if options.json:
@@ -75,14 +75,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
-        lines += margins_lines(vehicle, controller, found, fragile, box)
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(found, fragile, box)])
-    return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in found.values()) else 1
+        lines += margins_lines(vehicle, controller, margins, fragile, box)
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(margins, fragile, box)])
+    return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in margins.values()) else 1
 
 
 def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":
     """The controller, if its loop is one that has margins."""
-    from sim.studies.stability.loop_transfer import cut
+    from sim.studies.stability.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
 
     name = controller.name
@@ -93,7 +93,7 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
             f"controller {name!r} has no margin, for without a computer its loop is not stable as it is "
             f"({controller.certificate.stability.words}); give one that makes it stable"
         )
-    times = cut(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
+    times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:
         raise InputError(
             f"controller {name!r} bears no delay at all, and no computer: what it measures at once has {times:.4g} times its own "
@@ -111,15 +111,15 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
 def _delayed_runs(vehicle: "Vehicle", controller: "Controller", loop: "LoopMargins", timestep: float) -> "dict[str, Run]":
     """The run that still decays and the one that grows, to be recorded; without a delay margin, the longest delay tried."""
     from models.vehicle.limits_and_implementation import Implementation
-    from sim.runs.run import run_all, sample_times
+    from sim.runs.run import run_controllers, sample_times
     from sim.studies.stability.growth_test import BUMP, SHORTEST
 
     delays = [loop.delay.stable, loop.delay.unstable] if math.isfinite(loop.delay.unstable) else [loop.delay.stable]
-    time, found = sample_times(vehicle, SHORTEST, timestep), {}
+    time, runs = sample_times(vehicle, SHORTEST, timestep), {}
     for samples in (round(delay / timestep) for delay in delays):
         delayed = replace(vehicle, implementation=Implementation(delay=samples))
-        (found[late_run(controller.name, samples)],) = run_all(delayed, [controller], BUMP, time)
-    return found
+        (runs[late_run(controller.name, samples)],) = run_controllers(delayed, [controller], BUMP, time)
+    return runs
 
 
 def _which_loop(vehicle: "Vehicle") -> str:

@@ -8,7 +8,7 @@ from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from sim.command.road_options import left_out, left_out_lines
-from sim.command.sweep_options import asked_names, parser, worst_road, worst_times
+from sim.command.sweep_options import parser, requested_names, worst_road, worst_times
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from synth.vehicle.designer import Designer
 
     vehicle = read_vehicle(options.vehicle)
-    names = asked_names(vehicle, options)
+    names = requested_names(vehicle, options)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
@@ -101,15 +101,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _worst_runs(vehicle: "Vehicle", sweeps: "Sequence[Sweep | DescribingFunction]", options: Any) -> "dict[str, Run]":
     """Every controller on its worst sinusoid, from rest, to be recorded."""
-    from sim.runs.run import run_all
+    from sim.runs.run import run_controllers
     from sim.studies.frequency.identification import ideal_measurements
 
-    vehicle, found = ideal_measurements(vehicle), {}
+    vehicle, runs = ideal_measurements(vehicle), {}
     time = worst_times(vehicle, options)
     for one in sweeps:
         road = worst_road(one.worst_omega, options)
-        (found[one.controller.name],) = run_all(vehicle, [one.controller], road, time)
-    return found
+        (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
+    return runs
 
 
 if __name__ == "__main__":

@@ -15,6 +15,12 @@ Public names, imported when they are first used; all units are SI:
 Whatever else a module holds may move without notice.
 """
 
+import sys
+from os.path import dirname
+
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != dirname(__path__[0]):
+    sys.path.append(sys.path.pop(0))  # the user's folder comes last: its models.py is not ours
+
 from models.common.interrupt import quiet_start
 
 quiet_start()  # the first line of ours that `python -m` runs

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import ALL, chosen, run_command
 from models.common.errors import InputError, listing
-from synth.command.options import asked
+from synth.command.options import parse_options
 
 if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: bad options or vehicle file.
     """
-    options = asked(arguments)
+    options = parse_options(arguments)
     from models.vehicle.vehicle import read_vehicle
 
     vehicle = read_vehicle(options.check or options.vehicle)
@@ -38,16 +38,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     """The controllers asked for, each once."""
-    from models.vehicle.controllers import Method
+    from models.vehicle.combinations import check_command, goes
 
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
-    designed = [entry.name for entry in linear if entry.method is Method.TWO_STEPS]
+    designed = [entry.name for entry in linear if goes("zero_l", entry.parts)]
     everything = designed if options.zero_l else vehicle.linear_names
     if options.zero_l and not designed:
         raise InputError(f"--zero-l is of a design from measurements, and {vehicle.source} asks for none; leave it out")
     names = everything if options.controller == [ALL] else chosen(vehicle.controller_names, options.controller, everything)
     for name in names:
-        if options.zero_l and name not in designed:
+        if options.zero_l and name in vehicle.controllers:
+            check_command(f"controller {name!r}", vehicle.controllers[name].parts, "zero_l")
+        elif options.zero_l:
             raise InputError(f"--zero-l: {name!r} is not designed in two steps; this vehicle has {listing(designed)}")
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")

@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.recording.run_log import RunLog
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests import shared
@@ -92,7 +92,7 @@ def lifting(designer: Designer) -> RunLog:
 
     vehicle, road = designer.vehicle, Bump(height=0.2, speed=20.0)
     time = sample_times(vehicle, 0.5, 1e-3)
-    return run_log(run_all(vehicle, [designer.design("I")], road, time)[0], "I")
+    return run_log(run_controllers(vehicle, [designer.design("I")], road, time)[0], "I")
 
 
 def random_vehicles(vehicle: Vehicle, count: int, spread: float = 0.5) -> list[Vehicle]:

@@ -54,12 +54,12 @@ def _matrices() -> Iterator[Damage]:
             yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
         yield Damage(f"{name} is complex", "py", f"{name} has complex entries", _of_linear_model(name, "M + 0j"))
     for value in ("0.0", "-1.0", "np.nan", "np.inf", "'x'", "None", "M * 1j"):
-        yield Damage(f"twist_rate = {value}", "py", "linear_model gives twist_rate", _of_linear_model("twist_rate", value))
+        yield Damage(f"twist_rate = {value}", "py", r"linear_model fails \(twist_rate", _of_linear_model("twist_rate", value))
 
 
 def _names() -> Iterator[Damage]:
     for name in ("states", "inputs", "disturbances", "outputs"):
-        for value in ("()", "M[0]", "list(M)", "(*M[1:], M[0][:-1])", "(*M, M[0])", "(1,) * len(M)", "None"):
+        for value in ("()", "M[0]", "(*M[1:], M[0][:-1])", "(*M, M[0])", "(1,) * len(M)", "None"):
             yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
     for name, row in (("D", 0), ("Cr", 1), ("C", 3)):  # a state that is more than itself, a force that is
         value = f"np.where(np.arange(4)[:, None] == {row}, 1.0, M)"

@@ -41,7 +41,7 @@ from filelock import FileLock
 
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
-from sim.runs.run import Run, run_all, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.commands import main_of
@@ -77,7 +77,7 @@ def designed(vehicle: Vehicle, name: str) -> Controller:
 
 
 def ran(vehicle: Vehicle, *names: str, road: Road | None = None, duration: float = 3.0, timestep: float = 1e-3) -> list[Run]:
-    """Returns the runs of some controllers over a road, by default the paper's bump, as `run_all` makes them."""
+    """Returns the runs of some controllers over a road, by default the paper's bump, as `run_controllers` makes them."""
     return made(_ran, vehicle, names, road or Bump(), duration, timestep)
 
 
@@ -107,7 +107,7 @@ def _designed(vehicle: Vehicle, name: str) -> Controller:
 
 def _ran(vehicle: Vehicle, names: tuple[str, ...], road: Road, duration: float, timestep: float) -> list[Run]:
     controllers = [designed(vehicle, name) for name in names]
-    return run_all(vehicle, controllers, road, sample_times(vehicle, duration, timestep))
+    return run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep))
 
 
 def _printed(command: str, arguments: tuple[str, ...], files: dict[str, str]) -> Printed:

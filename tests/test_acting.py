@@ -18,7 +18,7 @@ from sim.recording.mcap_writer import _nearly_equal
 from sim.recording.rerun_writer import _page, write_rrd
 from sim.recording.run_records import run_log
 from sim.runs.force_diagram import diagrams, pulled
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.commands import prose
 from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
@@ -128,7 +128,7 @@ def test_a_message_is_nearly_another():
 def adjusted():
     """A run with an adjustable damper, as it is written down."""
     vehicle = read_vehicle("quarter_car_semi_active")
-    (run,) = run_all(vehicle, [design(vehicle, "I")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
+    (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
     return run, run_log(run, "I")
 
 
@@ -167,7 +167,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
 def test_curves_are_logged_as_they_are():
     """Of a passive vehicle every force lies on its curve, a damper's over velocity and a spring's over deflection."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
-    (run,) = run_all(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
     found = pulled(vehicle, run.physics)
     assert found is not None
     for what, one in (("spring", "deflection"), ("damper", "velocity")):

@@ -31,17 +31,17 @@ ROOMS = {
     "models.full_car": "models.kinds",
     "models.half_car": "models.kinds",
     "models.quarter_car": "models.kinds",
-    "models.vehicle": "models.kinds models.laws models.suspension",
+    "models.vehicle": "models.figures models.kinds models.laws models.suspension",
     "models.roads": "models.kinds models.vehicle",
     # synth: what a controller is; of vehicles it knows nothing below `controller`
     "synth": "",
     "synth.plant": "models.laws",
-    "synth.analysis": "synth.plant",
+    "synth.analysis": "models.figures synth.plant",
     "synth.controller": "models models.kinds models.laws models.suspension models.vehicle synth.analysis synth.plant",
     "synth.lmi": "synth.analysis synth.plant",
     "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
-    "synth.vehicle": "models.figures models.laws models.roads models.vehicle synth.analysis synth.controller synth.design "
-    "synth.lmi synth.plant",
+    "synth.vehicle": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
+    "synth.design synth.lmi synth.plant",
     "synth.command": "models.figures models.vehicle synth.analysis synth.controller synth.design synth.lmi synth.plant "
     "synth.vehicle",
     "synth.__main__": "models.vehicle synth.command",
@@ -52,14 +52,14 @@ ROOMS = {
     "synth.controller synth.plant sim.response",
     "sim.physics": "models.kinds models.laws models.roads models.suspension models.vehicle synth.controller sim.response",
     "sim.runs": "models models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
-    "synth.controller sim.linear sim.physics sim.response",
+    "synth.controller synth.vehicle sim.linear sim.physics sim.response",
     "sim.recording": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.response sim.runs",
     "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
     "synth.controller synth.design synth.plant sim.linear sim.physics sim.response sim.runs",
-    "sim.command": "models models.figures models.laws models.roads models.vehicle synth.controller sim.recording "
+    "sim.command": "models models.figures models.roads models.vehicle synth.controller sim.recording "
     "sim.response sim.runs sim.studies",
-    "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs",
+    "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs sim.studies",
     "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
@@ -82,14 +82,15 @@ OF_ALL = "models.common"
 # A command or a kind of vehicle that is one file is no folder, and adds to none of them.
 MOST_ROOMS = {"models": 7, "synth": 7, "sim": 10}
 MOST_FLOORS = {"models": 5, "synth": 6, "sim": 6}
-MOST_ARROWS = {"models": 13, "synth": 19, "sim": 36}
+MOST_ARROWS = {"models": 14, "synth": 19, "sim": 36}
 MOST_FILES = 16  # in a folder, beside its __init__: as many as one overlooks
 
 # What certifies, checks and inspects reaches these rooms and files, by whatever way, and no other: none solves an LMI or searches
 # for a gain. (From Riccati equations, by SciPy, a log's LQR, LQG or H2 design is computed again.)
 REACHES = {
-    "synth.analysis": "models.common synth.plant",
-    "synth.controller": "models.common models.kinds models.laws models.suspension models.vehicle synth.analysis synth.plant",
+    "synth.analysis": "models.common models.figures synth.plant",
+    "synth.controller": "models.common models.figures models.kinds models.laws models.suspension models.vehicle "
+    "synth.analysis synth.plant",
     "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.analysis synth.controller synth.design.full_order.quadratic synth.plant "
     "synth.vehicle.quadratic sim.command sim.linear sim.physics sim.recording sim.response sim.runs "

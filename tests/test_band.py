@@ -131,7 +131,7 @@ def test_a_discrete_loop():
         assert found.value >= dense * (1 - 1e-12)
     with pytest.raises(DesignError, match="the loop has a pole at z = -1"):
         norm_in_band(dataclasses.replace(system(-1.0, 1.0, 1.0), dt=dt), 1.0, 5.0)
-    with pytest.raises(InputError, match=r"frequencies up to 31\.4159 rad/s; begin below that"):
+    with pytest.raises(InputError, match=r"Nyquist frequency of a loop sampled every .* s is 31\.4159 rad/s; begin below that"):
         norm_in_band(plant, 32.0, 40.0)
 
 
@@ -140,7 +140,7 @@ def test_an_unstable_loop_is_said_to_be_one():
     found = norm_in_band(system(1.0, 1.0, -1.0), 1.0, 3.0)
     assert found.value == pytest.approx(0.5**0.5, rel=1e-12)
     assert not found.stability.stable
-    assert "of a loop in which no sinusoid settles: unstable: a pole at 1 1/s" in found.words
+    assert "but no sinusoid settles in this loop: unstable: a pole at 1 1/s" in found.words
     assert "settles" not in norm_in_band(system(-1.0, 1.0, -1.0), 1.0, 3.0).words
 
 
@@ -170,10 +170,8 @@ def test_a_huge_gain_has_its_digits_in_a_band():
     assert found.rounding < 1e-11
 
 
-@pytest.mark.parametrize(
-    ("low", "high"), [(-1.0, 2.0), (2.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (1.0, np.nan), (np.inf, np.inf), ("1", 2.0), (1j, 2)]
-)
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (2.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (1.0, np.nan), (np.inf, np.inf)])
 def test_what_is_no_band(low, high):
     """A band begins at 0 or above, and ends above that; else one line says so."""
-    with pytest.raises(InputError, match="rad/s is no band; give where it begins, from 0, and where it ends, above that"):
+    with pytest.raises(InputError, match="rad/s is not a band; give a lower edge of at least 0 and a higher upper edge"):
         norm_in_band(oscillator(1.0, 0.1), low, high)

@@ -13,7 +13,7 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.physics.sensor_readout import reads_out
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests import test_cars
 from tests.analysed import energy, simulate
@@ -75,7 +75,7 @@ def test_without_bars_nothing_changes(barred):
 def test_physics_agrees_and_energy_balances(barred):
     """Over a bump under the left wheels MuJoCo agrees with the analysis of a car with bars; no energy is lost."""
     time, road = sample_times(barred, 2.0, 1e-3), Bump(height=0.05, track="left")
-    (run,) = run_all(barred, [Designer(barred).design("passive")], road, time)
+    (run,) = run_controllers(barred, [Designer(barred).design("passive")], road, time)
     assert run.agreement.agrees
     assert run.energy is not None
     assert run.energy.residual < 1e-6  # RK4's share; measured 2e-7
@@ -84,7 +84,7 @@ def test_physics_agrees_and_energy_balances(barred):
 def test_error_goes_with_the_amplitude(barred):
     """At 1 mm the difference from the exact sampled response is RK4's own and rounding, not a thousandth of a bump's."""
     controller, time = Designer(barred).design("passive"), sample_times(barred, 1.0, 1e-3)
-    runs = [run_all(barred, [controller], Bump(height=height, track="left"), time)[0] for height in (0.05, 1e-3)]
+    runs = [run_controllers(barred, [controller], Bump(height=height, track="left"), time)[0] for height in (0.05, 1e-3)]
     errors = [max(one.sampled for one in run.agreement.signals.values()) for run in runs]
     assert errors[1] < 2e-6  # measured 5e-7, as without bars
     assert errors[1] < errors[0] / 1000  # measured 1.1e-3 there: geometry

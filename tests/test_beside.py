@@ -10,7 +10,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
-from sim.report.contents import page, report_object
+from sim.report.contents import report, report_object
 from sim.report.scope import Scope
 from sim.report.worker_processes import Beside
 from synth.vehicle.designer import Designer
@@ -70,11 +70,11 @@ def test_the_page_is_the_same(paper):
     pages = []
     for count in (0, 1):
         with Beside(count) as beside:
-            pages.append(page(scope, {}, beside))
+            pages.append(report(scope, {}, beside))
     alone, shared = (report_object(one) for one in pages)
     assert alone == shared
     assert told[: len(told) // 2] == told[len(told) // 2 :], "and names its stages in the same order"
-    figures = [[panel for part in one.parts for figure in part.figures for panel in figure.panels] for one in pages]
+    figures = [[panel for part in one.page.parts for figure in part.figures for panel in figure.panels] for one in pages]
     assert [[curve.y.tolist() for curve in panel.curves] for panel in figures[0]] == [
         [curve.y.tolist() for curve in panel.curves] for panel in figures[1]
     ]

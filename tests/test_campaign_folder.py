@@ -292,6 +292,7 @@ def test_parts_of_another_campaign(whole, begun, tmp_path):
         patch.setattr(campaign_store.Store, "finish", lambda self: None)
         patch.setattr(campaign, "summarise", lambda plan, store: [])
         patch.setattr(campaign, "summary_lines", lambda entries: [])
+        patch.setattr(campaign, "compare", lambda plan, store: {})
         start(tmp_path)
     assert store_runs[0][0] == 0
     assert store_runs[-1][1] == RUNS

@@ -15,7 +15,7 @@ from models.roads.road import Bump
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.physics import sensor_readout as readout
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.analysed import continuous_response, sampled_response, simulate
 from tests.conftest import random_vehicles
@@ -145,7 +145,7 @@ def test_error_vanishes_with_the_amplitude(car, car_designer, track):
 def test_verdict_says_how_much_is_geometry(car, car_designer):
     """At the full bump physics agrees to first order only, and the run tells the difference from a wrong model."""
     time, controller = sample_times(car, 1.0, 1e-3), car_designer.design("II")
-    run = run_all(car, [controller], Bump(), time)[0]
+    run = run_controllers(car, [controller], Bump(), time)[0]
     worst = max(run.agreement.signals.values(), key=lambda signal: signal.sampled)
     assert run.agreement.agrees
     assert worst.sampled > worst.allowed  # not RK4's
@@ -155,7 +155,7 @@ def test_verdict_says_how_much_is_geometry(car, car_designer):
     other = dataclasses.replace(car, parameters={**car.parameters, "sprung_mass": 1.01 * car.parameters["sprung_mass"]})
     wrong = dataclasses.replace(car, parameters=car.parameters)
     wrong.__dict__["linear_model"] = other.linear_model
-    assert not run_all(wrong, [controller], Bump(), time)[0].agreement.agrees
+    assert not run_controllers(wrong, [controller], Bump(), time)[0].agreement.agrees
 
 
 @pytest.mark.parametrize("name", ["state", "I", "II"])

@@ -9,8 +9,6 @@ from synth.lmi.barrier import Barrier, newton
 from synth.lmi.central_path import central_path
 from synth.lmi.output_feedback import l_matrix, nullspace, output_feedback, r_matrix, state_feedback
 from synth.lmi.sdp import solve_lmi
-from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import InfeasibleError
 from tests.conftest import plant_with_feedthrough
 
 CY = {"I": np.eye(4)[[0, 2]], "II": np.eye(4)[[2]]}
@@ -24,26 +22,17 @@ def two_steps(plant, Cy):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["state", "I", "II"])
-def test_gains_do_not_depend_on_coordinates_or_units(designer, name, seed):
-    """Other state coordinates, units of force, of road and of output, and another unit of time give the same gain."""
+def test_gains_do_not_depend_on_coordinates(designer, name, seed):
+    """Other state coordinates, mixed and in other units, give the same gain; `test_units.py` has all other units."""
     rng = np.random.default_rng(seed)
     T = np.diag(10.0 ** rng.uniform(-2, 2, 4)) @ np.linalg.qr(rng.standard_normal((4, 4)))[0]
-    force, road, output, time = 10.0 ** rng.uniform(-3, 3, 4)
     plant = designer.plant
     moved = plant.in_coordinates(T)
-    scaled = GeneralizedPlant(
-        A=moved.A * time,
-        B=moved.B * time * force,
-        Bw=moved.Bw * time * road,
-        C=moved.C * output,
-        D=moved.D * output * force,
-        Dw=moved.Dw * output * road,
-    )
     if name == "state":
-        gain = state_feedback(scaled)[-1].K * force @ np.linalg.inv(T)
+        gain = state_feedback(moved)[-1].K @ np.linalg.inv(T)
         expected = state_feedback(plant)[-1].K
     else:
-        gain = two_steps(scaled, CY[name] @ T).K * force
+        gain = two_steps(moved, CY[name] @ T).K
         expected = two_steps(plant, CY[name]).K
     np.testing.assert_allclose(gain, expected, rtol=1e-4)  # asked for; measured 3e-6, where the path is stopped
 
@@ -76,31 +65,6 @@ def test_gain_converges_along_the_path(designer):
     errors = [np.abs(state_feedback(designer.plant, mu=mu)[-1].K / limit - 1).max() for mu in (1e-6, 1e-7, 1e-9)]
     assert errors[0] / errors[1] == pytest.approx(10, rel=0.15)  # the next order in mu, and the limit itself stops at 1e-10
     assert errors[2] < 3e-6
-
-
-@pytest.mark.parametrize("name", ["I", "II"])
-def test_without_l_the_second_problem_is_infeasible(designer, name):
-    """Remark 4: with L = 0, problem (25) has no solution, and both routes say so instead of returning a gain."""
-    Q = nullspace(CY[name])
-    zero = np.zeros((Q.shape[1], len(CY[name])))
-    with pytest.raises(InfeasibleError, match=r"problem \(25\) has no solution with eta > 0 for L = 0"):
-        output_feedback(designer.plant, CY[name], zero, Q)
-    with pytest.raises(InfeasibleError, match="no solution with eta > 0"):
-        solve_lmi(designer.plant, Q, r_matrix(CY[name], Q, zero))
-
-
-def test_what_cannot_be_stabilised_is_infeasible():
-    """A plant with an unstable mode that no input reaches has no controller, and that is said."""
-    plant = GeneralizedPlant(
-        A=np.diag([1.0, -1.0]),
-        B=np.array([[0.0], [1.0]]),
-        Bw=np.ones((2, 1)),
-        C=np.eye(2),
-        D=np.zeros((2, 1)),
-        Dw=np.zeros((2, 1)),
-    )
-    with pytest.raises(InfeasibleError):
-        state_feedback(plant)
 
 
 @pytest.mark.parametrize("seed", range(6))

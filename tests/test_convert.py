@@ -8,7 +8,7 @@ from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.response.response import Response
 from synth.vehicle.designer import design
-from synth.vehicle.state_space import closed_loop, vehicle_system, weighted_loop
+from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.analysed import continuous_response
 
 TIME = np.arange(2001) * 1e-3
@@ -77,21 +77,9 @@ def test_weighted_outputs_are_the_weighted_signals():
             np.testing.assert_allclose(weighted(w)[i], vehicle.performance[signal] * plain(w)[k], rtol=1e-12, atol=1e-15)
 
 
-def test_vehicle_system_closes_to_the_same_response(paper, designer, response):
-    """The open vehicle, driven by the road and by the forces of our continuous response, moves as that does."""
-    system = vehicle_system(paper)
-    assert system.input_labels == ["road_velocity", "control_force"]
-    found = control.forced_response(system, TIME, np.stack([response["road_velocity"], response["control_force"]]))  # type: ignore[arg-type]
-    for i, name in enumerate(paper.linear_model.outputs):
-        # forced_response takes inputs as linear between samples: (h omega)^2 / 12 of what they have at 64 rad/s, the wheel's.
-        np.testing.assert_allclose(found.outputs[i], response[name], atol=3.5e-4 * np.abs(response[name]).max())
-
-
 def test_what_does_not_fit_is_named(paper, response):
-    """Several runs are no table, and a full car's road is more than its velocity."""
+    """Several runs are no table."""
     many = Response(response.time, response.signals, np.stack([response.values] * 2))
     for convert in (Response.to_pandas, lambda one: one.to_control(paper)):
         with pytest.raises(ValueError, match="take one"):
             convert(many)
-    with pytest.raises(ValueError, match="road's height"):
-        vehicle_system(read_vehicle("full_car"))

@@ -24,7 +24,7 @@ from sim.linear.nonlinear_elements import at_rest, at_rest_words, elements
 from sim.linear.sampled_response import taylor4
 from sim.margins import _which_loop
 from sim.response.regime import CURVE, REGIME_ENDS, departures, reached
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.identification import identify
 from sim.studies.validity.regime_map import validity
 from synth.controller.report import ideal_lines
@@ -143,8 +143,8 @@ def test_a_straight_curve_is_the_linear_vehicle(paper):
     )
     assert straight.parameters == pytest.approx(paper.parameters, rel=1e-14)
     time = sample_times(paper, 1.0, 1e-3)
-    for one in run_all(straight, [design(straight, name) for name in ("passive", "I")], ROAD, time):
-        (plain,) = run_all(paper, [design(paper, one.controller.name)], ROAD, time)
+    for one in run_controllers(straight, [design(straight, name) for name in ("passive", "I")], ROAD, time):
+        (plain,) = run_controllers(paper, [design(paper, one.controller.name)], ROAD, time)
         for name in plain.physics.names:
             for response in ("physics", "sampled"):
                 a, b = getattr(one, response)[name], getattr(plain, response)[name]
@@ -203,7 +203,7 @@ def test_a_run_agrees_and_says_what_its_curves_did(kind):
     time = sample_times(vehicle, 0.4, 1e-3)
     controllers = [designed(vehicle, name) for name in ("passive", "I")]
     road = dataclasses.replace(ROAD, track="left") if kind == "full_car" else ROAD  # left and right differ
-    for run in run_all(vehicle, controllers, road, time):
+    for run in run_controllers(vehicle, controllers, road, time):
         assert run.agreement.agrees
         assert run.energy is not None
         assert run.energy.balances
@@ -265,7 +265,10 @@ def test_a_parameter_that_changes_scales_its_curve():
         ("{ velocity = [-1.0, 1.0], force = [1000.0, -1000.0] }", "its force at -1 m/s is 1000 N: that feeds energy in"),
         ("{ velocity = [-1.0, 0.0, 1.0], force = [-800.0, 100.0, 1000.0] }", "its force at rest is 100 N"),
         ("{ velocity = [-1.0, 0.0, 1.0, 2.0], force = [-800, 0, 900, 700] }", "its force falls beyond its last point"),
-        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "has no force at any point"),
+        ("{ velocity = [-1.0, 1.0], force = [-1e-308, 1e-308] }", "force is 1e-308 N at most, and nothing below 1e-06 N"),
+        ("{ velocity = [-1e-308, 1e-308], force = [-1, 1] }", "velocity goes from -1e-308 to 1e-308 m/s; give at least 1e-06"),
+        ("{ velocity = [-1, 0, 1e-308, 1], force = [-1, 0, 1, 2] }", "velocity goes from 0 to 1e-308 m/s at point 3, too near"),
+        ("{ velocity = [-1.0, 1.0], force = [0, 0] }", "force is 0 N at most, and nothing below 1e-06 N counts"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], speed = 3 }", "unknown key 'speed'"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], fit_error = 2 }", "fit_error = 2 is not allowed"),
         ("{ velocity = [-1.0, 1.0], force = [-1, 1], friction = 30 }", "friction_velocity is missing; a friction is"),
@@ -359,17 +362,29 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "says no unit of velocity; give one of"),
-        ("a.csv", "velocity [m/s], force\n-1, -10\n1, 10\n", "says no unit of force"),
-        ("a.csv", "velocity [km/h], force [N]\n-1, -10\n1, 10\n", "has velocity in 'km/h'; give one of"),
-        ("a.csv", "speed [m/s], force [N]\n-1, -10\n1, 10\n", "has a column 'speed [m/s]'"),
-        ("a.csv", "-1, -10\n1, 10\n", "has a column '-1'"),
-        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "point 2 is ['1', 'x']; give 2 finite numbers"),
-        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "point 2 is"),
-        ("a.csv", "velocity [m/s], force [N]\n", "no table below a header"),
+        ("a.csv", "velocity, force [N]\n-1, -10\n1, 10\n", "column 1, 'velocity', has no unit; allowed: cm/s"),
+        (
+            "a.csv",
+            "velocity [m/s], force\n-1, -10\n1, 10\n",
+            "column 2, 'force', has no unit; allowed: N, daN, kN, lbf; write force [N] above it",
+        ),
+        (
+            "a.csv",
+            "velocity [km/h], force [N]\n-1, -10\n1, 10\n",
+            "column 1, 'velocity [km/h]', is in 'km/h'; allowed: cm/s, ft/s, in/s, m/s, mm/s",
+        ),
+        (
+            "a.csv",
+            "speed [m/s], force [N]\n-1, -10\n1, 10\n",
+            "column 1 is called 'speed [m/s]', and none of deflection, force, velocity",
+        ),
+        ("a.csv", "-1, -10\n1, 10\n", "no line above line 1 names its 2 column(s)"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is no finite number; give a .csv file"),
+        ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "line 3, column 2: 'nan' is no"),
+        ("a.csv", "velocity [m/s], force [N]\n", "no line of numbers; give a .csv file"),
         ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "unknown key 'deflection'"),
-        ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "says no unit of FORCE in [UNITS]"),
-        ("a.dpr", DPR.replace("'mm'", "'furlong'"), "has LENGTH = 'furlong' in [UNITS]"),
+        ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
+        ("a.dpr", DPR.replace("'mm'", "'furlong'"), "[UNITS] has LENGTH = 'furlong'; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),
         ("a.dpr", DPR.replace("{ vel   force}", "{ disp force}"), "has a table of disp, force in [CURVE]"),
         ("gone.csv", None, "gone.csv: is not there"),
@@ -396,7 +411,7 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     signals = json.loads(capsys.readouterr().out)["runs"][0]["signals"]
     assert "suspension_velocity" in signals
     vehicle = read_vehicle(tmp_path / "mine.toml")
-    (run,) = run_all(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
+    (run,) = run_controllers(vehicle, [design(vehicle, "I")], Bump(), sample_times(vehicle, 0.6, 1e-3))
     when, (share,) = reached(vehicle, run.physics)[REGIME_ENDS.index(CURVE)], departures(vehicle, run.physics).values()
     assert f"off its line at rest by 10 % of its largest first at {when:.4g} s" in said
     assert f"suspension_damping is off its line at rest by up to {100 * share:.2g} % of its largest force" in said

@@ -11,7 +11,7 @@ from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.report.__main__ import main
 from sim.report.agreement import suspension_figure
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
@@ -21,7 +21,7 @@ NAMES = ("passive", "I")
 def diagram(vehicle):
     """The figure over a bump, and the runs in it."""
     scope: Any = SimpleNamespace(vehicle=vehicle, styles=styles(NAMES))
-    runs = run_all(vehicle, [design(vehicle, name) for name in NAMES], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
+    runs = run_controllers(vehicle, [design(vehicle, name) for name in NAMES], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
     return suspension_figure(scope, runs, "over a bump"), runs
 
 

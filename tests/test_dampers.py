@@ -13,7 +13,7 @@ from sim.linear.sampled_response import largest_timestep
 from sim.linear.switched_response import Decisions
 from sim.runs.prediction import NEAR
 from sim.runs.report import controller_lines, energy_lines, run_object, verdict, verdict_lines
-from sim.runs.run import judge, run_all, sample_times
+from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
@@ -87,7 +87,7 @@ BUMP = Bump(0.1, 5.0, 12.5)
 def runs(text, *names, road=BUMP, duration=0.8):
     """The runs of some controllers."""
     vehicle = parse_vehicle(text)
-    return run_all(vehicle, [design(vehicle, name) for name in names], road, sample_times(vehicle, duration, 1e-3))
+    return run_controllers(vehicle, [design(vehicle, name) for name in names], road, sample_times(vehicle, duration, 1e-3))
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_another_damper_is_found(change):
         other = replace(vehicle, dampers={"control_force": replace(one, **{change: 1.01 * getattr(one, change)})})
     made = simulate([other], [controller], [BUMP], time)
     prediction = predict_replayed(vehicle, controller, BUMP, time, made.run(0), made.asked[0])
-    (run,) = judge([prediction], [made.run(0)])
+    (run,) = compare_runs([prediction], [made.run(0)])
     assert not run.agreement.agrees
     assert "DOES NOT AGREE" in verdict(run)
 
@@ -267,7 +267,7 @@ def test_physics_is_followed_where_rounding_decides():
         asked = -3000.0 * here["sprung_velocity"] + 500.0 * here["unsprung_velocity"]
         assert here["control_force"] + here["missing_force"] == pytest.approx(asked, abs=1e-9)
         if followed:
-            (run,) = judge([prediction], [physics])
+            (run,) = compare_runs([prediction], [physics])
             (line,) = [line for line in verdict_lines(run) if "decision" in line]
             assert f"from those of the exact response, first of damping at {time[k]:.4g} s" in line
 

@@ -135,7 +135,7 @@ def test_a_design_depends_on_what_the_signals_span(seed, apart):
 
 def test_rounding_that_ends_l_is_said():
     """Where X leaves (14) no inverse there is a reason in words, not numpy's error."""
-    with pytest.raises(DesignError, match=r"L \(14\) could not be computed: rounding leaves C_y X C_y' no inverse"):
+    with pytest.raises(DesignError, match=r"L \(14\) could not be computed: C_y X C_y' is singular to rounding"):
         l_matrix(np.diag([1.0, 0, 0]), np.eye(3)[1:], np.eye(3)[:, :1])
 
 
@@ -268,7 +268,7 @@ def test_optimum_at_infinite_gain_is_said():
     plant = GeneralizedPlant(
         A=np.zeros((1, 1)), B=np.ones((1, 1)), Bw=np.ones((1, 1)), C=np.ones((1, 1)), D=np.zeros((1, 1)), Dw=np.zeros((1, 1))
     )
-    with pytest.raises(DesignError, match="reached only by an infinite gain"):
+    with pytest.raises(DesignError, match="only an infinite gain reaches the optimum"):
         state_feedback(plant)
 
 
@@ -309,9 +309,9 @@ def test_a_plant_without_a_state_is_refused(act):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\); expected \(2, 1\)"),
-        ({"C": np.ones((2, 3))}, r"C has shape \(2, 3\); expected \(2, 2\)"),
-        ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\); expected \(2, 1\), as A says n = 2"),
+        ({"B": np.ones((3, 1))}, r"B has shape \(3, 1\), and must have \(2, 1\)"),
+        ({"C": np.ones((2, 3))}, r"C has shape \(2, 3\), and must have \(2, 2\)"),
+        ({"Dw": np.ones((1, 1))}, r"Dw has shape \(1, 1\), and must have \(2, 1\): A has 2 row"),
         ({"A": np.array([1.0, 2.0])}, r"A has shape \(2,\); expected a matrix of shape \('n', 'n'\)"),
         ({"A": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "A has an entry that is not finite"),
         ({"A": [["a", "b"], ["c", "d"]]}, "A is not a matrix of numbers"),

@@ -270,57 +270,37 @@ def test_slopes_are_those_of_the_norm(seed):
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())  # the step squared, and edges
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(5, marks=pytest.mark.attack)])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (5, *range(100, 115)))])
 def test_no_lower_bound_above_what_is_reached(seed):
-    """Searched static gains and full-order laws of random plants are proved, and none lies below the lower bound."""
+    """Searched static gains and full-order laws of random plants are proved, and none lies below the lower bound.
+
+    Some have an integrator, a delay, or a state that z does not see.
+    """
     plant, Cy = random_plant(seed, radius=1.1)
+    kind = np.random.default_rng(seed).integers(0, 4) if seed >= 100 else 3
+    if kind < 3:
+        A, C = plant.A.copy(), plant.C.copy()
+        if kind < 2:
+            A[0] = 0  # a delay
+            A[0, 0] = 1 - kind  # or an integrator that only forces and w move
+        else:
+            A[1:, 0], C[:, 0], A[0, 0] = 0, 0, 0.4  # not seen
+        plant = replace(plant, A=A, C=C)
     below = find_lower_bound(plant, Cy)
     law = full_order_design(plant, Cy, lower_bound=below)
     assert law.law.sample_period == plant.dt
     assert law.certificate.failures == ()
-    assert law.certificate.norm.value >= below.gamma
+    assert law.certificate.norm.value >= below.gamma * (1 - 1e-9)
     try:
         static = static_output_feedback(plant, Cy, lower_bound=below)
     except DesignError:
         assert not is_stable(plant.A, plant.dt)  # of a stable plant no gain is one
         return
     assert static.certificate.failures == ()
-    assert static.certificate.norm.value >= below.gamma
+    assert static.certificate.norm.value >= below.gamma * (1 - 1e-9)
     assert np.abs(static.gain).max() <= 1e5
     if static.two_steps is not None:
         assert static.certificate.norm.value <= static.two_steps.certificate.norm.value * (1 + 1e-9)
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("seed", range(100, 115))
-def test_no_lower_bound_above_what_is_reached_of_many(seed):
-    """The same of many, some with integrators, delays and states that z does not see."""
-    plant, Cy = random_plant(seed, radius=1.1)
-    A, C = plant.A.copy(), plant.C.copy()
-    rng = np.random.default_rng(seed)
-    kind = rng.integers(0, 4)
-    if kind == 0:
-        A[0], A[0, 0] = 0, 1  # an integrator that only forces and w move
-    elif kind == 1:
-        A[0] = 0  # a delay
-    elif kind == 2:
-        A[1:, 0], C[:, 0] = 0, 0  # not seen
-        A[0, 0] = rng.uniform(-0.9, 0.9)
-    changed = replace(plant, A=A, C=C)
-    below = find_lower_bound(changed, Cy)
-    reached = []
-    for attempt in (
-        lambda: full_order_design(changed, Cy, lower_bound=below).certificate,
-        lambda: static_output_feedback(changed, Cy, lower_bound=below).certificate,
-    ):
-        try:
-            reached.append(attempt())
-        except DesignError:
-            continue
-    for certificate in reached:
-        assert certificate.failures == ()
-        assert certificate.norm.value >= below.gamma * (1 - 1e-9)
-    assert reached
 
 
 def test_full_order_next_to_the_bound(paper):

@@ -11,7 +11,7 @@ from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.drive import main
 from sim.runs.report import verdict_lines
-from sim.runs.run import run_all
+from sim.runs.run import run_controllers
 from sim.studies.ride.metrics import metrics_of
 from tests.commands import prose, refused
 
@@ -132,7 +132,7 @@ def test_verdict_before_a_wheel_lifts(capsys, seed):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "no controller was asked for"),
+        ([], "no controller is given"),
         (["--controller", "I", "--class", "I"], "unknown road class 'I'"),
         (["--controller", "I", "--class", "A", "--road", "bump"], "not both"),
         (["--controller", "I", "--seed", "1.5"], "'1.5' is not a whole number"),
@@ -193,10 +193,10 @@ def test_what_metrics_rest_on_is_said(capsys):
     main(arguments)
     table = capsys.readouterr().out
     out = prose(table)
-    assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of what it comes to" in out
-    assert "of no other signal in this table is it further off" in out  # velocities, which no metric is of, may be
+    assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in out
+    assert "every other signal in this table is closer" in out  # velocities, which no metric is of, may be
     assert "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %" in out
-    assert "of short or lightly damped runs the +- is up to 45 % too large" in out
+    assert "for short runs or light damping the +- is up to 45 % too large" in out
     assert "may be off" not in out
     for name, metric in run["metrics"].items():
         row = metric_rows(table, read_vehicle("quarter_car"))[name]
@@ -213,13 +213,13 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
     out = prose(capsys.readouterr().out)
-    assert "sampled and expected numbers are of a vehicle without bump stops" in out
-    assert "MuJoCo's numbers have the noise of what is measured in them, sampled and expected ones have not" in out
+    assert "sampled and expected numbers are for a vehicle without bump stops" in out
+    assert "MuJoCo's numbers include the noise of the measurements, sampled and expected ones do not" in out
 
 
 def test_why_the_comparison_ends_is_said(paper, designer):
     """Where it ends before the first lift-off, that a tyre may leave the road within a step is said; at a lift-off, nothing."""
-    run = run_all(paper, [designer.design("passive")], Bump(), np.arange(200) * 1e-3)[0]
+    run = run_controllers(paper, [designer.design("passive")], Bump(), np.arange(200) * 1e-3)[0]
     for until, said in ((0.05, True), (0.1, False)):
         agreement = dataclasses.replace(run.agreement, ended={**run.agreement.ended, "lift-off": 0.1}, until=until)
         (line,) = [one for one in verdict_lines(dataclasses.replace(run, agreement=agreement)) if "does not apply" in one]

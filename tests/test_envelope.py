@@ -12,7 +12,7 @@ from models.common.printed import percent
 from models.figures.figure import Classes
 from models.kinds.kind import MOST_SQUEEZE
 from models.roads.load import Brake
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
@@ -30,7 +30,7 @@ from sim.response.regime import (
     utilisation,
 )
 from sim.runs.dampers import shortfalls
-from sim.runs.run import run_all
+from sim.runs.run import run_controllers
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import InterruptedMap, validity
 from sim.studies.validity.report import envelope_figure, envelope_lines, write_csv
@@ -70,7 +70,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     controller = Designer(vehicle, search=False).design("I")
     for cell in found["cells"][:4]:
         road = Bump(cell["height"], cell["length"], cell["speed"])
-        (run,) = run_all(vehicle, [controller], road, np.arange(751) * 2e-3)
+        (run,) = run_controllers(vehicle, [controller], road, np.arange(751) * 2e-3)
         (one,) = shortfalls(vehicle, run.physics).values()
         assert cell["missing_force"] == pytest.approx(one.rms, rel=1e-6)  # another way to what was asked for: rounding
     with table.open(newline="") as file:
@@ -97,8 +97,8 @@ def test_loads_over_every_bump(tmp_path, capsys):
     assert {cell["broke_first"] for cell in found["cells"]} == {None, "lift-off"}
     vehicle = read_vehicle("half_car")
     for cell in found["cells"][::2]:
-        road = Loaded(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
-        (run,) = run_all(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
+        road = RoadWithLoads(Bump(cell["height"], cell["length"], cell["speed"]), (Brake(g=0.6, start=0.1),))
+        (run,) = run_controllers(vehicle, [Designer(vehicle, search=False).design("passive")], road, np.arange(751) * 2e-3)
         lifted = run.agreement.ended["lift-off"]
         assert cell["at"] == (lifted if np.isfinite(lifted) else None)
         if cell["broke_first"] is None:
@@ -208,7 +208,7 @@ def test_a_tyre_is_flat_when_it_is(paper, designer, timestep):
 
 def runs_over(vehicle, controller, bumps, time):
     """A run over each of some bumps."""
-    return [run_all(vehicle, [controller], bump, time)[0] for bump in bumps]
+    return [run_controllers(vehicle, [controller], bump, time)[0] for bump in bumps]
 
 
 def test_one_answer_whole_or_in_blocks(limited, designer):

@@ -10,7 +10,7 @@ import pytest
 import sim.studies.frequency.sweep
 from models.roads.rig import Rig
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.eusama import load_failures, load_object, minimum_loads
 from sim.studies.frequency.sweep import sweep
 from sim.sweep import main
@@ -62,7 +62,7 @@ def test_as_workshops_do():
     t = np.arange(round(end / H)) * H
     angle = 2 * math.pi * (25 * t - 12 * t**2 / end)  # from 25 Hz down to 1 Hz
     rig = Rig(t, 3e-3 * np.sin(angle)[:, None], ("road",))
-    (run,) = run_all(vehicle, [design(vehicle, "passive")], rig, sample_times(vehicle, end, H))
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], rig, sample_times(vehicle, end, H))
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
     found = 1 - run.physics["tyre_deflection"].max() / static
     ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], H)
@@ -120,7 +120,7 @@ def test_outside_the_linear_regime():
     assert load_failures([load]) == []
     t = np.arange(round(8.0 / h)) * h
     rig = Rig(t, 3e-3 * np.sin(load.omega * t)[:, None], ("road",))
-    (run,) = run_all(vehicle, [design(vehicle, "passive")], rig, t)
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], rig, t)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]
     assert load.measured == pytest.approx(max(0.0, 1 - run.physics["tyre_deflection"][-8000:].max() / static), abs=5e-3)
     assert load.measured != pytest.approx(load.driven, abs=5e-3)

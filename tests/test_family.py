@@ -177,7 +177,7 @@ def test_bad_input(designer):
         A=-np.eye(2), B=np.ones((2, 1)), Bw=np.ones((2, 1)), C=np.eye(2), D=np.zeros((2, 1)), Dw=np.zeros((2, 1))
     )
     for arguments, said in [
-        (([], []), "0 plants and 0 matrices C_y; give at least one plant"),
+        (([], []), "0 plants and 0 matrices in Cys; give at least one plant"),
         (([plant], []), "1 plants and 0 matrices"),
         (([plant, smaller], [Cy, np.eye(2)]), "plant 1 has n = 2, m = 1 and q = 2, the first n = 4"),
         (([plant], [Cy], np.ones((2, 2))), r"the structure has shape \(2, 2\); expected \(1, 2\)"),

@@ -313,7 +313,7 @@ def test_where_one_file_cannot_get_its_name_none_keeps_it(tmp_path, monkeypatch,
             for name in "abcd":
                 write(tmp_path / f"{name}.csv")
 
-    with pytest.raises(InputError, match=r"^what was written cannot get its name \(not this one\); mend that$"):
+    with pytest.raises(InputError, match=r"^the output files cannot be renamed \(not this one\); mend that and try again$"):
         write_all()
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "d.csv").read_text() == "old"
     assert alone(tmp_path, "a.csv", "d.csv")

@@ -12,7 +12,7 @@ from sim.command.comparison import say_false_claims
 from sim.inspect.__main__ import main as inspect
 from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
-from synth.analysis.specification import Promise
+from synth.analysis.specification import Specification
 from tests.commands import prose
 from tests.drives import EVERY_DRIVE, MAP
 from tests.reading import PageRead
@@ -73,9 +73,9 @@ def test_said_by_a_campaign(vehicles, tmp_path, capsys):
 def test_of_a_design_too(designer, capsys):
     """It is the design's own promises that are said."""
     controller = designer.design("II")
-    say_false_claims([replace(controller, promises=(Promise("norm", 6.0, at_most=7.0),))])
+    say_false_claims([replace(controller, promises=(Specification("norm", 6.0, at_most=7.0),))])
     assert capsys.readouterr().err == ""
-    say_false_claims([replace(controller, promises=(Promise("norm", 6.0, proved=8.0, at_most=7.0),))])
+    say_false_claims([replace(controller, promises=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
     assert "controller 'II' does not keep the goals" in capsys.readouterr().err
 
 

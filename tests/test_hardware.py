@@ -240,16 +240,16 @@ def test_what_is_not_there_is_missed():
             built(flag, with_what="")
     with pytest.raises(InputError, match="gives no noise of what it measures"):
         built("noise = true", with_what="[implementation]\nnoise = { unsprung_velocity = 0.1, sprung_velocity = 0.0 }\n")
-    with pytest.raises(InputError, match='has noise = true, and design = "lqg" takes the noise of'):
+    with pytest.raises(InputError, match='design = "lqg" with noise = true: it takes the noise of'):
         built('design = "lqg"', "noise = true")
-    with pytest.raises(InputError, match='has lag = true, and design = "lqr" is of the state itself'):
+    with pytest.raises(InputError, match='design = "lqr" with lag = true: it is of the state itself'):
         built("lag = true", section='[controllers.one]\ndesign = "lqr"\n')
-    with pytest.raises(InputError, match="has a law in Python and noise"):
+    with pytest.raises(InputError, match="law with noise = true: "):
         built("noise = true", 'law = "my_law.py:step"')
     force = "[implementation]\nnoise = { control_force = 1.0 }\n"
     with pytest.raises(InputError, match="a noise on 'control_force', which a design takes out"):
         built("noise = true", section=KINDS["accelerometer"], with_what=force)
-    with pytest.raises(InputError, match="designed for noise, which"):
+    with pytest.raises(InputError, match="noise = true with --zero-l: "):
         Designer(built("noise = true")).design("one", zero_l=True)
 
 

@@ -141,7 +141,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
 def test_the_file_is_not_overwritten(tmp_path):
     """A command that would write over a law refuses before it works."""
     file = vehicle_with(tmp_path, mat(LAW))
-    with pytest.raises(InputError, match="is what is read"):
+    with pytest.raises(InputError, match="is an input file"):
         synth(["--vehicle", str(file), "--controller", "I", "--save", str(tmp_path / "mine.mat")])
 
 

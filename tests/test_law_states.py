@@ -19,7 +19,7 @@ from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.rerun_writer import _comparison, _page
 from sim.recording.run_log import MOST_ACTIVE
 from sim.recording.run_records import run_log
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.rewriting import contents, written
@@ -42,7 +42,7 @@ def test_states_in_physics_are_those_of_the_analysis(name, what, reality):
     implementation, limits = REALITIES[reality]
     vehicle = dataclasses.replace(read_vehicle(name), implementation=implementation, limits=limits)
     some = [controller(vehicle, what, 3), Designer(vehicle).design("passive"), controller(vehicle, what, 5)]
-    runs = run_all(vehicle, some, Bump(height=1e-3), sample_times(vehicle, 0.4, 1e-3))
+    runs = run_controllers(vehicle, some, Bump(height=1e-3), sample_times(vehicle, 0.4, 1e-3))
     for run, count in zip(runs, (3, 0, 5), strict=True):
         names = [one for one in run.physics.names if one.startswith(KEPT)]
         assert names == [f"{KEPT}{i}" for i in range(1, count + 1)]
@@ -63,7 +63,7 @@ def test_states_follow_from_the_measurements(how):
     """At every sample of the law, the logged states are A x_c + B y of those before, and held until then."""
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
     one = controller(vehicle, "velocity", 4)
-    (run,) = run_all(vehicle, [one], Bump(), sample_times(vehicle, 0.5, 1e-3))
+    (run,) = run_controllers(vehicle, [one], Bump(), sample_times(vehicle, 0.5, 1e-3))
     steps = round((how.sample_period or 1e-3) / 1e-3)
     law = one.law.sampled(steps * 1e-3)
     x = np.stack([run.physics[f"{KEPT}{i}"] for i in range(1, 5)], axis=-1)
@@ -83,7 +83,7 @@ def test_a_discrete_law_keeps_its_own_states(period):
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=Implementation(sample_period=period))
     given = controller(vehicle, "velocity", 2)
     law = given.law.sampled(0.004)
-    (run,) = run_all(vehicle, [dataclasses.replace(given, law=law)], Bump(), sample_times(vehicle, 1.0, 1e-3))
+    (run,) = run_controllers(vehicle, [dataclasses.replace(given, law=law)], Bump(), sample_times(vehicle, 1.0, 1e-3))
     for name in (f"{KEPT}1", f"{KEPT}2"):
         for other in (run.physics, run.continuous):
             # Tustin's rule and the hold differ by half a sample or so; other coordinates by a factor of 16.
@@ -141,7 +141,9 @@ def test_another_state_is_found(topic, part, column, log, tmp_path, capsys):
 def run_of_many_states(count: int):
     """A run of a law with so many states, as it is logged."""
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits())
-    (run,) = run_all(vehicle, [controller(vehicle, "velocity", count)], Bump(height=0.01), sample_times(vehicle, 0.1, 1e-3))
+    (run,) = run_controllers(
+        vehicle, [controller(vehicle, "velocity", count)], Bump(height=0.01), sample_times(vehicle, 0.1, 1e-3)
+    )
     return run, run_log(run, f"law_{count}")
 
 
@@ -170,7 +172,7 @@ def test_viewers_show_those_that_ask_for_most(count):
     for topic in ("mujoco", "linear", "continuous", "difference"):
         assert {one.split(".")[1] for one in curves if one.startswith(f"/{topic}.{KEPT}")} == set(most)
     titles = [tab["title"] for name, panel in layout.items() if name.startswith("Tab!") for tab in panel["tabs"]]
-    assert titles[-1] == ("controller" if count == 2 else "controller: the 6 of 30 states that ask for most")
+    assert titles[-1] == ("controller" if count == 2 else "controller: the 6 of 30 states that contribute most")
 
 
 def test_logs_that_are_older_than_states_are_logged(log, tmp_path, capsys):

@@ -19,9 +19,9 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.margins import main
 from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.report.designs import gain_table
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.growth_test import Trial, grow
-from sim.studies.stability.loop_transfer import cut, cut_sampled
+from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
 from sim.studies.stability.stability_margins import (
     crossovers,
     gain_crossings,
@@ -72,7 +72,7 @@ def test_physics_agrees_to_rk4s_own_error(name, reality):
     # Half the step only without geometry: that of cars is not linear, and does not fall with the step.
     for h in (1e-3, 5e-4) if name == "quarter_car" else (1e-3,):
         how = replace(implementation, sample_period=implementation.sample_period or 1e-3)
-        runs = run_all(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.4, h))
+        runs = run_controllers(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.4, h))
         assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
         errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
     if name == "quarter_car":
@@ -91,7 +91,7 @@ def test_a_static_law_is_a_law_without_states():
     omega = np.geomspace(0.1, 1000, 50)
     found = [continuous_frequency_response(vehicle, each, omega) for each in (one, other)]
     np.testing.assert_allclose(*found, rtol=1e-10)
-    first, second = (margins(cut(vehicle, each, [0])) for each in (one, other))
+    first, second = (margins(loop_transfer(vehicle, each, [0])) for each in (one, other))
     assert first.gain == pytest.approx(second.gain, rel=1e-9)
     assert first.delay == pytest.approx(second.delay, rel=1e-9)
     assert first.sample_period == pytest.approx(second.sample_period, rel=1e-9)
@@ -138,14 +138,20 @@ def test_margins_of_a_loop_with_an_accelerometer():
     """Gain, delay and sample period at which it is unstable are where a pole of the loop that bears them is on the verge."""
     vehicle = read_vehicle("quarter_car")
     law = LinearLaw(*(np.array(one) for one in ([[-3.0]], [[0.0, 1.0]], [[-4000.0]], [[6000.0, 100.0]])), sample_period=None)
-    one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection", "sprung_acceleration"), law=law)
-    loop = cut(vehicle, one, [0])
+    check_verges(
+        vehicle, replace(controller(vehicle, "velocity"), measured=("suspension_deflection", "sprung_acceleration"), law=law)
+    )
+
+
+def check_verges(vehicle: Vehicle, one: Controller) -> None:
+    """Checks that a pole crosses at the gain, the delay and the sample period that margins name."""
+    loop = loop_transfer(vehicle, one, [0])
     found = margins(loop)
-    scaled = replace(one, law=law.scaled(found.gain))
+    scaled = replace(one, law=one.law.scaled(found.gain))
     assert abs(np.linalg.eigvals(scaled.loop(vehicle).A).real.max()) < 1e-7 * np.abs(loop.A).max()
     at = np.exp(-1j * found.frequency * found.delay)
     assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
-    Phi, Gamma, G = cut_sampled(vehicle, one, largest_sample_period(loop))
+    Phi, Gamma, G = sampled_loop_transfer(vehicle, one, largest_sample_period(loop))
     assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
 
 
@@ -156,7 +162,7 @@ def test_growth_that_creeps_is_seen():
     stiffness = vehicle.parameters["suspension_stiffness"]
     law = LinearLaw(*(np.array(one) for one in ([[-2.0]], [[2.0]], [[stiffness / 3]], [[0.0]])), sample_period=None)
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
-    assert gain_crossings(cut(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
+    assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
     trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
     found = grow(trials, 2e-3)
     assert [each.grows for each in found] == [False, True]
@@ -182,8 +188,8 @@ def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_wi
     vehicle = read_vehicle("quarter_car")
     mass = vehicle.parameters["sprung_mass"]
     one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(-np.full((1, 1), mass / 5)))
-    assert gain_crossings(cut(vehicle, one, [0])) == [pytest.approx(5, rel=1e-9)]
-    errors = [sampled_gain_crossings(*cut_sampled(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
+    assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(5, rel=1e-9)]
+    errors = [sampled_gain_crossings(*sampled_loop_transfer(vehicle, one, step))[0] - 5 for step in (1e-4, 5e-5)]
     assert 0 < errors[0] < 0.01  # of first order in the step
     assert errors[0] / errors[1] == pytest.approx(2, rel=0.01)
 
@@ -194,7 +200,7 @@ def test_a_vehicle_with_an_accelerometer_ships():
     found = Designer(vehicle).design("accelerometer")
     assert found.certificate.norm.value == pytest.approx(Designer(vehicle).design("I").certificate.norm.value, rel=1e-3)
     assert found.certificate.stability.worst.real < -1  # as fast as I, and three times as fast as without control
-    (run,) = run_all(vehicle, [found], Bump(), sample_times(vehicle, 2.0, 1e-3))
+    (run,) = run_controllers(vehicle, [found], Bump(), sample_times(vehicle, 2.0, 1e-3))
     assert run.holds
     assert max(one.sampled for one in run.agreement.signals.values()) < 1e-6
 
@@ -275,7 +281,7 @@ def test_no_crossover_is_missed(bandwidth, unit):
     names = ("suspension_deflection", "sprung_acceleration")
     static = replace(plain, measured=vehicle.linear_model.states, law=static_law(np.array([[11810.0, 2333.0, -1096.0, 109.0]])))
     for one in (replace(plain, measured=names, law=law), static):
-        loop = cut(vehicle, one, [0])
+        loop = loop_transfer(vehicle, one, [0])
         omega = np.geomspace(1e-2, 1e4, 5_000)
 
         def excess(w, loop=loop):
@@ -293,11 +299,12 @@ def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
     vehicle = read_vehicle("quarter_car")
     gain = share * vehicle.parameters["sprung_mass"]
     one = replace(controller(vehicle, "velocity"), measured=("sprung_acceleration",), law=static_law(np.array([[-gain]])))
-    loop = cut(vehicle, one, [0])
+    loop = loop_transfer(vehicle, one, [0])
     found = margins(loop)
     assert loop.comes_back == pytest.approx(share, rel=1e-12)
     radii = [
-        np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() for Phi, Gamma, G in (cut_sampled(vehicle, one, h) for h in (1e-3, 1e-6))
+        np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max()
+        for Phi, Gamma, G in (sampled_loop_transfer(vehicle, one, h) for h in (1e-3, 1e-6))
     ]
     if share < 1:
         assert found.delay > 0

@@ -17,7 +17,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.response.response import Response
 from sim.runs.agreement import SLACK
 from sim.runs.report import verdict, verdict_lines
-from sim.runs.run import Run, run_all, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from tests.test_dampers import DAMPER
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -55,7 +55,7 @@ def driven(kind: str, road: Road, timestep: float, duration: float) -> list[Run]
         law = vehicle.controllers[f"law_{name}"].semi_active
         assert law is not None
         laws.append(SemiActive(name, law))
-    return run_all(vehicle, laws, road, sample_times(vehicle, duration, timestep))
+    return run_controllers(vehicle, laws, road, sample_times(vehicle, duration, timestep))
 
 
 def apart(run: Run, reference: Response, until: float = np.inf) -> float:
@@ -73,8 +73,11 @@ def said(run: Run) -> str:
 
 
 def check_verdict(run: Run) -> None:
-    """It agrees, says how far it is from the exact response, and of decisions that differ, when the first did and how many."""
+    """It agrees, only takes energy, and says how far it is from the exact response; and when and how many decisions differ."""
     assert verdict(run).startswith("agrees")
+    assert run.energy is not None
+    assert run.energy.least is not None
+    assert run.energy.least >= 0
     text, otherwise = said(run), [one for one in run.prediction.otherwise if one.time < run.agreement.until]
     worst = re.search(r"own error \(worst (\w+), (\S+) of its peak", text)
     geometry = re.search(r"geometry makes up to (\S+) of a peak \((\w+)\)", text)

@@ -17,14 +17,15 @@ HEAVY = {
     *("scipy.stats", "control", "cvxpy", "google", "matplotlib", "mcap", "mujoco", "pandas", "pyarrow", "ray", "rerun"),
 }
 # Of each command: how many of our modules it may load, packages among them, and what of the above.
+# `sim.runs.steps` compares runs step by step, with equations of `models.kinds.rigid_motion`, for one wheel with `rigid_body`.
 LOADED = {
-    "synth --json": (75, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
-    "sim.bump --controller I --duration 0.5 --logs DIR": (100, {"google", "mcap", "mujoco", "pyarrow", "rerun"}),
-    "sim.bump --controller I --no-logs --json": (89, {"mujoco"}),
-    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (90, {"mujoco"}),
-    "sim.drive --controller I --duration 1 --no-logs --json": (121, {"mujoco", "scipy.special"}),
+    "synth --json": (89, {"scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"}),
+    "sim.bump --controller I --duration 0.5 --logs DIR": (113, {"google", "mcap", "mujoco", "pyarrow", "rerun"}),
+    "sim.bump --controller I --no-logs --json": (102, {"mujoco"}),
+    "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (102, {"mujoco"}),
+    "sim.drive --controller I --duration 1 --no-logs --json": (129, {"mujoco", "scipy.special"}),
     "sim.sweep --controller I --json": (
-        99,
+        105,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),
 }

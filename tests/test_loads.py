@@ -18,17 +18,16 @@ from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import LOADS
 from models.roads.load_choice import History, choose_load, described_loads, parse_history
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
-from sim.command.comparison import programmed
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.response.response import Response
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.analysed import continuous_response, energy, sampled_response, simulate
 from tests.commands import once, prose, refused
@@ -66,7 +65,7 @@ def test_exact_in_the_quarter_car(text, reality):
     implementation, limits = REALITIES[reality]
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=implementation, limits=limits)
     controllers, time = [designed(vehicle, name) for name in ("passive", "I")], sample_times(vehicle, 1.3, 1e-3)
-    runs = run_all(vehicle, controllers, road_of(text, vehicle), time)
+    runs = run_controllers(vehicle, controllers, road_of(text, vehicle), time)
     for run in runs:
         assert run.agreement.agrees
         assert all(one.small is None for one in run.agreement.signals.values())
@@ -83,7 +82,7 @@ def test_accelerometers_feel_loads(name, reality):
     implementation = REALITIES[reality][0]
     vehicle = dataclasses.replace(read_vehicle("quarter_car_accelerometer"), implementation=implementation)
     time, road = sample_times(vehicle, 1.2, 1e-3), road_of("flat + lift:force=400:rise=0.05", vehicle)
-    (run,) = run_all(vehicle, [designed(vehicle, name)], road, time)
+    (run,) = run_controllers(vehicle, [designed(vehicle, name)], road, time)
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6  # measured 1e-7; without the load in it 1e-2
 
@@ -100,7 +99,7 @@ def test_accelerometers_feel_loads(name, reality):
 def test_geometry_is_all_that_differs_in_cars(kind, text, name):
     """A car agrees; where it turns far, at a hundredth of road and loads it is a thousand times nearer."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
-    (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
+    (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
     assert run.agreement.agrees
     smalls = [one.small for one in run.agreement.signals.values() if one.small is not None]
     assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
@@ -170,7 +169,7 @@ def test_a_law_in_python_carries_too(tmp_path):
     path.write_text(read_vehicle("quarter_car").text + entry)
     vehicle = read_vehicle(path)
     time, road = sample_times(vehicle, 1.5, 1e-3), road_of("bump + payload:mass=50", vehicle)
-    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], road, time)
+    (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], road, time)
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 2e-6
     assert max(one.continuous for one in run.agreement.signals.values()) < 1e-2
@@ -180,7 +179,7 @@ def test_a_law_in_python_carries_too(tmp_path):
 def test_curves_carry_too(text, name):
     """A vehicle whose damper and spring have curves follows its own exact response under a load, but for RK4's knots."""
     vehicle = with_curves("quarter_car_accelerometer", suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
-    (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
+    (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
     assert run.agreement.agrees
     assert max(one.sampled for one in run.agreement.signals.values()) < 5e-5  # RK4 at knots; 2.2e-5 of a wheel that hardly moves
     integrated, physics = run.prediction.integrated, run.physics
@@ -207,7 +206,7 @@ def test_adjustable_dampers_carry_too(name, lag, texts):
     damper = f'\n[actuators]\nkind = "damper"\nc_min = 200.0\nc_max = 3000.0\n{lag}\n'
     vehicle = parse_vehicle(read_vehicle("quarter_car_accelerometer").text + damper)
     for text in texts:
-        (run,) = run_all(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
+        (run,) = run_controllers(vehicle, [designed(vehicle, name)], road_of(text, vehicle), sample_times(vehicle, 1.3, 1e-3))
         assert run.agreement.agrees
         assert all(one.time <= 0.5 for one in run.prediction.otherwise)  # before, nothing moves but rounding
         assert max(one.sampled for one in run.agreement.signals.values()) < 5e-6  # RK4's at 1 ms
@@ -346,8 +345,8 @@ def test_a_file_is_its_numbers(tmp_path):
         assert isinstance(there, History)
         assert there.time[1] == (1e-3 if second == "ms" else 1.0)
         assert (there.columns["heave"][0], there.columns["pitch"][0]) == (2 * factor, 3 * turned)
-    road = described_road(json.loads(json.dumps(Loaded(Bump(), [load, choose_load("brake")]).describe())))
-    assert isinstance(road, Loaded)
+    road = described_road(json.loads(json.dumps(RoadWithLoads(Bump(), [load, choose_load("brake")]).describe())))
+    assert isinstance(road, RoadWithLoads)
     again, brake = road.on_body
     assert isinstance(again, History)
     np.testing.assert_array_equal(again.time, load.time)
@@ -363,14 +362,14 @@ def test_a_file_is_its_numbers(tmp_path):
         ("", ["is empty", "time [s]"]),
         ("time [s], pitch [N m]\n0, 0\n", ["1 rows", "2 to"]),
         ("time [s], pitch [N m], heave [N]\n5, 0, 1\n6, 0, 1\n", ["begins at 5 s with heave", "begin at 0 s"]),
-        ("time, pitch\n0, 0\n1, 1\n", ["heading 'time'", "time [s]"]),
-        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["pitch in 'N'", "N m"]),
-        ("time [s], yaw [N m]\n0, 0\n1, 1\n", ["heading 'yaw [N m]'"]),
-        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["there twice"]),
-        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["headings are pitch, roll"]),
-        ("time [s], pitch [N m]\n0, 0\n1, nan\n", ["line 3", "'nan'"]),
-        ("time [s], pitch [N m]\n0, 0\n1, x\n", ["line 3", "'x'"]),
-        ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 numbers", "2 headings"]),
+        ("time, pitch\n0, 0\n1, 1\n", ["column 1, 'time', has no unit; allowed: ms, s; write time [s] above it"]),
+        ("time [s], pitch [N]\n0, 0\n1, 1\n", ["column 2, 'pitch [N]', is in 'N'; allowed: N m, kN m"]),
+        ("time [s], yaw [N m]\n0, 0\n1, 1\n", ["column 2 is called 'yaw [N m]', and none of heave, pitch, roll, time"]),
+        ("time [s], pitch [N m], pitch [N m]\n0, 0, 0\n1, 1, 1\n", ["line 1: two columns are called 'pitch'; leave one out"]),
+        ("pitch [N m], roll [N m]\n0, 0\n1, 1\n", ["columns are pitch, roll"]),
+        ("time [s], pitch [N m]\n0, 0\n1, nan\n", ["line 3, column 2: 'nan' is no finite number"]),
+        ("time [s], pitch [N m]\n0, 0\n1, x\n", ["line 3, column 2: 'x' is no finite number"]),
+        ("time [s], pitch [N m]\n0, 0\n1, 1, 1\n", ["line 3 has 3 column(s), and line 2 has 2"]),
         ("time [s], pitch [N m]\n0, 0\n2, 1\n1, 1\n", ["line 4", "1 s, is not after", "sort"]),
         ("time [s], pitch [N m]\n" + "".join(f"{i}, 1\n" for i in range(20_001)), ["20001 rows", "to 20000"]),
     ],
@@ -508,6 +507,7 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert run["static_angles"][PITCH] == pytest.approx(0.0, abs=1e-9)
     assert main(arguments) == 0
     printed = prose(capsys.readouterr().out)
+    assert "the moment of the body's own weight as it turns is left out" in printed
     assert f"pitch_angle dive deg {metrics['pitch_angle_dive']['mujoco']:.4g}" in printed
     assert f"roll_angle peak deg {metrics['roll_angle_peak']['mujoco']:.4g}" in printed
     assert f"roll_angle {run['static_angles'][ROLL]:.4g} deg; pitch is positive nose down" in printed
@@ -517,7 +517,7 @@ def test_angles_are_those_of_the_body():
     """Measured from deflections, tyres and road, the angles are MuJoCo's own joints' to the square of the angle."""
     vehicle = car("full_car")
     time, road = sample_times(vehicle, 3.0, 1e-3), road_of("bump:height=0.05:track=left + brake:g=0.3 + corner:g=0.2", vehicle)
-    (run,) = run_all(vehicle, [designed(vehicle, "passive")], road, time)
+    (run,) = run_controllers(vehicle, [designed(vehicle, "passive")], road, time)
     found = measure(vehicle, run.physics, 0, loaded=True)
     assert run.qpos is not None
     pitch, roll = np.degrees(run.qpos[:, 5]), np.degrees(run.qpos[:, 6])
@@ -606,7 +606,7 @@ def test_a_payload_does_not_vary_a_tyre_s_load():
     """The dynamic load of a vehicle with loads is about what tyres carry in the mean; of one without it is the rms."""
     vehicle, h, first = read_vehicle("quarter_car"), 1e-3, 1000
     passive, time = designed(vehicle, "passive"), np.arange(6001) * 1e-3
-    rough, laden = Iso8608("C", 3, 20.0), Loaded(Iso8608("C", 3, 20.0), (choose_load("payload:mass=150:rise=0.5"),))
+    rough, laden = Iso8608("C", 3, 20.0), RoadWithLoads(Iso8608("C", 3, 20.0), (choose_load("payload:mass=150:rise=0.5"),))
     values = simulate([vehicle] * 2, [passive] * 2, [rough, laden], time).response.values
     meter = Meter([vehicle] * 2, h, first, loaded=True, pushed=[False, True])
     meter.update(np.moveaxis(values, 0, -1))

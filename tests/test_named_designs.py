@@ -1,7 +1,10 @@
 """Controllers that a vehicle file has designed by name: full order, LQR, LQG, H2, with accelerometers too."""
 
 import json
+import re
+from collections.abc import Collection
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +12,18 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.controllers import Method
+from models.vehicle.combinations import KINDS, goes, readme_tables, refusal
+from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
 from sim.inspect.claims import check_design
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.__main__ import main
 from synth.command.check import check
 from synth.plant.numerics import DesignError
-from synth.vehicle.designer import WITHOUT, Designer, check_supported, supports
+from synth.vehicle.designer import Designer
+from synth.vehicle.trade_off.front import entry_of
 from tests.commands import refused
 from tests.rewriting import contents, written
 from tests.shared import designed
@@ -76,7 +81,7 @@ def test_best_in_the_mean_is_not_best_in_the_worst_case(designer):
 def test_physics_follows_them_all(designer):
     """MuJoCo over the bump agrees with the exact sampled response of every one of them, and its energy balances."""
     vehicle = designer.vehicle
-    runs = run_all(
+    runs = run_controllers(
         vehicle, [designed(designer.vehicle, name) for name in NAMES], Bump(height=0.05), sample_times(vehicle, 0.8, 1e-3)
     )
     for run in runs:
@@ -107,8 +112,11 @@ def test_saved_and_checked(tmp_path, capsys):
     [
         ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full"),
         ('measured = ["sprung_velocity"]\ndesign = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
-        ('measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"', "an order and a design"),
-        ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', "a law of its own, which is not designed"),
+        (
+            'measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"',
+            'order = "full" with design = "lqg": ',
+        ),
+        ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
         ('measured = ["sprung_velocity"]\ndesign = "lqr"', 'design = "lqr" is of the state'),
         ('measured = ["control_force"]', "says nothing of the state"),
     ],
@@ -121,7 +129,7 @@ def test_a_mistake_is_named(entry, said):
 
 def test_what_is_for_static_gains_alone(designer):
     """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
-    with pytest.raises(DesignError, match="is designed at full order, and it is static gains"):
+    with pytest.raises(DesignError, match='order = "full" with --refine: it is static gains'):
         designer.refine("full")
     with pytest.raises(InputError, match="there is no L"):
         designer.design("full", zero_l=True)
@@ -196,33 +204,81 @@ def test_what_was_assumed_may_be_another_elsewhere(change, verdict):
 
 
 SECTIONS = {
-    Method.GAIN: "gain = [[-1e3, -1e3]]",
-    Method.LAW: "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]",
-    Method.TWO_STEPS: "",
-    Method.NOISE: "noise = true",
-    Method.SAMPLED: "sampled = true",
-    Method.GOALS: "minimise = { band = [4.0, 8.0] }",
-    Method.FULL_ORDER: 'order = "full"',
-    Method.QUADRATIC: 'design = "h2"',
-    Method.PYTHON: 'law = "mine.py:step"',
+    "gain": "gain = [[-1e3, -1e3]]",
+    "states": "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]",
+    "steps": "",
+    "full": 'order = "full"',
+    "lqr": 'design = "lqr"',
+    "lqg": 'design = "lqg"',
+    "h2": 'design = "h2"',
+    "law": 'law = "mine.py:step"',
+    "semi_active": 'semi_active = "skyhook"',
+    "stable": "stable = true",
+    "anti_windup": "anti_windup = 20.0",
+    "noise": "noise = true",
+    "lag": "lag = true",
+    "sampled": "sampled = true",
+    "loads": "loads = { heave_load = 1e3 }",
+    "goals": "minimise = { band = [4.0, 8.0] }",
+    "tolerance": "tolerance = { sprung_velocity = 0.1 }",
+    "family": "family = [{ sprung_mass = 0.9 }, {}]",
+    "force": "",
 }
+BUILT = """
+[implementation]
+sample_period = 0.004
+noise = { sprung_velocity = 1e-3 }
+[limits]
+actuator_bandwidth = 60.0
+actuator_force = 1e4
+"""
 
 
-@pytest.mark.parametrize("method", SECTIONS, ids=lambda one: one.name)
-def test_every_method_says_what_goes_with_it(paper, method):
-    """A section has one method; what does not go with it is refused in a line that names the controller and its method."""
-    reality = "\n[implementation]\nsample_period = 0.004\nnoise = { sprung_velocity = 1e-3 }\n"
-    mine = f'\n[controllers.mine]\nmeasured = ["suspension_deflection", "sprung_velocity"]\n{SECTIONS[method]}\n'
-    vehicle = parse_vehicle(f"{paper.text}{reality}{mine}")
-    entry = vehicle.controllers["mine"]
-    assert entry.method is method
-    assert entry.linear == (method is not Method.PYTHON)
-    for what in WITHOUT:
-        if supports(entry, what):
-            check_supported(entry, what)
+def with_parts(text: str, parts: Collection[str]) -> str:
+    """Returns a vehicle file with a controller that has these parts."""
+    signals = ["suspension_deflection", "sprung_velocity", *["control_force"] * ("force" in parts)]
+    measured = "" if {"lqr", "semi_active"} & {*parts} else f"measured = {json.dumps(signals)}\n"
+    lines = "\n".join(SECTIONS[part] for part in parts)
+    lines = lines.replace("1e3]]", "1e3, 0.0]]").replace("[[1.0, 1.0]]", "[[1.0, 1.0, 0.0]]") if "force" in parts else lines
+    return f"{text}{BUILT}\n[controllers.mine]\n{measured}{lines}\n"
+
+
+@pytest.mark.parametrize("one", SECTIONS)
+def test_the_table_is_what_is_done(paper, one):
+    """Two parts of a section are read where the table has them together, else refused in a line that names both and says why."""
+    for other in SECTIONS.keys() - {one}:
+        pair = {one, other}
+        if {*QUADRATIC} >= pair or ("steps" in pair and {*KINDS} >= pair):
+            continue  # no section has both
+        if "force" in pair and pair & {"lqr", "semi_active", "lag"}:
+            continue  # these name no measurements, or have the force as a state
+        designed = not pair & {*KINDS, "goals", "tolerance", "family"}
+        parts = sorted(pair | {"steps"} if designed else pair, key=[*SECTIONS].index)
+        why = [refusal(*two) for two in combinations(parts, 2) if refusal(*two)]
+        if why:
+            with refused(why[0], match=r"controllers[.]mine\] .* with .*: .*; choose .* or "):
+                parse_vehicle(with_parts(paper.text, parts))
+        else:
+            entry = parse_vehicle(with_parts(paper.text, parts)).controllers["mine"]
+            assert {*parts} - {"force", "steps"} <= entry.parts.keys()
+
+
+@pytest.mark.parametrize(
+    "part", [part for part in SECTIONS if part not in ("force", "law", "semi_active", "stable", "anti_windup")]
+)
+def test_the_table_says_what_commands_do(paper, part):
+    """A command is refused in a line that names it and the part that it does not go with, or it goes on."""
+    vehicle = parse_vehicle(with_parts(paper.text, [part]))
+    designer, entry = Designer(vehicle), vehicle.controllers["mine"]
+    for command, ask in {"refine": designer.refine, "front": lambda name: entry_of(vehicle, name)}.items():
+        if goes(command, entry.parts):
             continue
-        with pytest.raises(InputError, match=r"controller 'mine' (is|has) .*, (so|and) .*;"):
-            check_supported(entry, what)
-    static = method in (Method.GAIN, Method.TWO_STEPS, Method.NOISE)
-    assert supports(entry, "refine") == static
-    assert supports(entry, "zero_l") == (method is Method.TWO_STEPS)
+        why = next(refusal(command, each) for each in entry.parts if refusal(command, each))
+        with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
+            ask("mine")
+    assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))
+
+
+def test_the_readme_has_the_tables():
+    """The tables of `models/README.md` are those of the code."""
+    assert "\n".join(readme_tables()) in (ROOT / "models" / "README.md").read_text(encoding="utf-8")

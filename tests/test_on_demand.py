@@ -15,15 +15,14 @@ from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import kinds, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import metrics_of
-from sim.studies.stability.loop_transfer import cut, cut_sampled
-from sim.studies.stability.stability_margins import margins
 from sim.sweep import main as sweep
 from synth.analysis.certificate import certify
 from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer
 from tests.test_cars import derivative
+from tests.test_laws import check_verges
 
 WHEEL = "unsprung_acceleration"
 HUB = f"""
@@ -138,7 +137,7 @@ def test_physics_agrees_to_rk4s_own_error(hub):
     errors = []
     for h in (1e-3, 5e-4):
         held = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=1e-3))
-        runs = run_all(held, some, Bump(), sample_times(held, 1.0, h))
+        runs = run_controllers(held, some, Bump(), sample_times(held, 1.0, h))
         assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
         errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
         assert all(run.agreement.signals[WHEEL].sampled > 0 for run in runs)
@@ -149,15 +148,7 @@ def test_physics_agrees_to_rk4s_own_error(hub):
 def test_margins_are_where_a_pole_crosses(hub):
     """At the gain, the delay and the sample period that margins name, a loop through the hub's accelerometer is on the verge."""
     vehicle = read_vehicle(hub)
-    one = Designer(vehicle).design("hub")
-    loop = cut(vehicle, one, [0])
-    found = margins(loop)
-    scaled = replace(one, law=one.law.scaled(found.gain))
-    assert abs(np.linalg.eigvals(scaled.loop(vehicle).A).real.max()) < 1e-7 * np.abs(loop.A).max()
-    at = np.exp(-1j * found.frequency * found.delay)
-    assert abs(np.linalg.eigvals(loop.transfer(np.array([found.frequency]))[0] * at)[0] - 1) < 1e-7
-    Phi, Gamma, G = cut_sampled(vehicle, one, found.sample_period)
-    assert np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() == pytest.approx(1, abs=1e-9)
+    check_verges(vehicle, Designer(vehicle).design("hub"))
 
 
 def test_commands_take_it_as_any_other(hub, tmp_path, monkeypatch, capsys):

@@ -9,6 +9,7 @@ from synth.analysis.norm import hinf_norm
 from synth.lmi.output_feedback import nullspace
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Feedback
+from synth.plant.numerics import InfeasibleError
 from synth.vehicle.paper import BOX, CY, PRINTED, TO_RELATIVE, absolute_states, entry_of, ours, remark_4, remark_5
 
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
@@ -104,7 +105,7 @@ def test_remark_4(designer):
     """For L = 0 problem (25) has a solution in one case of four: the states of [33] and controller I.
 
     Its optimum is 510.33, where state feedback has 499.63, and it is reached only as the gain grows without bound, which is what
-    makes it useless; Clarabel finds the same optimum.
+    makes it useless; Clarabel finds the same optimum, and none with the states of (30).
     """
     found = {(one.states, one.controller): one for one in remark_4(designer)}
     assert [key for key, one in found.items() if one.gain is not None] == [("[33]", "I")]
@@ -118,6 +119,9 @@ def test_remark_4(designer):
     plant, Cy = absolute_states(designer.plant), CY["I"] @ TO_RELATIVE
     assert hinf_norm(plant.closed_loop(Feedback(one.gain, Cy))).value <= one.bound
     assert solve_lmi(plant, nullspace(Cy), np.linalg.pinv(Cy)).gamma == pytest.approx(510.328, rel=1e-4)  # Clarabel's tolerance
+    for Cy in (CY["I"], CY["II"]):
+        with pytest.raises(InfeasibleError, match="no solution with eta > 0"):
+            solve_lmi(designer.plant, nullspace(Cy), np.linalg.pinv(Cy))
 
 
 def test_remark_5(designer):

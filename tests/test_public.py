@@ -1,17 +1,21 @@
 """The packages' public names: they are there, nothing heavy comes with the packages, and pages and examples use them alone."""
 
 import ast
+import copy
 import dataclasses
 import doctest
 import importlib
 import inspect
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -21,7 +25,13 @@ import synth
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = (models, synth, sim)
-PAGES = ("README.md", "models/README.md", "synth/README.md", "sim/README.md", "logs/README.md", ".github/CONTRIBUTING.md")
+PAGES = (
+    "README.md",
+    "models/README.md",
+    "synth/README.md",
+    "sim/README.md",
+    "logs/README.md",
+)  # contributors work behind the front door
 HEAVY = {"mujoco", "cvxpy", "pandas", "rerun", "control", "scipy", "numpy"}
 
 
@@ -29,11 +39,11 @@ HEAVY = {"mujoco", "cvxpy", "pandas", "rerun", "control", "scipy", "numpy"}
 def test_names(package):
     """Type checkers see each name where it is, no name is a module's but those that are one, and the docstring lists them all."""
     source = ast.parse((ROOT / package.__name__ / "__init__.py").read_text(encoding="utf-8"))
-    [checked] = [node for node in source.body if isinstance(node, ast.If)]
+    [checked] = [node for node in source.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
     seen = {alias.name: node.module for node in checked.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert sorted(seen) == package.__all__ == dir(package)
     for name, module in seen.items():
-        assert getattr(package, name) is getattr(importlib.import_module(module or ""), name)
+        assert inspect.unwrap(getattr(package, name)) is inspect.unwrap(getattr(importlib.import_module(module or ""), name))
         is_file = (ROOT / package.__name__ / f"{name}.py").exists() or (ROOT / package.__name__ / name).is_dir()
         assert not is_file or inspect.ismodule(getattr(package, name))
         assert f"`{name}`" in package.__doc__
@@ -100,13 +110,110 @@ def test_what_is_shown(paper, designer):
         assert all(part in repr(one) for part in parts)
         assert len(repr(one).splitlines()) <= 7
         root = ElementTree.fromstring(f"<div>{one._repr_html_()}</div>")  # well formed
-        table = ["".join(row.itertext()) for row in root.iter("tr")]
+        table = ["".join(row.itertext()) for row in next(root.iter("table")).iter("tr")]
         assert table == [line.strip().replace(": ", "", 1) for line in repr(one).splitlines()[1:]]
-    assert "<svg" in run._repr_html_()
+        assert "<svg" in one._repr_html_()
+    figures = [set(re.findall(r' id="([^"]+)"', one._repr_html_())) for one in (paper, controller, run)]
+    assert len(set.union(*figures)) == sum(map(len, figures)) == 9  # of a figure, its title and its text
+    peaks = list(ElementTree.fromstring(f"<div>{run._repr_html_()}</div>").iter("table"))[1]
+    for row in list(peaks.iter("tr"))[1:]:
+        heading, physics, *_ = row.itertext()
+        assert float(physics) == pytest.approx(run.physics.peak(heading.split()[0]), rel=1e-5)
     bad = dataclasses.replace(controller, name="<script>")
     assert "<script>" not in bad._repr_html_()
     wrong = dataclasses.replace(run.physics, values=np.full_like(run.physics.values, np.nan))
     assert "<svg" in dataclasses.replace(run, physics=wrong)._repr_html_()
+
+
+def test_parts_of_a_run_are_shown(paper, designer):
+    """A response, a verdict, an energy balance, metrics and a design say in some lines what they are."""
+    [run] = sim.run(paper, [designer.design("I")], models.Bump(height=0.05), duration=1.0)
+    for one, parts in (
+        (run.physics, ("response: 1001 samples, 0 to 1 s", "tyre_deflection [m]")),
+        (run.agreement, ("agreement: agrees throughout", "tyre_deflection: 7.4e-07 of its peak, 1.1e-06 allowed")),
+        (run.energy, ("energy balances: all but ", "dissipated: ")),
+        (sim.measure_run(run, first=0), ("metrics of a run: 13", "suspension_deflection_peak: MuJoCo 0.0484")),
+        (synth.two_step_design(designer.plant, np.eye(4)), ("design, certificate: holds", "gain: [[", "norm: 7.836")),
+    ):
+        assert all(part in repr(one) for part in parts), repr(one)
+        assert len(repr(one).splitlines()) <= 14
+
+
+def test_a_figure_ends_where_its_run_broke_off(paper):
+    """The figure of a run that broke off ends there, and its caption says why; what follows is no vehicle's."""
+    pushing = SimpleNamespace(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=[[2e5]])
+    bad = synth.controller_from(paper, "bad", ["sprung_velocity"], pushing)
+    [run] = sim.run(paper, [bad], models.Bump(height=0.05), duration=1.0)
+    assert run.broke_off is not None
+    assert run.physics.diverged > run.broke_off[1]
+    figure = run._repr_html_()
+    assert f"bad, until flat tyre at {run.broke_off[1]:.4g} s" in figure
+    assert all(float(size) < 1e4 for size in re.findall(r"largest ([^ ]+) m/s2", figure))
+
+
+def test_runs_by_name(tmp_path):
+    """A run takes names, entries of the vehicle file and laws of every kind, as commands have them, and no other vehicle's."""
+    (tmp_path / "mine.py").write_text("def step(sample, state):\n    return [0.0], state\n")
+    text = (ROOT / "models/quarter_car.toml").read_text(encoding="utf-8")
+    path = tmp_path / "car.toml"
+    path.write_text(f'{text}\n[controllers.mine]\nmeasured = ["sprung_velocity"]\nlaw = "mine.py:step"\n', encoding="utf-8")
+    vehicle, road = models.read_vehicle(path), models.Bump(height=0.05)
+    passive, gain, mine = sim.run(vehicle, ["passive", vehicle.controllers["I"], "mine"], road, duration=0.5)
+    [designed] = sim.run(vehicle, synth.design_controllers(vehicle, ["I"]), road, duration=0.5)
+    assert np.array_equal(gain.physics.values, designed.physics.values)
+    assert np.array_equal(mine.physics["tyre_deflection"], passive.physics["tyre_deflection"])
+    [sky] = sim.run(models.read_vehicle("quarter_car_semi_active"), ["skyhook"], road, duration=0.5)
+    assert sky.holds
+    car = models.read_vehicle("full_car")
+    for given, said in (
+        (designed.controller, "'I' measures 'suspension_deflection', and is another vehicle's"),
+        (vehicle.controllers["mine"], "'mine' is an entry of another vehicle"),
+        ("mine", "unknown controller 'mine'"),
+    ):
+        with pytest.raises(models.InputError, match=said):
+            sim.run(car, [given], road)
+
+
+def test_with_parameters():
+    """A vehicle with other parameters is the one that a file with them gives; wrong ones are refused as there."""
+    vehicle = models.read_vehicle("quarter_car")
+    text = vehicle.text.replace("sprung_mass = 504.5", "sprung_mass = 600.0", 1)
+    assert vehicle.with_parameters(sprung_mass=600).parameters == models.parse_vehicle(text).parameters
+    for wrong, said in (
+        ({"sprung_mas": 600.0}, "unknown parameter 'sprung_mas'"),
+        ({"sprung_mass": -1.0}, "sprung_mass = -1.0 is not allowed"),
+        ({"tyre_stiffness": 1.0}, "tyre_deflection at rest is"),
+    ):
+        with pytest.raises(models.InputError, match=said):
+            vehicle.with_parameters(**wrong)
+    with pytest.raises(models.InputError, match="unknown parameter 'sprung_mas'"):
+        dataclasses.replace(vehicle, parameters={**vehicle.parameters, "sprung_mas": 1.0})
+
+
+def test_a_vehicle_is_read_only():
+    """Its parameters, weights and controllers refuse every change, also copied or unpickled; the caller's own dicts do not."""
+    vehicle = models.read_vehicle("quarter_car")
+    own = dict(vehicle.parameters)
+    again = dataclasses.replace(vehicle, parameters=own)
+    own["sprung_mass"] = -1.0
+    assert again.parameters == vehicle.parameters
+    assert json.loads(json.dumps(vehicle.parameters)) == vehicle.parameters
+    for one in (vehicle, again, copy.deepcopy(vehicle), cloudpickle.loads(cloudpickle.dumps(vehicle))):
+        for name in ("parameters", "performance", "controllers"):
+            mapping: Any = getattr(one, name)
+            assert list(mapping) == list(getattr(vehicle, name))
+            for change in (
+                lambda known: known.__setitem__(next(iter(known)), -1.0),
+                lambda known: known.__delitem__(next(iter(known))),
+                lambda known: known.__ior__({"a": 1.0}),
+                lambda known: known.update(a=1.0),
+                lambda known: known.setdefault("a", 1.0),
+                lambda known: known.pop(next(iter(known))),
+                lambda known: known.popitem(),
+                lambda known: known.clear(),
+            ):
+                with pytest.raises(models.InputError, match=r"read-only; use vehicle\.with_parameters"):
+                    change(mapping)
 
 
 def test_lists_do_for_matrices():

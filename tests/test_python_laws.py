@@ -18,10 +18,9 @@ from models.laws.python_law import Programmed
 from models.roads.road import Bump, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.command.comparison import programmed
 from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.analysed import predict_forced, simulate
 from tests.commands import environment, main_of, prose
@@ -60,7 +59,9 @@ def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, durat
     """A run of a vehicle file's controller."""
     vehicle = vehicle or read_vehicle(path)
     time = sample_times(vehicle, duration, 1e-3)
-    return simulate([vehicle], [programmed(vehicle, name) if name == "mine" else Designer(vehicle).design(name)], [Bump()], time)
+    return simulate(
+        [vehicle], [vehicle.controllers[name].driver() if name == "mine" else Designer(vehicle).design(name)], [Bump()], time
+    )
 
 
 def refusal(path: Path, command: str = "sim.bump", *options: str) -> str:
@@ -99,7 +100,9 @@ def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
     for how, limits in REALITIES.values():
         how = replace(how, noise={}, quantisation={})
         vehicle = replace(read_vehicle(path), implementation=how, limits=limits)
-        (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(height=0.02), sample_times(vehicle, 1.0, 1e-3))
+        (run,) = run_controllers(
+            vehicle, [vehicle.controllers["mine"].driver()], Bump(height=0.02), sample_times(vehicle, 1.0, 1e-3)
+        )
         assert run.holds
         assert run.energy is not None
         assert np.ptp(run.prediction.asked[:, 0]) > 600  # it did switch
@@ -111,7 +114,7 @@ def test_it_can_disagree(tmp_path):
     """Physics that is not the response to the forces is found out: other forces by a hundred-thousandth are enough."""
     path = vehicle_of(tmp_path, GAIN)
     vehicle = read_vehicle(path)
-    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(), sample_times(vehicle, 1.0, 1e-3))
+    (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], Bump(), sample_times(vehicle, 1.0, 1e-3))
     mine = run.controller
     assert isinstance(mine, Programmed)
     for share, agrees in {1.0: True, 1.00001: False}.items():
@@ -148,7 +151,7 @@ def test_vectorised_is_the_same_run_by_run(tmp_path):
         vehicle = read_vehicle(path)
         mass = vehicle.parameters["sprung_mass"]
         vehicles = [replace(vehicle, parameters={**vehicle.parameters, "sprung_mass": mass * share}) for share in (1.0, 0.9, 1.2)]
-        controller = programmed(vehicle, "mine")
+        controller = vehicle.controllers["mine"].driver()
         responses.append(simulate(vehicles, [controller] * 3, roads, sample_times(vehicle, 0.6, 1e-3)).response.values)
     np.testing.assert_allclose(*responses, rtol=1e-12, atol=1e-12)  # numpy sums alike, but for its choice of instructions
 
@@ -159,7 +162,7 @@ def test_runs_do_not_know_of_one_another(tmp_path):
     law += "    sample.parameters.clear()\n    return -float(len(calls)), state\n"
     path = vehicle_of(tmp_path, law)
     vehicle = read_vehicle(path)
-    mine = programmed(vehicle, "mine")
+    mine = vehicle.controllers["mine"].driver()
     together = simulate([vehicle] * 3, [mine] * 3, [Bump()] * 3, sample_times(vehicle, 0.3, 1e-3))
     alone = driven(path, duration=0.3)
     assert np.array_equal(together.asked[2], alone.asked[0])
@@ -171,7 +174,7 @@ def test_linear_controllers_are_the_same_beside_it(tmp_path):
     path = vehicle_of(tmp_path, GAIN)
     vehicle = read_vehicle(path)
     designer, time = Designer(vehicle), sample_times(vehicle, 0.3, 1e-3)
-    both = [programmed(vehicle, "mine"), designer.design("I")]
+    both = [vehicle.controllers["mine"].driver(), designer.design("I")]
     together = simulate([vehicle] * 2, both, [Bump()] * 2, time)
     alone = simulate([vehicle], both[1:], [Bump()], time)
     assert np.array_equal(together.response.values[1], alone.response.values[0])
@@ -246,8 +249,8 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
     alone = parse_vehicle(path.read_text(encoding="utf-8"))
     assert alone.controllers["mine"].python is not None
     with pytest.raises(InputError, match="read from text alone"):
-        programmed(alone, "mine")
-    assert programmed(read_vehicle(path), "mine").name == "mine"
+        alone.controllers["mine"].driver()
+    assert read_vehicle(path).controllers["mine"].driver().name == "mine"
     assert "SystemExit: 3, line 1" in refusal(path)
 
 
@@ -269,6 +272,7 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
         ("def step(sample, state): return None, state", "its force is not finite"),
         ("def step(sample, state): return sample['nothing'], state", "it measures no 'nothing', but suspension_deflection"),
         ("def step(sample, state): raise SystemExit('bye')", "SystemExit: bye, line 1"),
+        ("import os\ndef step(sample, state): os._exit(0)", "SystemExit: it ends the process by os._exit(0), line 2"),
         ("async def step(sample, state): return 0.0, state", "step is async, or yields, and is called once a sample"),
         ("def step(sample, state): yield 0.0, state", "step is async, or yields, and is called once a sample"),
         ("class A:\n  async def __call__(self, sample, state): pass\nstep = A()", "step is async, or yields, and is called once"),
@@ -297,7 +301,7 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, law, said):
         ('law = "mi\\nne.py:step"', "is no law in Python"),
         ('law = "mi\\u2028ne.py:step"', "is no law in Python"),
         ('law = "other.py:step"', "there is no such file"),
-        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "has a law in Python and gain"),
+        ('law = "mine.py:step"\ngain = [[1.0, 2.0]]', "gain with law: a controller has one law"),
         ('law = "mine.py:step"\npreview = -1', "preview = -1 is not allowed"),
         ("preview = 1.0", "preview is what a law in Python is told"),
     ],
@@ -352,7 +356,7 @@ def test_linear_commands_leave_it_out(tmp_path, capsys):
     path = vehicle_of(tmp_path, GAIN)
     axes = ["--vary", "height:0.02:0.1:3", "--vary", "speed:5:20:3"]
     for command, options in {"synth": [], "sim.margins": [], "sim.envelope": axes}.items():
-        said = "controller 'mine' is a law in Python, mine.py:step, of which there is no linear claim"
+        said = "controller 'mine' is a law in Python, mine.py:step, which has no linear loop to analyse"
         assert refusal(path, command, *options).startswith(said)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "all", "--json"]) == 0
     assert "mine" not in [one["name"] for one in json.loads(capsys.readouterr().out)["controllers"]]
@@ -373,6 +377,7 @@ HOSTILE = {
     "endless": "    return step(sample, state)",
     "interrupting": "    raise KeyboardInterrupt",
     "leaving": "    raise SystemExit(0)",
+    "leaving at once": "    import os\n    os._exit(0)",
     "array": "    class A:\n        def __array__(self, *a, **k):\n            while True: pass\n    return A(), state",
     "speechless": "    class E(Exception):\n        def __str__(self): raise KeyboardInterrupt\n    raise E()",
     "length": "    class T(tuple):\n        def __len__(self): raise MemoryError\n    return T((0.0, state))",

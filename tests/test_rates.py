@@ -13,14 +13,14 @@ import synth.vehicle.sample_rate.report
 from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, samples_late
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.studies.stability.loop_transfer import cut
+from sim.studies.stability.loop_transfer import loop_transfer
 from sim.studies.stability.stability_margins import largest_sample_period
 from synth.__main__ import main
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.design.sampled_data import HeldDesign, HeldProblem, held_design
+from synth.design.sampled_data import SampledDataDesign, SampledDataProblem, held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, lost_from, norm_at
@@ -44,7 +44,7 @@ def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     return lost_from(vehicle, controller, delay)
 
 
-def held_anew(problem: HeldProblem, near: float, known: list[np.ndarray]) -> HeldDesign:
+def held_anew(problem: SampledDataProblem, near: float, known: list[np.ndarray]) -> SampledDataDesign:
     return held_design(problem, near, known)
 
 
@@ -84,7 +84,7 @@ def test_it_is_lost_where_the_margins_say(car, name):
     """The rate at which a loop is lost is the margin of its sample period, which another way finds."""
     vehicle = read_vehicle(car)
     controller = design(vehicle, name)
-    margin = largest_sample_period(cut(vehicle, controller, range(len(vehicle.linear_model.inputs))))
+    margin = largest_sample_period(loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))))
     # Either is found to 1e-12 of it, or there is none up to a second.
     assert made(lost_anew, vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
 
@@ -317,7 +317,7 @@ def test_other_sentences(name, words, tmp_path, capsys, request):
         ([str(1 + k / 100) for k in range(1001)], "at most 1000"),
         (["5", "--refine"], "--rates takes designs as they are"),
         (["5", "--prove"], "--rates takes designs as they are"),
-        (["5", "--picture", "rates.gif"], "not a kind of picture"),
+        (["5", "--picture", "rates.gif"], "this kind of picture cannot be written"),
     ],
 )
 def test_bad_rates(rates, words, monkeypatch):

@@ -71,7 +71,7 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
     monkeypatch.setattr(ride, "SEEDS", (0,))
     monkeypatch.setattr(ride, "WINDOW", 1.0)
     vehicle = read_vehicle(hopper)
-    rides = ride.rides_of(vehicle, [Designer(vehicle).design("I")], 2e-3)
+    rides = [*ride.OverRoads(vehicle, Designer(vehicle).design("I"), 2e-3).rides()]
     rows = ride.ride_section(vehicle, rides, styles(("I",))).tables[0].rows
     assert {"sprung acceleration weighted", "control force rms"} <= {row[2] for row in rows}
 

@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.report import verdict_lines
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer, given
 from tests.analysed import continuous_response, most_quantised, noise_rms, sampled_radius, sampled_response, simulate
 
@@ -129,17 +129,20 @@ def test_noise_of_what_symmetry_keeps_silent():
     assert 0 < spread["roll_rate"] < 1e-6 * spread["heave_velocity"]
     predicted = sampled_response(car, controller, Bump(height=0.0), time)
     assert predicted.peak("roll_rate") == 0
-    (run,) = run_all(car, [controller], Bump(), time)
+    (run,) = run_controllers(car, [controller], Bump(), time)
     assert run.agreement.agrees  # within six of those standard deviations, roll too
 
 
 def test_noise_and_geometry_together():
     """Where noise is small beside what turning makes, that is told from error as it is without noise."""
     half = with_reality(read_vehicle("half_car"), None, Implementation(noise={"heave_velocity": 1e-7}))
-    (run,) = run_all(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
+    (run,) = run_controllers(half, [Designer(half).design("I")], Bump(), sample_times(half, 1.0, 1e-3))
     assert run.agreement.agrees
-    (line,) = verdict_lines(run)
+    line, steps = verdict_lines(run)
     assert line.startswith("agrees to first order throughout: geometry and noise make up to")
+    assert steps.startswith(
+        "agrees step by step throughout: each step of MuJoCo is that of the vehicle's nonlinear equations of motion to"
+    )
     assert "exact" not in line
 
 
@@ -190,7 +193,7 @@ def test_no_rounding_moves_a_signal_further_than_is_said(paper, gain, resolution
     """A quantised loop stays within the bound of the one that is not, with a dead zone that no white noise has, and unstable."""
     vehicle = with_reality(paper, None, Implementation(quantisation={"sprung_velocity": resolution}))
     controller = given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
-    for run in run_all(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 2.0, 1e-3)):
+    for run in run_controllers(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 2.0, 1e-3)):
         off = {name: one.sampled / one.allowed for name, one in run.agreement.signals.items()}
         assert run.agreement.agrees
         assert max(off.values()) > 1e-3, "and it is a bound that is seen"
@@ -232,7 +235,7 @@ def test_noise_between_samples(implementation):
     spread = stationary(vehicles[0], controller, step)
     larger = spread["unsprung_velocity_front"] / predicted[0, names.index("unsprung_velocity_front")]
     assert larger > (2 if implementation.delay % 1 == 0 else 1.1)  # measured: 3, and 1.13
-    (run,) = run_all(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
+    (run,) = run_controllers(vehicles[0], [controller], Bump(height=1e-4), sample_times(half, 1.0, step))
     assert run.agreement.agrees
 
 
@@ -291,17 +294,6 @@ def test_delay_fits_the_timestep(paper, designer, h):
     else:
         with pytest.raises(InputError, match=r"delay = 1.5 samples, 0.015 s, is no multiple of the timestep, 0.002 s"):
             simulate([vehicle], [designer.design("I")], [Bump()], sample_times(paper, 0.1, h))
-
-
-def test_delays_of_all_kinds_in_one_batch(paper, designer):
-    """Runs side by side, each with its own delay, are what each is by itself."""
-    delays, time = (0, 1, 0.5, 2.25, 1.75, 3), sample_times(paper, 0.5, 1e-3)
-    vehicles = [with_reality(paper, None, Implementation(sample_period=4e-3, delay=delay)) for delay in delays]
-    controller = designer.design("II")
-    together = simulate(vehicles, [controller] * len(delays), [Bump()] * len(delays), time).response
-    for i, vehicle in enumerate(vehicles):
-        alone = simulate([vehicle], [controller], [Bump()], time).response
-        np.testing.assert_array_equal(together.values[i], alone.values[0])
 
 
 def test_a_fraction_in_words(paper):

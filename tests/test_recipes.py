@@ -13,11 +13,16 @@ from tests.pages import ROOT, page, sections
 MARK = "\n\n# By their names on a command line"
 
 
-@pytest.mark.attack  # four processes in a copy that has to be compiled
-def test_add_a_road(tmp_path):
-    """The road of the recipe, in its two files, is driven, logged and inspected, and holds in every test of roads."""
-    (recipe,) = [one for one in sections(".github/CONTRIBUTING.md") if one.heading == "Add a road"]
-    (road,) = recipe.blocks("python")
+@pytest.mark.attack  # six processes in a copy that has to be compiled
+def test_add_a_road_and_a_command(tmp_path):
+    """The recipe's road is driven, logged and inspected, the recipe's command runs, and both hold in every test of their kind."""
+    road, command = (
+        block
+        for heading in ("Add a road", "Add a command")
+        for recipe in sections(".github/CONTRIBUTING.md")
+        if recipe.heading == heading
+        for block in recipe.blocks("python")
+    )
     for folder in ("models", "synth", "sim", "tests", ".github"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("README.md", "pyproject.toml"):
@@ -30,6 +35,13 @@ def test_add_a_road(tmp_path):
     names = tmp_path / "models" / "vehicle" / "names.py"
     named = names.read_text(encoding="utf-8").replace('"step", ', '"step", "ramp", ')
     names.write_text(named, encoding="utf-8", newline="\n")
+
+    (tmp_path / "sim" / "modes.py").write_text(command, encoding="utf-8", newline="\n")
+    architecture = tmp_path / "tests" / "test_architecture.py"
+    rooms = architecture.read_text(encoding="utf-8")
+    row = '    "sim.modes": "models.vehicle synth.vehicle",\n'
+    assert row.strip() in page(".github/CONTRIBUTING.md")
+    architecture.write_text(rooms.replace('    "sim.margins": ', row + '    "sim.margins": ', 1), encoding="utf-8", newline="\n")
 
     def run(*arguments: str) -> str:
         done = subprocess.run(
@@ -46,8 +58,9 @@ def test_add_a_road(tmp_path):
     assert "type ramp, height 0.05" in driven
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "the log still proves what it claims" in run("sim.inspect", str(log))
-    tested = run("pytest", "-k", "ramp or sizes", "tests/test_roads.py", "tests/test_architecture.py")
-    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 3  # its derivative, its description, the size of its file
+    assert "Hz   damping" in run("sim.modes", "--controller", "I")
+    tested = run("pytest", "-k", "ramp or sizes or imports or house", "tests/test_roads.py", "tests/test_architecture.py")
+    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 5  # its derivative, its description; sizes, imports, rooms
 
 
 def test_recipes_name_what_there_is():

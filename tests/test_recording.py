@@ -15,7 +15,7 @@ from models.common.files import check_folder, made_folder
 from models.kinds.signals import CONTROL_FORCE, ROAD_DISPLACEMENT, SPRUNG_ACCELERATION, SUSPENSION_DEFLECTION
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.recording import files as recording
+from sim.recording import rerun_writer
 from sim.recording.files import opening_lines, record
 from sim.recording.mcap_writer import write_mcap
 from sim.recording.rerun_writer import write_rrd
@@ -23,7 +23,7 @@ from sim.recording.run_log import RunLog
 from sim.recording.run_records import scene_of
 from sim.recording.scene import Motion, Scene, Shape
 from sim.response.response import Response
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.commands import refused
 
@@ -272,7 +272,7 @@ def test_an_unfinished_recording_leaves_nothing(
         path.write_text("half a file")
         raise error
 
-    monkeypatch.setattr(*((recording, "write_rrd") if moment == "write_rrd" else (Path, "replace")), fail)
+    monkeypatch.setattr(*((rerun_writer, "write_rrd") if moment == "write_rrd" else (Path, "replace")), fail)
     with pytest.raises(type(error)):
         record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
     assert list(tmp_path.iterdir()) == []
@@ -314,7 +314,7 @@ def test_a_folder_is_made(tmp_path: Path) -> None:
 
 def test_runs_of_one_name_are_refused(run: RunLog, tmp_path: Path) -> None:
     """Two runs of one name would be one in the files."""
-    with pytest.raises(ValueError, match="I, I"):
+    with pytest.raises(InputError, match="I, I"):
         record(tmp_path, "bump", [run, run], {}, {})
 
 
@@ -333,7 +333,7 @@ def test_opening_lines_can_be_pasted() -> None:
 def test_forces_are_drawn_in_the_order_of_the_inputs(name):
     """A scene has its forces in the order of the model's inputs, as logs have that were written before anything was fitted."""
     vehicle = read_vehicle(name)
-    (run,) = run_all(vehicle, [design(vehicle, "passive")], Bump(0.01), sample_times(vehicle, 0.1, 1e-3))
+    (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.01), sample_times(vehicle, 0.1, 1e-3))
     assert run.qpos is not None
-    scene = scene_of(vehicle, run.road, run.physics, run.qpos)
+    scene = scene_of(run.prediction.input, run.physics, run.qpos)
     assert [f"control_force{force.removeprefix('suspension')}" for force in scene.forces] == list(vehicle.linear_model.inputs)

@@ -11,13 +11,12 @@ from models.common.printed import percent
 from models.figures.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
-from sim.command.comparison import programmed
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
 from sim.report.designs import frequency_section
 from sim.report.scope import Scope
 from sim.runs.dampers import shortfalls
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from synth.vehicle.designer import Designer
 from tests.test_python_laws import vehicle_of
@@ -59,7 +58,7 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
     assert any(said.startswith("Of mine there is no linear claim, as it is a law in Python") for said in found["answer"])
     assert "What a law in Python asks for is known only of the measurements that it was called with" in page
     vehicle = read_vehicle(path)
-    (run,) = run_all(vehicle, [programmed(vehicle, "mine")], Bump(), sample_times(vehicle, 3.0, STEP))
+    (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], Bump(), sample_times(vehicle, 3.0, STEP))
     for row in rows_of(found, "bump"):
         signal = row["signal"].replace(" ", "_")
         assert row["peak, MuJoCo"] == f"{float(run.physics.peak(signal)):.5g}"
@@ -95,7 +94,7 @@ def check_ride(ride: list[dict], classes: int) -> None:
 def test_tables_of_a_whole_report(tmp_path, monkeypatch):
     """A whole report has a law's describing function, and its ride, from physics."""
     vehicle = read_vehicle(vehicle_of(tmp_path, SKYHOOK, measured=MEASURED))
-    law, step = programmed(vehicle, "mine"), 2 * STEP
+    law, step = vehicle.controllers["mine"].driver(), 2 * STEP
     own = describing_function(vehicle, law, 1e-4, step, Bump().speed)
     scope = Scope(vehicle, Designer(vehicle), (), step, False, print, (law,))
     table = frequency_section(scope, [], [], Bump().speed, [own]).tables[-1]
@@ -103,7 +102,7 @@ def test_tables_of_a_whole_report(tmp_path, monkeypatch):
     monkeypatch.setattr(report_ride, "CLASSES", "AB")
     monkeypatch.setattr(report_ride, "SEEDS", (0,))
     monkeypatch.setattr(report_ride, "WINDOW", 2.0)
-    rides = report_ride.rides_of(vehicle, [law], step)
+    rides = [*report_ride.OverRoads(vehicle, law, step).rides()]
     table = report_ride.ride_section(vehicle, rides, styles(("mine",))).tables[0]
     check_ride([dict(zip(table.headings, row, strict=True)) for row in table.rows], 2)
 
@@ -114,7 +113,7 @@ def test_a_report_of_nothing_else(tmp_path, capsys):
     found, _, path = report_of(tmp_path, capsys, "--controller", "mine")
     assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
     vehicle = read_vehicle(path)
-    own = describing_function(vehicle, programmed(vehicle, "mine"), 1e-4, STEP, Bump().speed)
+    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, STEP, Bump().speed)
     check_describing(rows_of(found, "describing-functions"), own)
     check_ride(rows_of(found, "ride"), len(report_ride.CLASSES))
 
@@ -144,7 +143,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     assert main([*arguments, "--controller", "skyhook", "--out", str(page)]) == 0
     found, text = json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8")
     vehicle = read_vehicle("quarter_car_semi_active")
-    (run,) = run_all(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
+    (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
     (one,) = shortfalls(vehicle, run.physics).values()
     (said,) = [line for line in found["answer"] if "leave out" in line]
     assert f"{percent(one.rms)} of I's" in said

@@ -19,9 +19,10 @@ from sim.margins import main as margins
 from sim.report.__main__ import main as report
 from sim.report.agreement import bump_section
 from sim.report.headline import over_the_bump, worst
-from sim.report.ride import SEEDS, SPEED, WINDOW, ride_section, ride_text, rides_of
+from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
 from sim.report.scope import Scope
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
+from sim.studies.ride.standing import digits
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.vehicle.designer import Designer
@@ -108,6 +109,18 @@ def test_summary(which, request):
         assert row["over the paper's bump"] == ("agrees throughout" if until == 3 else f"agrees until {until:.3g} s")
         against = 100 * (norm / float(read.row("designs", controller="passive")["norm"]) - 1)
         assert f"{name}: {norm:.4g}{f' (−{-against:.0f} %)' if name != 'passive' else ''}." in read.text
+
+
+def test_who_is_best_is_what_a_bump_says(plain, capsys):
+    """A quick report compares controllers as `sim.bump` does over the paper's bump, on its page and in `--json`."""
+    said = printed(capsys, bump, *(f"--controller={name}" for name in NAMES), "--duration", "3", "--no-logs", *STEP)["compared"]
+    assert shared.printed("sim.report", *QUICK).json["compared"] == said
+    passive = said["controllers"][0]
+    for one in said["controllers"]:
+        row, name = plain.row("compared", controller=one["controller"]), one["controller"]
+        assert row["peak travel [mm]"] == f"{digits(1e3 * one['peak_travel'])}{'*' * (name in said['best']['peak_travel'])}"
+        assert row["ride [m/s²]"] == f"{digits(one['ride'])}{'*' * (name in said['best']['ride'])}"
+        assert row["ride, %"] == (f"{100 * (one['ride'] / passive['ride'] - 1):+.0f}" if one is not passive else "-")
 
 
 def test_one_unit_of_frequency(plain, real):
@@ -349,6 +362,8 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     ride = read.row("ride", controller="II", metric="sprung acceleration weighted", **{"class": "C"})
     summary = read.row("summary", controller="II")
     assert float(summary["in MuJoCo"]) == pytest.approx(float(ride["MuJoCo"]), rel=5e-3)  # 3 digits
+    assert read.row("compared", controller="II")["ride [m/s²]"] == f"{digits(float(ride['MuJoCo']))}*"
+    assert float(read.row("compared", controller="passive")["ride [m/s²]"]) > float(ride["MuJoCo"])
     assert "Ride over roads of the classes A, very good, to D, poor" in " ".join(read.captions)
     found = printed(capsys, margins, "--controller", "II", "--vehicle", real_file)
     for name, key, factor in (
@@ -394,7 +409,7 @@ def test_ride_says_what_its_prediction_leaves_out(paper, more, left_out):
 @pytest.mark.attack
 def test_ride_is_what_drive_says(paper, designer, capsys):
     """A row of the ride table is the mean of `python -m sim.drive` over its roads, and its prediction that command's."""
-    section_table, _ = ride_section(paper, rides_of(paper, [designer.design("I")], 1e-3), styles(("I",))).tables
+    section_table, _ = ride_section(paper, [*OverRoads(paper, designer.design("I"), 1e-3).rides()], styles(("I",))).tables
     rows = {row[2]: row for row in section_table.rows if row[0] == "C"}
     options = ("--controller", "I", "--class", "C", "--speed", f"{SPEED}", "--no-logs")
     start = printed(capsys, drive, *options, "--seed", "0", "--duration", "20")["measured_from"]
@@ -445,7 +460,7 @@ def test_energy_table(plain, capsys):
 def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     """A run whose energy is not found again fails in the answer, and only there, although it agrees with the analysis."""
     time = sample_times(paper, 0.5, 1e-3)
-    (run,) = run_all(paper, [designer.design("I")], Bump(), time)
+    (run,) = run_controllers(paper, [designer.design("I")], Bump(), time)
     scope = Scope(paper, designer, (designer.design("I"),), 1e-3, True, print)
     assert worst(over_the_bump(scope, [run])) == "holds"
     assert run.energy is not None
@@ -465,7 +480,7 @@ def test_an_unstable_controller_leaves_the_others_to_be_seen():
     designer = Designer(vehicle)
     controllers = tuple(designer.design(name) for name in ("passive", "I_printed", "bad"))
     scope, time = Scope(vehicle, designer, controllers, 1e-3, True, print), sample_times(vehicle, 3.0, 1e-3)
-    runs = run_all(vehicle, controllers, Bump(), time)
+    runs = run_controllers(vehicle, controllers, Bump(), time)
     assert runs[2].broke_off is not None
     (figure,) = bump_section(scope, runs, Bump()).figures
     for panel in figure.panels:

@@ -33,7 +33,7 @@ from sim.recording.run_log import RunLog
 from sim.recording.run_records import AHEAD, BEHIND, SPACING, run_log
 from sim.recording.scene import LIFTED, LONGEST, ROAD
 from sim.response.response import Response, difference
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.test_recording import make_run
 
@@ -101,7 +101,9 @@ def test_strut_and_force(lifting: RunLog, log: Path) -> None:
 def test_the_road_is_drawn_under_the_wheels(kind: str, road: Road, tracks: int, tmp_path: Path) -> None:
     """At every frame each track lies, where a wheel is, as high as the physics has the road under it, and goes on before it."""
     vehicle = read_vehicle(kind)
-    run = run_log(run_all(vehicle, [Designer(vehicle).design("passive")], road, sample_times(vehicle, 0.7, 1e-3))[0], "passive")
+    run = run_log(
+        run_controllers(vehicle, [Designer(vehicle).design("passive")], road, sample_times(vehicle, 0.7, 1e-3))[0], "passive"
+    )
     write_rrd(tmp_path / "run.rrd", [run], {})
     scene, physics = run.scene, run.responses["mujoco"]
     found = {entity.split("/")[4] for entity in entities(tmp_path / "run.rrd") if entity.startswith("/passive/world/profile/")}

@@ -20,7 +20,7 @@ from sim.campaign.__main__ import main as campaign
 from sim.campaign.file import read_campaign
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.commands import refused
 
@@ -67,7 +67,7 @@ def test_a_profile_is_a_history_at_its_speed():
     driven = Profile(x, heights, speed)
     stood = Rig(x / speed, heights[:, :1], ("road_displacement",))
     time, passive = sample_times(QUARTER, 1.5, 1e-3), design(QUARTER, "passive")
-    (one,), (other,) = (run_all(QUARTER, [passive], road, time) for road in (driven, stood))
+    (one,), (other,) = (run_controllers(QUARTER, [passive], road, time) for road in (driven, stood))
     for name in one.physics.names:
         scale = one.physics.scale(name)
         assert np.abs(one.physics[name] - other.physics[name]).max() <= 1e-9 * scale, name  # rounding of x over speed
@@ -87,7 +87,7 @@ def test_physics_agrees(name):
     posts = [wheel.road_displacement for wheel in vehicle.kind.wheels]
     rig = history(posts)
     time = sample_times(vehicle, 2.0, 1e-3)
-    (run,) = run_all(vehicle, [design(vehicle, "I")], rig, time)
+    (run,) = run_controllers(vehicle, [design(vehicle, "I")], rig, time)
     assert run.holds
     assert not math.isfinite(run.agreement.until)
     for wheel, post in zip(vehicle.kind.wheels, posts, strict=True):
@@ -193,22 +193,22 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
     [
         (GOOD.replace("rear", "back"), "no column is called rear, after the wheel that would stand on it, but back, front"),
         (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', are of one wheel"),
-        (GOOD.replace("front [mm]", "front"), "the column 'front' has no unit; write front [mm] above it, or say :height_unit"),
-        (GOOD.replace("time [s]", "time"), "the column 'time' has no unit; write time [s] above it, or say :time_unit=s"),
-        (GOOD.replace("rear [mm]", "rear [kN]"), "the column 'rear' is in 'kn'; units are cm, ft, in, km, m, mm"),
-        (GOOD.replace("time [s]", "time [h]"), "the column 'time' is in 'h'; units are ms, s"),
-        (GOOD.replace("time", "distance"), "line 1: 0 columns are called time, and one must be"),
-        (GOOD.replace("front", "t"), "line 1: 2 columns are called time"),
+        (GOOD.replace("front [mm]", "front"), "column 2, 'front', has no unit; allowed: cm, ft, in, km, m, mm; write front [m]"),
+        (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit; allowed: ms, s; write time [s]"),
+        (GOOD.replace("rear [mm]", "rear [kN]"), "column 3, 'rear [kN]', is in 'kN'; allowed: cm, ft, in, km, m, mm; convert it"),
+        (GOOD.replace("time [s]", "time [h]"), "column 1, 'time [h]', is in 'h'; allowed: ms, s"),
+        (GOOD.replace("time", "distance"), "0 columns are called time, and one must be"),
+        (GOOD.replace("front", "t"), "2 columns are called time"),
         ("time [s]\n0\n1\n2\n3\n", "0 columns of heights"),
-        (GOOD.replace("2,2,2", "2,2"), "line 4 has 2 column(s), and the headings are 3"),
-        (GOOD.replace("2,2,2", "2,two,2"), "line 4: '2 two 2' is not 3 numbers"),
-        (GOOD.replace("2,2,2", "2,nan,2"), "line 4 is not finite"),
+        (GOOD.replace("2,2,2", "2,2"), "line 4 has 2 column(s), and line 2 has 3"),
+        (GOOD.replace("2,2,2", "2,two,2"), "line 4, column 2: 'two' is no finite number"),
+        (GOOD.replace("2,2,2", "2,nan,2"), "line 4, column 2: 'nan' is no finite number"),
         (GOOD.replace("2,2,2", "1,2,2"), "time falls or repeats, 1 s, then 1 s (line 3 and line 4)"),
         (GOOD.replace("3,3,3", "30,3,3"), "there is a gap from 2 s to 30 s (line 4 and line 5)"),
         (GOOD.replace("3,3,3", "3,3,3000"), "line 5 lies 3 m from where its post begins; 2 m are allowed"),
-        (GOOD.replace("3,3,3\n", ""), "a time history of 3 points is none"),
-        (GOOD.splitlines()[0], "a time history of 0 points is none"),
-        ("# nothing\n\n", "it is empty"),
+        (GOOD.replace("3,3,3\n", ""), "a time history needs at least 4 points, and has 3"),
+        (GOOD.splitlines()[0], "no line of numbers; give a line of headings"),
+        ("# nothing\n\n", "no line of numbers"),
         (GOOD.replace("front", ""), "a column is called ''"),
     ],
 )  # fmt: skip
@@ -228,7 +228,7 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "rig:file=none.csv"], "drive file none.csv: there is no such file"),
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),
-        (["--road", "rig:file=DRIVE:height_unit=m"], "the column 'front' is in mm, and height_unit = m was asked for"),
+        (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was asked for"),
         (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed says how fast a vehicle drives, and on a rig it stands"),
         (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed says which random road"),
         (["--road", "DRIVE"], "heights over time are of a rig's posts: give rig:file=..."),

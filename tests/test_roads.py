@@ -412,14 +412,18 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
         ("height,distance,right", "", "column 1 is called 'height', and would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),
         ("distance,speed,height", ":columns=1,2", "column 2 is called 'speed', and would be read as height"),
-        ("distance [cm],left,right", ":distance_unit=m", "'distance [cm]' is in cm, and distance_unit = m was asked for"),
-        ("distance,height [in],t", ":height_unit=mm", "'height [in]' is in in, and height_unit = mm was asked for"),
+        (
+            "distance [cm],left,right",
+            ":distance_unit=m",
+            "column 1, 'distance [cm]', is in cm, and distance_unit = m was asked for",
+        ),
+        ("distance,height [in],t", ":height_unit=mm", "column 2, 'height [in]', is in in, and height_unit = mm was asked for"),
         (
             "distance [furlong],left,right",
             "",
-            "'distance [furlong]' is none of cm, ft, in, km, m, mm; convert it, or give distance_unit",
+            "column 1, 'distance [furlong]', is in 'furlong'; allowed: cm, ft, in, km, m, mm; convert it, or say :dist",
         ),
-        ("distance,left [µm],right [µm]", "", "'left [µm]' is none of cm, ft, in, km, m, mm"),
+        ("distance,left [µm],right [µm]", "", "column 2, 'left [µm]', is in 'µm'; allowed: cm, ft, in, km, m, mm"),
         ("distance [m],left [m],right [m]\nm,mm,mm", "", "'left [m]' and 'mm' of column 2 contradict each other"),
     ],
 )
@@ -478,16 +482,16 @@ def test_what_is_written_is_read(tmp_path):
         ("0,0\n1,0\n2,0\n1.5,0\n3,0\n", "distance falls or repeats, 2 m, then 1.5 m"),
         ("0,0\n1,0\n1,0\n3,0\n", "distance falls or repeats, 1 m, then 1 m"),
         ("0,0\n1,0\n2,0\n3,0\n40,0\n", "gap from 3 m to 40 m"),
-        ("0,0\n1,nan\n2,0\n3,0\n", "line 2 is not finite"),
-        ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3 is not finite"),
+        ("0,0\n1,nan\n2,0\n3,0\n", "line 2, column 2: 'nan' is no finite number; give two columns"),
+        ("distance,height\n0,0\n1,inf\n2,0\n3,0\n", "line 3, column 2: 'inf' is no finite number"),
         ("0,0\n1,\n2,0\n3,0\n", "line 2 has 1 column(s), and line 1 has 2"),
         ("0 0\n1 0.01 3\n2 0\n3 0\n", "line 2 has 3 column(s), and line 1 has 2"),
-        ("0 0\n1 high 3\n2 0\n3 0\n", "line 2: '1 high 3' is not 2 numbers"),
+        ("0 0\n1 high 3\n2 0\n3 0\n", "line 2, column 2: 'high' is no finite number"),
         ("0,0\n1,high\n2,0\n", "line 2"),
         ("0,0\n1,0,3\n2,0\n", "line 2"),
         ("0\n1\n2\n3\n", "1 column(s)"),
-        ("0,0\n1,0\n", "a profile of 2 points"),
-        ("", "a profile of 0 points"),
+        ("0,0\n1,0\n", "a profile needs at least 4 points, and has 2"),
+        ("", "it is empty; give two columns"),
         ("0,0\n1,0\n2,1e5\n3,0\n", "line 3 lies 100000 m from the height of the first"),
         ("0,0\n.001,.02\n.002,-.01\n.003,0\n", "heights from -0.01 to 0.02 m: an rms slope of 21.6"),
         ("0,0\n1,20\n2,-10\n3,0\n", "heights in mm? then say"),
@@ -511,7 +515,7 @@ def test_lines_may_end_in_any_way(tmp_path):
         path.write_bytes(end.join([b"distance,height", b"0,0", b"1,0.01", b"2,0", b"3,0", b""]))
         assert read_profile(path, 20.0).heights[:, 0].tolist() == [0.0, 0.01, 0.0, 0.0]
         path.write_bytes(path.read_bytes().replace(b"2,0", b"2,high"))
-        with pytest.raises(InputError, match=r"line 4: '2 high' is not 2 numbers"):
+        with pytest.raises(InputError, match=r"line 4, column 2: 'high' is no finite number"):
             choose_road(str(path))
 
 
@@ -540,9 +544,9 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("sweep:highest=0.1", "sweep highest"),
         ("nowhere.csv", "there is no such file"),
         ("road.csv:height_unit=yard", "height_unit = 'yard' is unknown; give one of cm, ft, in, km, m, mm"),
-        ("road.csv:columns=0,1", "columns = '0,1' is none"),
+        ("road.csv:columns=0,1", "columns = '0,1' is not allowed"),
         ("road.csv:columns=1", "as in columns=1,3"),
-        ("road.csv:columns=", "columns = '' is none"),
+        ("road.csv:columns=", "columns = '' is not allowed"),
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),

@@ -15,7 +15,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.sampled_loop import Piece
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.design.sampled_data import HeldProblem, held_design, norm_of
+from synth.design.sampled_data import SampledDataProblem, held_design, norm_of
 from synth.design.two_step import state_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
@@ -59,7 +59,7 @@ def test_in_the_time_of_sixty_plain_solves(paper):
     plain = (time.process_time() - start) / 10
     start = time.process_time()
     for rows in ROWS.values():
-        held_design(HeldProblem(plant, rows, np.zeros((len(rows), 1)), (Piece(0.01, 0),)), 7.8)
+        held_design(SampledDataProblem(plant, rows, np.zeros((len(rows), 1)), (Piece(0.01, 0),)), 7.8)
     assert time.process_time() - start < 60 * plain
 
 
@@ -69,7 +69,7 @@ def test_the_second_step_by_another_solver(paper, name):
     plant, Cy = Designer(paper).plant, ROWS[name]
     units = np.diag([0.77, 0.045, 0.9, 2.9])  # of the states; Clarabel gives up in SI units
     plant = plant.in_coordinates(units).with_inputs(1e4 * np.eye(1))
-    problem = HeldProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (Piece(0.01, 0),))
+    problem = SampledDataProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (Piece(0.01, 0),))
     found, alone = held_design(problem, 7.8), held_design(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8)
     assert found.level is not None
     assert alone.level is not None
@@ -104,8 +104,8 @@ def test_no_unit_decides(paper, name):
     states, force = np.diag([3.0, 0.2, 7.0, 50.0]), 1234.0
     scaled = plant.in_coordinates(states).with_inputs(force * np.eye(1))
     slower = replace(scaled, A=scaled.A / rate, B=scaled.B / rate, Bw=scaled.Bw / rate)
-    one = held_design(HeldProblem(plant, Cy, np.zeros((len(Cy), 1)), (Piece(0.01, 0),)), 7.8)
-    other = held_design(HeldProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (Piece(0.01 * rate, 0),)), 8.5)
+    one = held_design(SampledDataProblem(plant, Cy, np.zeros((len(Cy), 1)), (Piece(0.01, 0),)), 7.8)
+    other = held_design(SampledDataProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (Piece(0.01 * rate, 0),)), 8.5)
     # Time in tenths of seconds: w and z in the new unit of it have a gain that is sqrt and sqrt of it, so the same.
     assert other.norm == pytest.approx(one.norm, rel=1e-6)
     # The path ends 3e-6 of the largest entry short of its limit; what is flat there moves more.
@@ -213,11 +213,11 @@ def test_what_is_printed_saved_and_driven(tmp_path, capsys):
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\n', r"x\] has sampled = true, and .*no sample period"),
         (
             '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\norder = "full"\n' + HELD,
-            r"x\] has sampled = true, which is of static gains that are designed in two steps",
+            r'x\] order = "full" with sampled = true: .*; choose order = "full" .*or sampled = true .*the two steps',
         ),
         (
             '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\ngain = [[1.0]]\n' + HELD,
-            r"x\] has sampled = true, which is of static gains that are designed in two steps",
+            r"x\] gain with sampled = true: a law that is given is not designed",
         ),
     ],
 )
@@ -233,10 +233,10 @@ def test_refused_where_it_is_done(tmp_path, capsys):
     designer = Designer(vehicle)
     with pytest.raises(
         DesignError,
-        match="is designed for the sampled loop, and it is static gains of the least norm of the ideal loop that are refined",
+        match="sampled = true with --refine: it is static gains of the least norm of the ideal loop that are refined",
     ):
         designer.refine("I")
-    with pytest.raises(InputError, match="is designed for the sampled loop, so that there is no L"):
+    with pytest.raises(InputError, match="sampled = true with --zero-l: there is no L"):
         designer.design("I", zero_l=True)
     lost = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None))
     with pytest.raises(InputError, match=r"\[implementation\] gives no sample period"):
@@ -258,13 +258,13 @@ def test_what_no_gain_stabilises():
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(InfeasibleError, match=r"no input reaches|no gain|no measurement|problem \(25\)") as caught:
-        held_design(HeldProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (Piece(0.1, 0),)), 2.0)
+        held_design(SampledDataProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (Piece(0.1, 0),)), 2.0)
     assert "\n" not in str(caught.value)
 
 
 def test_the_exact_norm_decides(paper):
     """A gain next to the designed one has another exact norm than the level says: the norm is of the gain itself."""
-    problem = HeldProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(0.01, 0),))
+    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(0.01, 0),))
     found = held_design(problem, 7.8)
     assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.norm, rel=1e-9)
     assert sampled_norm(problem.loop(0.5 * found.gain), 7.8).value > found.norm * 1.001
@@ -344,7 +344,7 @@ def test_never_worse_wherever(seed):
 )
 def test_descent_finds_the_valley(paper, period, delay, known):
     """Of one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
-    problem = HeldProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(period, delay),))
+    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(period, delay),))
     found = held_design(problem, 7.8, [Designer(paper).design("II").law.D])
     tried = [norm_of(problem, np.array([[sign * k]]), 8.0) for sign in (-1, 1) for k in np.geomspace(50, 1e4, 12)]
     assert found.norm <= known

@@ -48,12 +48,12 @@ def any_loop(rng: np.random.Generator) -> SampledLoop:
     memory = np.hstack(
         [rng.standard_normal((k, n)), 0.5 * np.linalg.qr(rng.standard_normal((k, k)))[0] if k else np.zeros((0, 0))]
     )
-    asked, of_force = rng.standard_normal((m, n + k)), 0.1 * rng.standard_normal((k, m))
+    asked, from_force = rng.standard_normal((m, n + k)), 0.1 * rng.standard_normal((k, m))
     for _ in range(60):
-        loop = SampledLoop(plant, pieces, asked, memory, of_force)
+        loop = SampledLoop(plant, pieces, asked, memory, from_force)
         if sampled_norm(loop).stable:
             return loop
-        asked, of_force = asked / 2, of_force / 2
+        asked, from_force = asked / 2, from_force / 2
     raise AssertionError("without a force it is stable")
 
 
@@ -83,9 +83,9 @@ def fast_lifting(loop: SampledLoop, parts: int) -> float:
     Phi, of_w, of_u = step[:n, :n], step[:n, n : n + r], step[:n, n + r :]
     state, driven, free, forced = np.eye(n), np.zeros((n, parts * r)), [], []
     for i in range(parts):
-        free.append(plant.C @ state + plant.D @ loop.asked)
+        free.append(plant.C @ state + plant.D @ loop.gain)
         forced.append(plant.C @ driven)
-        state, driven = Phi @ state + of_u @ loop.asked, Phi @ driven
+        state, driven = Phi @ state + of_u @ loop.gain, Phi @ driven
         driven[:, i * r : (i + 1) * r] = of_w
 
     def gain(angle: float) -> float:
@@ -138,7 +138,7 @@ def test_two_routes_meet(seed):
 def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
     """The same loop, its time, states, forces and memory in units of many sizes; its gain is the same number."""
     plant, time = loop.plant, 10 ** rng.uniform(-6, 6)
-    of_x, of_s, of_u = (10 ** rng.uniform(-4, 4, size) for size in (len(plant.A), len(loop.memory), len(loop.asked)))
+    of_x, of_s, of_u = (10 ** rng.uniform(-4, 4, size) for size in (len(plant.A), len(loop.memory), len(loop.gain)))
     p, root = np.concatenate([of_x, of_s]), math.sqrt(time)
     changed = GeneralizedPlant(
         plant.A * of_x[:, None] / of_x / time,
@@ -149,8 +149,8 @@ def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
         plant.Dw,
     )
     pieces = tuple(Piece(piece.duration * time, piece.late) for piece in loop.pieces)
-    memory, of_force = loop.memory * of_s[:, None] / p, loop.of_force * of_s[:, None] / of_u
-    return SampledLoop(changed, pieces, loop.asked * of_u[:, None] / p, memory, of_force)
+    memory, from_force = loop.memory * of_s[:, None] / p, loop.from_force * of_s[:, None] / of_u
+    return SampledLoop(changed, pieces, loop.gain * of_u[:, None] / p, memory, from_force)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -179,8 +179,8 @@ def test_forces_on_their_way(seed):
     """A delay as a power of zeta is the delay whose forces are states: what both routes rest on is the loop sample by sample."""
     rng = np.random.default_rng(seed)
     loop, angle = any_loop(rng), float(rng.uniform(0, math.pi))
-    matrix, start = loop.turning(loop.moved, np.array([angle]))
-    change, from_states = loop.closed(loop.moved)
+    matrix, start = loop.at_angles(loop.increment, np.array([angle]))
+    change, from_states = loop.closed(loop.increment)
     n = len(loop.plant.A)
     by_powers = start[0] @ np.linalg.solve(matrix[0], np.eye(len(matrix[0]), n))
     by_states = from_states @ np.linalg.solve((np.exp(1j * angle) - 1) * np.eye(len(change)) - change, np.eye(len(change), n))
@@ -212,7 +212,7 @@ def test_nothing_exceeds_it():
         x, u, energy = np.zeros(4), np.zeros(1), 0.0
         for i, w in enumerate(shape):
             if i % parts == 0:
-                u = loop.asked @ x
+                u = loop.gain @ x
             energy += h * float(np.sum((plant.C @ x + plant.D @ u) ** 2))
             x = step[:4] @ np.concatenate([x, u, [w]])
         best = max(best, math.sqrt(energy / (h * float(shape @ shape))))
@@ -298,10 +298,10 @@ def test_discrete_plant_of_a_level(period):
     inverse = np.linalg.inv(S[n:, n:])
     found = lifted(plant, [(period, np.eye(1))], gamma)
     assert found is not None
-    for one, expected in ((found.Ad, inverse.T), (found.reached, S[:n, n:] @ inverse), (found.cost, -inverse @ S[n:, :n])):
+    for one, expected in ((found.Ad, inverse.T), (found.BdBd, S[:n, n:] @ inverse), (found.CdCd, -inverse @ S[n:, :n])):
         np.testing.assert_allclose(one, expected, rtol=0, atol=1e-12 * np.abs(expected).max())  # of exp(0.1 s 65 rad/s) = 700
-    np.testing.assert_allclose(found.Bd @ found.Bd.T, found.reached, rtol=0, atol=1e-15 * np.abs(found.reached).max() * n)
-    np.testing.assert_allclose(found.Cd.T @ found.Cd, found.cost, rtol=0, atol=1e-15 * np.abs(found.cost).max() * n)
+    np.testing.assert_allclose(found.Bd @ found.Bd.T, found.BdBd, rtol=0, atol=1e-15 * np.abs(found.BdBd).max() * n)
+    np.testing.assert_allclose(found.Cd.T @ found.Cd, found.CdCd, rtol=0, atol=1e-15 * np.abs(found.CdCd).max() * n)
 
 
 def test_the_loop_is_the_one_that_runs():
@@ -312,7 +312,7 @@ def test_the_loop_is_the_one_that_runs():
             built = replace(vehicle, implementation=Implementation(5e-3, late), limits=Limits(actuator_bandwidth=lag))
             controller = design(vehicle, "accelerometer")
             loop = sampled_loop(built, controller)
-            change, _ = loop.closed(loop.moved)
+            change, _ = loop.closed(loop.increment)
             growth = sampled_growth(np.eye(len(change)) + change)
             expected = sampled_growth(implemented_loop(built, controller, 1e-3).transition)
             assert growth == pytest.approx(expected, rel=1e-9)  # rounding of eigenvalues

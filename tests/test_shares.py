@@ -17,7 +17,7 @@ from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
 from sim.physics.run_blocks import BatchInputs, in_blocks, in_shares
-from sim.runs.run import run_all
+from sim.runs.run import run_controllers
 from synth.controller import open_loop
 from tests.analysed import simulate
 from tests.shared import designed
@@ -34,7 +34,7 @@ def times(timestep: float, duration: float) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
 def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
-    """Whatever computers and noise the runs have: one that has none rounds as it does beside one that has, and alone."""
+    """Whatever computers, delays and noise the runs have: one that has none rounds as it does beside one that has, and alone."""
     vehicle, time = read_vehicle(kind), times(1e-3, 0.3)
     passive, active = [designed(vehicle, name) for name in ("passive", "I")]
     noise = dict.fromkeys(active.measured, 1e-3)
@@ -42,18 +42,20 @@ def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
         Implementation(),
         Implementation(sample_period=3e-3),
         Implementation(sample_period=3e-3, delay=1),
+        Implementation(sample_period=4e-3, delay=0.5),
+        Implementation(sample_period=4e-3, delay=2.25),
         Implementation(noise=noise, quantisation=noise, seed=3),
     ]
     # Four that need no sensor, four that are a gain and no more, and two with each computer.
-    vehicles = [vehicle] * 8 + [replace(vehicle, implementation=built[i % 4]) for i in range(8)]
-    given = [passive] * 4 + [active] * 12
-    roads = [Bump(height=0.01 * (1 + i)) for i in range(16)]
+    vehicles = [vehicle] * 8 + [replace(vehicle, implementation=how) for how in built * 2]
+    given = [passive] * 4 + [active] * 16
+    roads = [Bump(height=0.01 * (1 + i)) for i in range(20)]
     together, *shared = [simulate(vehicles, given, roads, time, threads) for threads in (1, 2, 3)]
     for runs in shared:
         for name in ("qpos", "qvel", "diverged"):
             np.testing.assert_array_equal(getattr(runs, name), getattr(together, name))
         np.testing.assert_array_equal(runs.response.values, together.response.values)
-    for i in (5, 8, 9, 10, 11):
+    for i in (5, 8, 9, 10, 11, 12, 13):
         alone = simulate(vehicles[i : i + 1], given[i : i + 1], roads[i : i + 1], time)
         np.testing.assert_array_equal(alone.response.values[0], together.response.values[i])
 
@@ -137,7 +139,7 @@ def test_what_runs_share_is_made_once(monkeypatch):
     plain = open_loop.sampled
     monkeypatch.setattr(open_loop, "sampled", lambda vehicle, one, period: loops.append(one.name) or plain(vehicle, one, period))
     vehicle = read_vehicle("quarter_car")
-    runs = run_all(vehicle, [designed(vehicle, name) for name in ("passive", "I")], Counted(), time)
+    runs = run_controllers(vehicle, [designed(vehicle, name) for name in ("passive", "I")], Counted(), time)
     assert all(run.holds for run in runs)
     assert loops == ["passive", "I"]
     of_nodes = 8 * len(runs)  # of the quadrature for the continuous loop, and of the steps that hold a kink

@@ -13,7 +13,7 @@ from sim.response.response import Response
 from sim.runs.agreement import COARSEST, SLACK, SMALL, Agreement, compare, look_closer
 from sim.runs.prediction import Prediction, ScaledPrediction, reference_at, smaller
 from sim.runs.report import verdict, verdict_lines
-from sim.runs.run import Run, driver_again, run_all, sample_times
+from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.analysed import predict, predict_replayed, simulate
@@ -76,7 +76,7 @@ def car(name: str) -> tuple[Vehicle, Controller | SemiActive, Bump]:
 def right_run(name: str) -> Run:
     """The run of one of the cars as it is written down."""
     vehicle, controller, road = car(name)
-    return run_all(vehicle, [controller], road, sample_times(vehicle, 0.35, 1e-3))[0]
+    return run_controllers(vehicle, [controller], road, sample_times(vehicle, 0.35, 1e-3))[0]
 
 
 def over_a_share(prediction: Prediction, built: Vehicle) -> tuple[ScaledPrediction, Response]:
@@ -151,7 +151,7 @@ def test_rk4_is_foretold_over_a_share_of_the_road(name):
 def test_what_is_in_proportion_is_not_computed_again(kind):
     """Of a car without curves the integrator's share of a smaller motion is that of the whole, to the last bit."""
     vehicle = read_vehicle(kind)
-    (run,) = run_all(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 0.35, 1e-3))
+    (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 0.35, 1e-3))
     share = smaller(run.prediction, SMALL)
     assert share.integrated is None
     assert np.array_equal(share.sampled.values, SMALL * run.sampled.values)
@@ -165,7 +165,7 @@ def test_over_the_lowest_roads_rounding_counts(name, height):
     """Where a bump is next to none and friction holds, right physics agrees, too."""
     vehicle, controller, road = car(name)
     time = sample_times(vehicle, 0.35, 1e-3)
-    (run,) = run_all(vehicle, [controller], replace(road, height=height), time)
+    (run,) = run_controllers(vehicle, [controller], replace(road, height=height), time)
     assert run.agreement.agrees
 
 
@@ -174,12 +174,12 @@ def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
     vehicle, controller, road = car("much friction")
 
     def run_at(step):
-        return run_all(vehicle, [controller], road, sample_times(vehicle, 0.35, step))[0]
+        return run_controllers(vehicle, [controller], road, sample_times(vehicle, 0.35, step))[0]
 
     coarse = run_at(2e-3)
     worst = max(coarse.agreement.signals.values(), key=lambda one: one.excess)
     assert worst.allowed < COARSEST  # over the whole bump
-    assert "the timestep is too coarse, give a smaller one" in verdict_lines(coarse)[-1]
+    assert any("the timestep is too coarse, give a smaller one" in line for line in verdict_lines(coarse))
     assert run_at(5e-4).holds
 
 
@@ -199,5 +199,5 @@ def test_right_physics_agrees_anywhere(seed):
     road = Bump(float(np.exp(rng.uniform(*np.log([1e-3, 0.1])))), float(rng.uniform(2, 10)), float(rng.uniform(5, 30)))
     time = sample_times(vehicle, 0.8, float(rng.choice([2.5e-4, 5e-4, 1e-3])))
     for name in ("passive", "sky"):
-        (run,) = run_all(vehicle, [controller_of(vehicle, name)], road, time)
+        (run,) = run_controllers(vehicle, [controller_of(vehicle, name)], road, time)
         assert run.holds, (name, verdict(run))

@@ -10,7 +10,7 @@ import pytest
 from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
-from synth.vehicle.state_space import closed_loop, controller_from, law_system, vehicle_system, weighted_loop
+from synth.vehicle.state_space import closed_loop, controller_from, law_system, weighted_loop
 
 MEASURED = {
     "velocities": lambda name: "velocity" in name and "road" not in name,
@@ -43,7 +43,10 @@ def test_the_loop_is_python_controls(vehicle, kind, states):
     car = read_vehicle(vehicle)
     system = some_system(car, kind, states)
     controller = controller_from(car, "mine", system.input_labels, system)
-    open_loop, back = vehicle_system(car), law_system(car, controller)
+    model, back = car.linear_model, law_system(car, controller)
+    D = np.hstack([np.zeros((len(model.C), len(model.disturbances))), model.D])
+    inputs = [*model.disturbances, *model.inputs]
+    open_loop = ss(model.A, np.hstack([model.Bw, model.B]), model.C, D, inputs=inputs, outputs=list(model.outputs))
     rows = [open_loop.output_labels.index(name) for name in back.input_labels]
     columns = [open_loop.input_labels.index(name) for name in back.output_labels]
     measure, act = np.eye(len(open_loop.output_labels))[rows], np.eye(len(open_loop.input_labels))[:, columns]

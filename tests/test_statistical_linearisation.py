@@ -19,7 +19,7 @@ from sim.response.regime import over
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.gaussian import positive_part
-from sim.studies.ride.metrics import measure
+from sim.studies.ride.metrics import Meter, measure
 from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
 from synth.vehicle.designer import design
 from tests.analysed import simulate
@@ -155,7 +155,7 @@ def test_where_second_order_is_not_enough_that_is_said():
     assert line.remainder is None
     assert line_object(vehicle, line)["second_order"] is False
     said = " ".join(line_words(vehicle, line))
-    assert "without what they have beyond them" in said
+    assert "without the remainders of the curves" in said
 
 
 def test_what_is_beyond_the_lines_grows_with_its_square(paper):
@@ -201,7 +201,7 @@ def test_it_says_so(tmp_path, capsys):
     assert {*line["slopes"]} == {*AXLES}
     assert "expected numbers are by statistical linearisation" in said
     assert line["second_order"] is True
-    assert "with what the curves have beyond them to second order" in said
+    assert "with the remainders of the curves to second order" in said
     for name, slope in line["slopes"].items():
         assert f"{name} {slope:.4g}, not {at_rest[name]:.4g} as at rest" in said
     for name, mean in line["mean"].items():
@@ -239,25 +239,33 @@ SEEDS, SETTLED, WINDOW, STEP = 200, 8.0, 9.0, 2e-3  # s; controller I leaves a m
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("road_class", ["A", "B", "C"])
+@pytest.mark.parametrize("road_class", ["B", "C", "D"])
 @pytest.mark.parametrize("name", ["passive", "I", "II"])
 def test_it_is_within_what_two_hundred_roads_say(road_class, name):
     """Over 200 roads in MuJoCo, ride, travel and load of a quarter-car with a digressive damper have the mean squares expected.
 
-    The interval is of three standard errors: 36 comparisons, of which one in twenty would be outside of two.
+    The interval is of three standard errors: 24 comparisons, of which one in twenty would be outside of two. On class D wheels
+    leave the road. There, and for shocks, the numbers are within what the output says of them.
     """
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
     controller, time = design(vehicle, name), sample_times(vehicle, SETTLED + WINDOW, STEP)
     roads = [Iso8608(road_class, seed, 20.0) for seed in range(SEEDS)]
-    response = simulate([vehicle] * SEEDS, [controller] * SEEDS, roads, time, threads=0).response
-    first = round(SETTLED / STEP)
-    found = [measure(vehicle, response.run(i), first) for i in range(SEEDS)]
+    values = simulate([vehicle] * SEEDS, [controller] * SEEDS, roads, time, threads=0).response.values
+    meter = Meter([vehicle] * SEEDS, STEP, round(SETTLED / STEP))
+    meter.update(np.moveaxis(values, 0, -1))
+    found = meter.result()
     expected = expect(vehicle, controller, roads[0].spectrum, STEP, WINDOW)
     assert expected is not None
     at_rest = expect(dataclasses.replace(vehicle, curves={}), controller, roads[0].spectrum, STEP, WINDOW)
     assert at_rest is not None
-    for metric in METRICS:
-        squares = np.array([one[metric] for one in found]) ** 2
+    leaves = road_class == "D"
+    said = {"sprung_acceleration_vdv": 0.08 if leaves else 0.04, "sprung_acceleration_crest": 0.15 if leaves else 0.08}
+    said |= dict.fromkeys((*METRICS, *("control_force_rms" for _ in controller.measured)), 0.15) if leaves else {}
+    for metric, off in said.items():
+        mean = np.sqrt(np.mean(found[metric] ** 2)) if metric in METRICS else found[metric].mean()
+        assert expected.mean[metric] == pytest.approx(mean, rel=off), metric
+    for metric in () if leaves else METRICS:
+        squares = found[metric] ** 2
         error = 3 * squares.std() / np.sqrt(SEEDS)
         assert abs(expected.mean[metric] ** 2 - squares.mean()) < error, metric
         if road_class == "C" and name == "passive":  # where the line at rest would be far outside

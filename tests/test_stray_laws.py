@@ -118,18 +118,25 @@ def test_a_child_answers_nothing(tmp_path, sound, arguments):
     assert {row["reason"] for row in rows} == {None}
 
 
-def test_what_a_law_leaves_ends_with_it(tmp_path):
+DEATHS = {
+    "ctypes.CDLL(None)._exit(7)": "its law ends its process (exit code 7)",
+    "os._exit(7)": "law mine.py:step: step fails (SystemExit: it ends the process by os._exit(7), line 7) at 0 s",
+}
+
+
+@pytest.mark.parametrize(("ending", "said"), DEATHS.items())
+def test_what_a_law_leaves_ends_with_it(tmp_path, ending, said):
     """A child that holds the answers' pipe does not hold the campaign when its parent ends, and is ended with it."""
     children = f"open({str(tmp_path / 'children')!r}, 'a')"
     body = f"""    if mass > 500:
-        import os, time
+        import ctypes, os, time
         if not os.fork(): print(os.getpid(), file={children}, flush=True), time.sleep(1000)
         time.sleep(0.1)
-        os._exit(7)
+        {ending}
 """
     rows = rows_of(campaign_of(tmp_path, body, text=ONE), "--workers", "1")
     for row in rows:
-        ended = "controller 'mine', its law ends its process (exit code 7); mend that"
+        ended = f"controller 'mine', {said}; mend that"
         assert row["reason"] == (f"{FAILED}{ended}" if row["parameter_sprung_mass"] > 500 else None)
     begun = [int(number) for number in (tmp_path / "children").read_text(encoding="utf-8").split()]
     assert len(begun) >= sum(row["reason"] is not None for row in rows) > 0

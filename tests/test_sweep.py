@@ -8,9 +8,10 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.sinusoids import chirp, random_road, sinusoid
+from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.linear.frequency_response import as_met, continuous_frequency_response, sampled_frequency_response, worst_sinusoid
+from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response, worst_sinusoid
 from sim.studies.frequency.figure import drawn_line
 from sim.studies.frequency.identification import identify
 from sim.studies.frequency.sweep import failures, sweep

@@ -9,12 +9,13 @@ import pytest
 from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.python_law import Programmed
+from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import read_vehicle
 from sim.command.comparison import controllers_of
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
-from sim.linear.frequency_response import as_met, sampled_frequency_response
+from sim.linear.frequency_response import sampled_frequency_response
 from sim.studies.frequency.describing_function import (
     DescribingFunction,
     describing_function,

@@ -391,8 +391,8 @@ def test_bad_input(arguments, message):
         ("norms = 1.0", "unknown key 'norms' in a certificate"),
         ("X = [[1.0, 2.0]]", "is not a matrix of finite numbers of shape"),
         ('norm = "7"', r"is not a number from 1e-60 to 1e\+60"),
-        ("state = { X = [[1.0]] }", "is no witness with X and eta"),
-        ("state = { X = [[1.0]], eta = 1.0 }", "do not fit the vehicle"),
+        ("state = { X = [[1.0]] }", "is not a table with a square X and an eta"),
+        ("state = { X = [[1.0]], eta = 1.0 }", "a certificate does not fit the vehicle"),
     ],
 )
 def test_malformed_certificate(tmp_path, certificate, message):

@@ -235,8 +235,8 @@ def test_no_answer_inside_the_box_is_no_proof():
     plant = GeneralizedPlant(-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
     Cy, K, through = np.array([[-1.0]]), np.array([[1.0]]), np.array([[0.95]])
     gain = scaled_gain(plant, Cy, K, None, through)
-    assert gain.posed(box_of(gain, 0.05, 0.0))
-    assert not gain.posed(box_of(gain, 0.06, 0.0))
+    assert gain.well_posed(box_of(gain, 0.05, 0.0))
+    assert not gain.well_posed(box_of(gain, 0.06, 0.0))
     near = worst_norm(plant, Cy, K, 0.05, 0.0, None, through)
     assert near.found <= near.proved < np.inf
     assert np.isinf(worst_norm(plant, Cy, K, 0.06, 0.0, None, through).proved)

@@ -53,6 +53,14 @@ def test_other_dots_are_not_counted(text):
     assert parse_toml(text) == tomllib.loads(text)
 
 
+def test_a_number_beyond_floats_is_named():
+    """A whole number that no float holds is refused by its key, wherever it stands."""
+    for text in ("a.b = {c}", "a = {{b = [1, {c}]}}", "[a]\nb = -{c}"):
+        with pytest.raises(InputError, match=r"^a\.b is a number of 401 digits"):
+            parse_toml(text.format(c="1" * 401))
+    assert parse_toml(f"a = {'9' * 308}")["a"] == int("9" * 308)
+
+
 @pytest.mark.parametrize("text", [".".join("a" * 20_000) + " = 1", "'" * 10**6, '"' + '\\"' * 10**6, '"""' + '""a' * 10**6])
 def test_it_takes_no_time(text):
     """What grows with the square of the text is never begun: less than 2 s each, where the first took 19 s and 1.7 GB."""

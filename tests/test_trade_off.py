@@ -94,7 +94,7 @@ def test_the_line_is_of_cars_with_those_dampers(drawn):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["c.toml", "--picture", "x.txt"], "not a kind of picture"),
+        (["c.toml", "--picture", "x.txt"], "this kind of picture cannot be written"),
         (["--verify", ".", "--picture", "x.png"], "--picture does not go with it"),
     ],
 )

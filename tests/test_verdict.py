@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from models.laws.linear import static_law
+from models.laws.linear import LinearLaw, static_law
 from models.roads.iso8608 import Iso8608
 from models.roads.road import LOWEST, Bump, Road
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -17,7 +17,7 @@ from sim.response.response import Response
 from sim.runs.agreement import SMALL, compare, look_closer
 from sim.runs.prediction import Prediction, smaller
 from sim.runs.report import verdict, verdict_lines
-from sim.runs.run import Run, judge, run_all, sample_times
+from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer, given
 from tests.analysed import predict, simulate
@@ -53,7 +53,7 @@ def judged(prediction: Prediction, built: Vehicle) -> Run:
     """The verdict on a prediction where MuJoCo drives another vehicle than was predicted."""
     physics = simulate([built], [prediction.controller], [prediction.road], prediction.time).response.run(0)
     met = dataclasses.replace(prediction.input, vehicle=built)
-    return judge([dataclasses.replace(prediction, input=met)], [physics])[0]
+    return compare_runs([dataclasses.replace(prediction, input=met)], [physics])[0]
 
 
 def heavier(vehicle: Vehicle, share: float) -> Vehicle:
@@ -100,6 +100,16 @@ def test_rounding_is_bounded(vehicle, controllers):
         assert max(found[name] / allowed[name] for name in allowed if allowed[name]) > 1e-2
 
 
+@pytest.mark.parametrize("slow", [1e-300, 1e-12, 1e-6, -1e-6])
+def test_a_slow_law_is_allowed_no_more(vehicle, slow):
+    """A law that integrates but for a mode slower than any run is judged as the integrator is: its gain at rest is of no run."""
+    forces = len(vehicle.linear_model.inputs)
+    measured = ("sprung_velocity" if vehicle.kind.name == "quarter_car" else "heave_velocity",)
+    laws = [LinearLaw(np.array([[a]]), np.ones((1, 1)), np.ones((forces, 1)), np.zeros((forces, 1))) for a in (slow, 0.0)]
+    found, integrator = (roundings(vehicle, given(vehicle, "slow", measured, law)) for law in laws)
+    assert found == pytest.approx(integrator, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("road", "duration", "timestep"),
     [
@@ -115,7 +125,7 @@ def test_rounding_is_bounded(vehicle, controllers):
 )
 def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
     """Where nothing is wrong the verdict is agreement: over high roads and low ones, for a moment and for long, at any step."""
-    for run in run_all(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
+    for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
         assert run.holds, (run.controller.name, verdict_lines(run))
 
 
@@ -139,7 +149,7 @@ def test_a_quarter_car_has_no_geometry_to_excuse_it(height):
     controller, road, time = Designer(paper).design("I"), Bump(height=height), sample_times(paper, 1.0, 1e-3)
     prediction = predict(paper, controller, road, time)
     stronger = dataclasses.replace(controller, law=controller.law.scaled(1.001))
-    (run,) = judge([prediction], [simulate([paper], [stronger], [road], time).response.run(0)])
+    (run,) = compare_runs([prediction], [simulate([paper], [stronger], [road], time).response.run(0)])
     assert not run.agreement.agrees
     assert all(signal.small is None for signal in run.agreement.signals.values())
     assert "first order" not in _says_what_is_wrong(run)
@@ -245,7 +255,7 @@ def test_rounding_counts_alike_over_every_height(vehicle, controllers):
 def test_the_signal_that_fails_is_named():
     """It is not the one that geometry moves most."""
     car = read_vehicle("full_car")
-    (run,) = run_all(car, [Designer(car).design("passive")], Bump(), sample_times(car, 0.2, 1e-3))
+    (run,) = run_controllers(car, [Designer(car).design("passive")], Bump(), sample_times(car, 0.2, 1e-3))
     signals = run.agreement.signals
     quiet = min(signals, key=lambda name: signals[name].sampled)
     wrong = dataclasses.replace(signals[quiet], small=2 * signals[quiet].judged[1])
@@ -269,7 +279,7 @@ def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
     rng = np.random.default_rng(seed)
     road, step = random_road(rng), float(rng.choice(STEPS))
     duration = min(float(np.exp(rng.uniform(*np.log(DURATIONS)))), MOST * step)
-    for run in run_all(vehicle, controllers, road, sample_times(vehicle, duration, step)):
+    for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, step)):
         assert run.agreement.agrees, (road.describe(), duration, step, run.controller.name, verdict_lines(run))
 
 

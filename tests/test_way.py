@@ -16,7 +16,7 @@ from tests.conftest import recorded_runs
 
 NAME = "mine"
 # Names from the options, a controller of a name, its run, and that of all that were asked for: each of its own room.
-UP = ["chosen", "design", "run_all", "run_named"]
+UP = ["chosen", "design", "run_controllers", "run_named"]
 
 
 def named(value: Any) -> bool:
@@ -32,8 +32,10 @@ def named(value: Any) -> bool:
 
 @functools.cache
 def room(code: CodeType) -> str:
-    """The room of code of ours; empty for others, and for what has no name of its own."""
+    """The room of code of ours; empty for others, for what has no name of its own, and for the check of arguments at a door."""
     path = Path(code.co_filename)
+    if path == ROOT / "models" / "common" / "checks.py":
+        return ""
     ours = path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in ("models", "synth", "sim")
     return ".".join(path.relative_to(ROOT).with_suffix("").parts[:2]) if ours and not code.co_name.startswith("<") else ""
 

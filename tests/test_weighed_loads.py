@@ -165,8 +165,8 @@ def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
         ("loads = { heave_load = true }", ["heave_load = True"]),
         ("loads = true", ["loads = True is no table"]),
         ("loads = {}", ["is no table"]),
-        ('loads = { heave_load = 1e3 }\ndesign = "h2"', ["loads and design", "leave one out"]),
-        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", ["loads and bounds", "leave one out"]),
+        ('loads = { heave_load = 1e3 }\ndesign = "h2"', ['design = "h2" with loads: ', 'choose design = "h2"']),
+        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", ["bounds with loads: ", "or loads"]),
     ],
 )
 def test_bad_loads_are_refused(line, words):

@@ -20,10 +20,10 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
         expected: its shape, for messages; empty if any is allowed.
 
     Returns:
-        The matrix, and the size of its largest entry, which callers need as well: a second pass would cost as much as the check.
+        The matrix, and the size of its largest entry, which callers need, too: computing it takes as long as the check.
 
     Raises:
-        InputError: it is no such matrix; the message names it.
+        InputError: it is not such a matrix; the message names it.
     """
     try:
         given = np.asarray(value)

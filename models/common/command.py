@@ -1,6 +1,7 @@
-"""Shared parts of all commands: one line per mistake, exit codes, a clean Ctrl-C, and the versions that numbers depend on."""
+"""Shared parts of all commands: option parsing, one-line errors, exit codes, Ctrl-C, and versions of packages."""
 
 import argparse
+import gc
 import io
 import math
 import os
@@ -36,14 +37,15 @@ def versions() -> dict[str, str]:
 
 
 BAD_INPUT = 2
+GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
 ALL = "all"  # in place of a controller's name
-_kept: list[TextIO] = []  # stdout, once it is kept for the command
+_kept: list[TextIO] = []  # stdout after `keep_stdout`
 
 
 class Parser(argparse.ArgumentParser):
-    """Command-line parser: errors are one line, no option is empty, and none is given twice unless it says so."""
+    """Command-line parser with one-line errors. It refuses empty options, and repeated ones that are not declared so."""
 
-    by_verb = False  # if `roadproof VERB` was called: its errors name the command so
+    by_verb = False  # True for `roadproof VERB`: errors then name the command like this
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
         page = f"{prog.partition('.')[0]}/README.md"
@@ -54,7 +56,7 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
-        # What tells -1e-3 and -inf from an option; argparse itself knows no exponent before Python 3.14.
+        # Recognises -1e-3 and -inf as numbers, not options; argparse accepts no exponents before Python 3.14.
         self._negative_number_matcher = re.compile(r"-(\.?\d|(inf|infinity|nan)$)", re.IGNORECASE)
         self.register("type", None, _text)
         self.register("type", Path, _path)
@@ -63,17 +65,19 @@ class Parser(argparse.ArgumentParser):
         self.register("action", "store_true", _Flag)
 
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
-        """Returns the options, with the names of those given (`given`) and the command that repeats the call (`command_line`)."""
+        """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
         args = sys.argv[1:] if args is None else args
         for argument in args:
-            if re.fullmatch(
-                r"--[\w-]+=--", argument
-            ):  # argparse would take it for the end of the options, and give an empty list
-                self.error(f"argument {argument[:-3]}: '--' is no value")
+            if re.fullmatch(r"--[\w-]+=--", argument):  # argparse would read "--" as the end of the options
+                self.error(f"argument {argument[:-3]}: '--' is not a value")
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join([*self.prog.split(), *args])
-        return super().parse_args(args, start)
+        options = super().parse_args(args, start)
+        from models.common import memory  # no help page needs it
+
+        memory.check()
+        return options
 
     def error(self, message: str) -> NoReturn:
         """Raises bad options as one line; exit code 2."""
@@ -92,7 +96,7 @@ class Parser(argparse.ArgumentParser):
         self._add_vehicle()
 
     def add_one(self, which: str) -> None:
-        """Adds the options `--controller`, which is required and given once, and `--vehicle`."""
+        """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
         self.add_argument("--controller", type=_name, metavar="NAME", help=f"{which}. Required")
         self._add_vehicle()
 
@@ -106,13 +110,13 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
-        """Adds an option that takes one finite number or more, in any order."""
+        """Adds an option that takes one or more finite numbers."""
         self.add_argument(option, type=_number, nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
 
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
     ) -> None:
-        """Adds an option that takes a whole number from `low` to `high`, or many; `unset` is its value if it is not given."""
+        """Adds an option that takes a whole number from `low` to `high`, or several; `unset` is its default."""
 
         def count(text: str) -> int:
             try:
@@ -131,53 +135,53 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")
 
 
-def chosen(names: Sequence[str], asked: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
-    """Returns the controllers that the options `--controller` name, in that order.
+def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[str] = ()) -> list[str]:
+    """Returns the controllers that `--controller` selects, in the given order.
 
     Args:
         names: all controllers of the vehicle.
-        asked: values of `--controller`.
-        usual: controllers if `--controller` was not given.
+        given: values of `--controller`.
+        usual: the selection without `--controller`.
 
     Raises:
-        InputError: no name is given, one is unknown or given twice, or `all` and another.
+        InputError: no name is given, one is unknown or given twice, or `all` is given with another.
     """
-    for name in asked or ():
+    for name in given or ():
         if name not in (ALL, *names):
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(names)}")
-        if (asked or []).count(name) > 1:
+        if (given or []).count(name) > 1:
             raise InputError(f"--controller {name} is given twice; give it once")
-    if not asked and not usual:
-        raise InputError(f"no controller was asked for; give --controller with one of: {ALL}, {', '.join(names)}")
-    if asked and ALL in asked and len(asked) > 1:
-        raise InputError(f"--controller {ALL} has every controller in it; give it alone, or without it those that you want")
-    if asked == [ALL]:
+    if not given and not usual:
+        raise InputError(f"no controller is given; give --controller with one of: {ALL}, {', '.join(names)}")
+    if given and ALL in given and len(given) > 1:
+        raise InputError(f"--controller {ALL} includes every controller; give it alone, or leave it out")
+    if given == [ALL]:
         return list(names)
-    return list(asked or usual)
+    return list(given or usual)
 
 
-def one_chosen(names: Sequence[str], asked: str | None) -> str:
-    """Returns the controller that a single `--controller` names.
+def one_chosen(names: Sequence[str], given: str | None) -> str:
+    """Returns the controller that a single `--controller` selects.
 
     Args:
         names: all that are allowed.
-        asked: value of `--controller`.
+        given: value of `--controller`.
 
     Raises:
         InputError: no name is given, or an unknown one.
     """
     allowed = f"give --controller with one of: {', '.join(names)}"
-    if asked is None:
-        raise InputError(f"no controller was asked for; {allowed}")
-    if asked == ALL:
-        raise InputError(f"--controller {ALL} is too many, as one is looked at at a time; {allowed}")
-    if asked not in names:
-        raise InputError(f"unknown controller {asked!r}; {allowed}")
-    return asked
+    if given is None:
+        raise InputError(f"no controller is given; {allowed}")
+    if given == ALL:
+        raise InputError(f"--controller {ALL} is not allowed, as this command takes one controller; {allowed}")
+    if given not in names:
+        raise InputError(f"unknown controller {given!r}; {allowed}")
+    return given
 
 
 class _Once(argparse.Action):
-    """Option that may be given once: given twice, it would be ambiguous."""
+    """Option that may be given once."""
 
     def __call__(self, parser, namespace, values, option_string=None) -> None:
         if option_string and self.dest in namespace.given:
@@ -198,10 +202,11 @@ class _Flag(argparse.Action):
 
 
 def run_command(main: Callable[[], int]) -> NoReturn:
-    """Runs a command and exits with its own code, with 2 on bad input, or with the code of the signal that ended it."""
+    """Runs a command and exits with the code that it returns, with 2 on bad input, or with the code of a signal."""
     interrupt.raise_from_now_on()
+    gc.set_threshold(GARBAGE)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a vehicle file's name may have what the terminal has not
+        sys.stdout.reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
     try:
         _check_encoding(sys.argv[1:])
         code = main()
@@ -211,22 +216,31 @@ def run_command(main: Callable[[], int]) -> NoReturn:
         code = _ended_by(error)
     interrupt.ignore_from_now_on()
     for stream in (sys.stdout, sys.stderr):
-        if stream:  # Python flushes both at its exit, and where that fails, as after the end of the terminal, the code is 120
+        if stream:  # else Python flushes at exit; if that fails, as without a terminal, it exits with 120
             _flushed(stream)
     if _kept:
-        sys.stdout = sys.stderr  # for what is still to come, at Python's exit, of code that is not ours
+        sys.stdout = sys.stderr  # for output of user code at Python's exit
     if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
-        os._exit(code)  # threads of a user's own code: ours have ended, and Python would wait for those, for ever
+        os._exit(code)  # Python would wait for threads of user code, maybe for ever; ours have ended
     sys.exit(code)
 
 
 def _ended_by(error: BaseException) -> int:
-    """Prints why a command ended and returns its exit code. Raises unforeseen errors again."""
+    """Prints why a command ended and returns its exit code. Re-raises unexpected errors."""
     if interrupt.caused(error):
         complain(interrupt.word())
         return interrupt.code()
     if isinstance(error, InputError):
         complain(str(error))
+        return BAD_INPUT
+    from models.common import memory
+
+    if memory.is_short(error):
+        limited = f": {memory.words()}; raise the limit" if math.isfinite(memory.limit()) else "; free some"
+        complain(f"out of memory{limited}, or ask for less at once")
+        return BAD_INPUT
+    if type(error).__module__.partition(".")[0] == "mujoco":  # its FatalError
+        complain(f"MuJoCo gave up ({error}); give it a vehicle or a road nearer to what it can do, or a shorter timestep")
         return BAD_INPUT
     if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
         return 0
@@ -240,9 +254,9 @@ def _ended_by(error: BaseException) -> int:
 
 
 def keep_stdout() -> None:
-    """Keeps stdout for the command: from now on all other output there, Python or not, goes to stderr.
+    """Reserves stdout for the command: all other output to it, from Python or compiled code, goes to stderr from now on.
 
-    For a command whose stdout is a file or a pipe of its own; within a library nothing happens.
+    It has no effect if the package is used as a library.
     """
     before = sys.stdout
     if _kept or interrupt.came() is None or not isinstance(before, io.TextIOWrapper):
@@ -255,10 +269,10 @@ def keep_stdout() -> None:
 
 
 def complain(message: str) -> None:
-    """Prints a message to stderr on one line that a terminal can show, whatever names and values it quotes."""
+    """Prints a message to stderr as one printable line."""
     if sys.stderr:  # closed, as in `2>&-`, it is None
         with suppress(OSError):  # its terminal has ended
-            show("")  # how far the work was
+            show("")  # clears the progress
             print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
@@ -284,7 +298,7 @@ def _check_encoding(arguments: Sequence[str]) -> None:
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with its lines wrapped, except indented examples, which are to be copied."""
+    """Returns a text of `--help` with its lines wrapped, except indented examples, which users copy."""
     lines = [[line] if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 
@@ -296,7 +310,7 @@ def _text(text: str) -> str:
 
 
 def _name(text: str) -> str:
-    """Returns a name in the Unicode form in which vehicle files are read."""
+    """Returns a name in the Unicode normal form of vehicle files."""
     return unicodedata.normalize("NFC", _text(text))
 
 

@@ -1,4 +1,4 @@
-"""The error for everything that a user can mend: every command turns it into one line and exit code 2."""
+"""The error for wrong input: every command turns it into one line and exit code 2."""
 
 import re
 import reprlib
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
-LONGEST_WORD = 160  # characters without a space, or between quotes; a path may be as long
+LONGEST_WORD = 160  # characters without a space, or between quotes, as of a path
 LONGEST_VALUE = 60  # characters of a value
 QUOTED = re.compile(rf"""(?<![^\s=(\[{{,:])(["'])(?:(?!\1).){{{LONGEST_WORD - 1},}}\1(?![^\s,;:)\]}}.])""")
 WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
@@ -16,22 +16,19 @@ _shortly.maxlevel, _shortly.maxstring, _shortly.maxlong, _shortly.maxother = 3, 
 
 
 class InputError(ValueError):
-    """Wrong input. The message says what was found, what is allowed, and what to do.
-
-    The message is one line of limited length, whatever names, paths and values it quotes: see `one_line`.
-    """
+    """Wrong input. The message says what was found, what is allowed, and what to do, on one line (`one_line`)."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(str(message)))
 
 
 def one_line(message: str) -> str:
-    """Returns a message as one line that a terminal can show. Cuts long quotations, and the whole, in the middle."""
+    """Returns a message as one printable line. Long quotations, and a long line, are cut in the middle."""
     line = " ".join(part.strip() for part in message.splitlines())
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in line)
     for pattern in (QUOTED, WORD):
         line = pattern.sub(lambda match: middle_cut(match[0], LONGEST_WORD), line)
-    return middle_cut(line, LONGEST)  # what was found comes first, what to do last
+    return middle_cut(line, LONGEST)  # keeps what was found, at the beginning, and what to do, at the end
 
 
 def quoted(value: Any) -> str:

@@ -1,8 +1,8 @@
-"""Reading and writing of files. Files appear whole or not at all; only plain files of limited size are read; likewise TOML.
+"""Reading and writing of files, and of TOML. Files appear whole or not at all; only plain files of limited size are read.
 
-A file is written beside its place under a hidden name, flushed to the disk, and renamed. A link stays a link: its target is
-written. If a file has several names (hard links), only the written one gets the new content: written in place, all would hold
-half of it when a disk is full. A replaced file passes on its permissions, and its owner and group if the system allows it.
+A file is written under a hidden name in the same folder, flushed to the disk, and renamed. A link stays a link: its target is
+replaced. Of several hard links only the one that is written gets the new content: written in place, a full disk would destroy
+all. The new file keeps the permissions of the old one, and its owner and group if the system allows it.
 """
 
 import errno
@@ -25,8 +25,8 @@ from typing import Any, TypeVar
 from models.common import interrupt
 from models.common.errors import InputError
 
-MOST_DOTS = 8  # within one key; tomllib takes their square in time and memory, 4 MiB of such keys seconds; ours have two
-# Comments and strings, whose dots are no key's. An unclosed one ends with its line, or the text: one pass over every text.
+MOST_DOTS = 8  # within one key, ours have two; tomllib's time and memory grow with their square
+# Comments and strings, whose dots do not count. An unclosed one ends with its line, or the text: one pass over every text.
 _NO_KEY = re.compile(
     r"""\#[^\n]*
     | \"{3} (?: [^"\\] | \\. | \"{1,2}(?!\") )*+ \"{0,5}
@@ -41,28 +41,43 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Returns the tables of a TOML text.
 
     Raises:
-        InputError: it is not TOML, or a key has more than `MOST_DOTS` dots.
+        InputError: it is not TOML, a key has more than `MOST_DOTS` dots, or a whole number is beyond the range of a float.
     """
     keys = re.split(r"[,=\n{}\[\]]", _NO_KEY.sub("''", text))  # and unquoted values, which have one dot
     dots = max(key.count(".") for key in keys)
     if dots > MOST_DOTS:
         raise InputError(f"a key has {dots} dots, and at most {MOST_DOTS} are allowed; name a section's key by its own name")
     try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; brackets in brackets in ...
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; deeply nested brackets
         raise InputError(f"not TOML: {error}") from error
+    _check_range("", tables)
+    return tables
 
 
-STDOUT = Path("/dev/stdout")  # the one name that is no file and may be written: the command's own output
-Waiting = tuple[Path, Path, os.stat_result | None]  # a whole file, its future name, and the status of the file that has it now
-# Files that wait for their names in `together`; None outside it.
+def _check_range(key: str, value: Any) -> None:
+    """Raises an InputError for a whole number beyond the range of a float."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _check_range(f"{key}.{name}".lstrip("."), inner)
+    elif isinstance(value, list):
+        for inner in value:
+            _check_range(key, inner)
+    elif isinstance(value, int) and abs(value) > sys.float_info.max:
+        digits = len(str(abs(value)))
+        raise InputError(f"{key} is a number of {digits} digits, beyond {sys.float_info.max:.2g}; give a smaller one")
+
+
+STDOUT = Path("/dev/stdout")  # the only output path that need not be a plain file
+Waiting = tuple[Path, Path, os.stat_result | None]  # temporary path, target, and status of the file that it replaces
+# Whole files in a block of `together` that are not yet renamed; None outside it.
 _waiting: ContextVar[list[Waiting] | None] = ContextVar("_waiting", default=None)
 WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 
 
 @contextmanager
 def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator[Path]:
-    """Yields a temporary path with the suffix of `path`, and renames it to `path` once it is whole.
+    """Yields a temporary path with the suffix of `path`, and renames it to `path` when the block ends without an error.
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
@@ -101,10 +116,10 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Gives all files that are written in this block their names at its end, or none of them.
+    """Renames all files that `whole_file` writes in this block at its end, or none of them.
 
     Raises:
-        InputError: they cannot get their names.
+        InputError: they cannot be renamed.
     """
     waiting: list[Waiting] = []
     token = _waiting.set(waiting)
@@ -113,7 +128,7 @@ def together() -> Iterator[None]:
         with interrupt.finishing():
             _name_all(waiting)
     except OSError as error:
-        raise InputError(f"what was written cannot get its name ({error.strerror or error}); mend that") from error
+        raise InputError(f"the output files cannot be renamed ({error.strerror or error}); mend that and try again") from error
     finally:
         _waiting.reset(token)
         for beside, *_ in waiting:
@@ -121,7 +136,7 @@ def together() -> Iterator[None]:
 
 
 def _name_all(waiting: Sequence[Waiting]) -> None:
-    """Gives whole files their names. If one fails, restores what was there before the others."""
+    """Renames whole files to their targets. If one fails, restores the files that the others replaced."""
     named: list[tuple[Path, Path | None]] = []
     try:
         for beside, target, before in waiting:
@@ -130,10 +145,10 @@ def _name_all(waiting: Sequence[Waiting]) -> None:
             _name(beside, target, before)
     except OSError:
         for (target, kept), (beside, *_) in reversed(list(zip(named, waiting, strict=False))):
-            with suppress(OSError):  # of the others as many as can be
+            with suppress(OSError):  # restores as many as possible
                 if kept is not None:
                     kept.replace(target)
-                elif not beside.exists():  # it has got its name
+                elif not beside.exists():  # it was renamed
                     target.unlink()
         raise
     finally:
@@ -153,7 +168,7 @@ def _kept(target: Path) -> Path:
 
 
 def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
-    """Gives a whole file its name and replaces the previous file."""
+    """Renames a whole file to its target, with the permissions of the file that it replaces."""
     if before is not None:
         _make_like(beside, before)
     beside.replace(target)
@@ -166,16 +181,16 @@ def _removed(beside: Path) -> None:
 
 
 def check_file(path: Path, what: str, instead: str = "give another") -> None:
-    """Proves that a file can be written, before a long run.
+    """Checks that a file can be written, before a long run.
 
     Raises:
-        InputError: it cannot.
+        InputError: it cannot be written.
     """
     target, _ = _target(path, what, instead)
     probe = target.with_name(f".{secrets.token_hex(8)}.part")
     if target == STDOUT:
         return
-    try:  # permission bits do not tell (root, read-only mounts, quotas): writing does
+    try:  # permission bits do not decide (root, read-only mounts, quotas)
         probe.write_bytes(b"roadproof")
     except OSError as error:
         raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
@@ -185,10 +200,10 @@ def check_file(path: Path, what: str, instead: str = "give another") -> None:
 
 
 def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
-    """Proves that a folder exists or can be made, and that files can be written in it. Leaves nothing behind.
+    """Checks that a folder exists or can be made, and that files can be written in it. Leaves nothing behind.
 
     Raises:
-        InputError: it cannot be made, or not written.
+        InputError: it cannot be made, or files cannot be written in it.
     """
     try:
         for there in (path, *path.parents):
@@ -200,7 +215,7 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
         else:
             raise _refused(path, what, "cannot be made", instead)
         if not is_folder:
-            raise _refused(path, what, "is no folder" if there == path else f"{there} is no folder", instead)
+            raise _refused(path, what, "is not a folder" if there == path else f"{there} is not a folder", instead)
         if there == path:
             check_file(path / ".probe", what, instead)
         else:
@@ -208,17 +223,17 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
             probe.mkdir()
             probe.rmdir()
     except NotADirectoryError as error:
-        raise _refused(path, what, "is no folder", instead) from error
+        raise _refused(path, what, "is not a folder", instead) from error
     except OSError as error:
         raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
 
 
 @contextmanager
 def made_folder(path: Path, what: str, instead: str = "give another folder") -> Iterator[None]:
-    """Makes a folder and its missing parents. If the block fails, removes those of them that are empty.
+    """Makes a folder and its missing parents. If the block fails, removes the empty ones among them.
 
     Raises:
-        InputError: it cannot be made, or not written.
+        InputError: it cannot be made, or files cannot be written in it.
     """
     check_folder(path, what, instead)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -229,14 +244,14 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
             raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
         yield
     except BaseException:
-        with interrupt.finishing(), suppress(OSError):  # one that holds something stays
+        with interrupt.finishing(), suppress(OSError):  # a folder that is not empty stays
             for folder in missing:
                 folder.rmdir()
         raise
 
 
 def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
-    """Returns the file that a path leads to through links, and its status, or None if there is no file yet."""
+    """Returns the target of a path, links resolved, and its status, or None if it does not exist yet."""
     if path == STDOUT:
         return STDOUT, None
     try:
@@ -257,14 +272,14 @@ def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result |
     if not status.st_mode & WRITABLE or not os.access(target, os.W_OK):
         raise _refused(path, what, "is read-only", f"make it writable or {instead}")
     folder = target.parent.stat()
-    who = getattr(os, "geteuid", int)()  # 0 on Windows, where files have other owners, and folders no such bit
-    if folder.st_mode & stat.S_ISVTX and who not in (0, status.st_uid, folder.st_uid):
+    user = getattr(os, "geteuid", int)()  # 0 on Windows, where folders have no sticky bit
+    if folder.st_mode & stat.S_ISVTX and user not in (0, status.st_uid, folder.st_uid):
         raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
     return target, status
 
 
 def kind_of(mode: int) -> str:
-    """Names the kind of a file that is no plain file."""
+    """Returns the kind of a file that is not a plain file, for a message."""
     if stat.S_ISDIR(mode):
         return "a folder"
     if stat.S_ISFIFO(mode):
@@ -275,20 +290,20 @@ def kind_of(mode: int) -> str:
 
 
 def _make_like(beside: Path, before: os.stat_result) -> None:
-    """Gives a new file the permissions of the one that it replaces, and its owner and group if the system allows it."""
+    """Gives a new file the permissions of the file it replaces, and its owner and group if the system allows it."""
     mode = stat.S_IMODE(before.st_mode)
     with_owner = getattr(os, "chown", None)  # not on Windows
     if with_owner is not None:
         for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
             with suppress(PermissionError):
                 with_owner(beside, owner, group)
-        if beside.stat().st_gid != before.st_gid:  # another group may do with it what everyone may
+        if beside.stat().st_gid != before.st_gid:  # another group gets the permissions of all others
             mode = mode & ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
     beside.chmod(mode)
 
 
 def identity(path: Path) -> tuple[int, int] | str:
-    """Returns the same value for all paths of one file or folder: links, hard links, another case."""
+    """Returns a value that is equal for all paths of one file or folder: links, hard links, other cases of letters."""
     try:
         status = path.stat()
     except (OSError, ValueError):
@@ -297,7 +312,7 @@ def identity(path: Path) -> tuple[int, int] | str:
 
 
 def _settle(folder: Path) -> None:
-    """Flushes a folder, and so the new name in it, to the disk, on systems that can."""
+    """Flushes a folder, with the new name in it, to the disk, if the system can."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -325,12 +340,14 @@ def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
         most: allowed size [bytes].
 
     Raises:
-        InputError: there is no such file, it is no plain file, too large, or cannot be read.
+        InputError: the file does not exist, is not a plain file, is too large, or cannot be read.
     """
     try:
         with open_plain(path, what, give) as stream:
             size = os.fstat(stream.fileno()).st_size
-            content = stream.read(most + 1) if size <= most else b""  # what /proc holds says that it is empty
+            content = stream.read(size + 1) if size <= most else b""  # not `most`, which may exceed the memory
+            if len(content) > size:  # files in /proc report the size 0
+                content += stream.read(most + 1 - len(content))
     except OSError as error:
         raise InputError(f"{what} {path}: cannot be read ({error.strerror or error}); {give}") from error
     if max(size, len(content)) > most:
@@ -346,10 +363,10 @@ def open_plain(path: Path, what: str, give: str) -> BufferedReader:
         path, what, give: see `read_bytes`.
 
     Raises:
-        InputError: there is no such file, it is no plain file, or cannot be opened.
+        InputError: the file does not exist, is not a plain file, or cannot be opened.
     """
     try:
-        # A pipe would be waited for, for ever; without waiting it can be opened, and seen for what it is.
+        # Opening a pipe would block for ever without O_NONBLOCK; with it, the pipe is recognised.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         mode = os.fstat(handle).st_mode
         if not stat.S_ISREG(mode):
@@ -374,40 +391,39 @@ def read_text(path: Path, what: str, most: int, give: str) -> str:
     Raises:
         InputError: see `read_bytes`; or it is not text.
     """
-    try:
-        content = read_bytes(path, what, most, give)
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        reason = f"{error.reason} at byte {error.start}"
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); save it as UTF-8, or {give}") from error
-    if "\0" in text:
-        reason = f"a NUL character at byte {content.index(0)}, as in UTF-16"
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); save it as UTF-8, or {give}")
-    return text.replace("\r\n", "\n")
+    return read_content(path, what, most, give, str)[0]
 
 
-def read_content(path: Path, what: str, give: str, of: Callable[[str], Content]) -> tuple[Content, str]:
-    """Returns the content of a text file that a vehicle file includes, and the file's size and checksum as text.
+def read_content(path: Path, what: str, most: int, give: str, of: Callable[[str], Content]) -> tuple[Content, bytes]:
+    """Returns the converted text of a plain file in UTF-8, and its bytes.
 
     Args:
-        path, what, give: see `read_bytes`.
-        of: converts the text; raises InputError if it is wrong.
+        path, what, most, give: see `read_bytes`.
+        of: converts the text; raises an InputError if it is wrong.
 
     Raises:
-        InputError: see `read_bytes`; or the text is wrong. The message names the file.
+        InputError: see `read_bytes`; it is not text, or the text is wrong. The message names the file.
     """
-    content = read_bytes(path, what, TEXT, give)
+    content, save = read_bytes(path, what, most, give), f"save it as UTF-8, or {give}"
     try:
-        converted = of(content.decode("utf-8-sig"))
+        text = content.decode("utf-8-sig")
+        if "\0" in text:
+            raise InputError(f"not a text file in UTF-8 (a NUL character at byte {content.index(0)}, as in UTF-16); {save}")
+        return of(text.replace("\r\n", "\n")), content
     except UnicodeDecodeError as error:
-        raise InputError(f"{what} {path}: is no text in UTF-8; {give}") from error
+        reason = f"{error.reason} at byte {error.start}"
+        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); {save}") from error
     except InputError as error:
         raise InputError(f"{what} {path}: {error}") from error
-    return converted, f"{len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
+
+
+def origin(file: str, content: bytes) -> str:
+    """Returns a comment line for a vehicle file that names the file whose content it includes."""
+    return f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
 
 
 def _reason(path: Path, error: OSError) -> str:
-    """Says why a file cannot be read."""
+    """Returns why a file cannot be read, for a message."""
     if error.errno == errno.ENOENT:
         return "is a link to nothing" if path.is_symlink() else "there is no such file"
     if error.errno == errno.ELOOP:

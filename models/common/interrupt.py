@@ -1,7 +1,7 @@
-"""Begin and end of a process: UTF-8 in any locale, and a clean end on a signal from the first import to the last line.
+"""Start and end of a process: UTF-8 in any locale, and a clean end on a signal at any time.
 
-Ctrl-C, SIGTERM and the end of the terminal end a command alike: it cleans up, prints one word, and exits with the code that a
-shell has for the signal, without a traceback. "Ctrl-C" in the code means all of them.
+On Ctrl-C, SIGTERM and SIGHUP a command cleans up, prints one word, and exits with the shell's code for the signal, without a
+traceback. "Ctrl-C" in the code means all three.
 """
 
 import _thread
@@ -16,13 +16,12 @@ from typing import Any
 
 
 def speak_utf8() -> None:
-    """Starts this Python again in its UTF-8 mode (PEP 540), if it is not in it and its arguments are UTF-8.
+    """Restarts this Python in UTF-8 mode (PEP 540), unless it is in that mode or its arguments are not UTF-8.
 
-    In a locale of another encoding, such as C without coercion or ISO 8859-1, Python would misread the bytes of a name. It could
-    then not find a file that a vehicle file names. Arguments in that encoding stay as they are. If all are ASCII, output stays in
-    the terminal's encoding, and letters that it lacks are escaped.
+    In a locale of another encoding, such as C without coercion or ISO 8859-1, Python could not find a file with a name in UTF-8.
+    If all arguments are ASCII, output stays in the terminal's encoding, and letters that it lacks are escaped.
 
-    To be called before anything has begun.
+    Call it first: the process starts again.
     """
     if sys.getfilesystemencoding() == "utf-8" or os.environ.get("PYTHONUTF8") == "1" or sys.flags.ignore_environment:
         return
@@ -37,49 +36,48 @@ def speak_utf8() -> None:
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
 
 
-WORDS = {
-    "SIGINT": "interrupted",
-    "SIGTERM": "terminated",
-    "SIGHUP": "hung up",
-}  # the word that is printed; not every system has all
+WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # printed; Windows has no SIGHUP
 SIGNALS = {int(number): word for name, word in WORDS.items() if (number := getattr(signal, name, None)) is not None}
-_heard = [int(signal.SIGINT)]  # the last signal; Ctrl-C before any
+_last = [int(signal.SIGINT)]  # the last signal; SIGINT before any
 _raised: list[int] = []  # signals that were raised as a KeyboardInterrupt
 
 
 def code() -> int:
-    """Returns the exit code of an interrupted command: 130 for Ctrl-C, 143 for SIGTERM, 129 for the end of its terminal."""
-    return 128 + _heard[0]
+    """Returns the exit code of an interrupted command: 130 for SIGINT, 143 for SIGTERM, 129 for SIGHUP."""
+    return 128 + _last[0]
 
 
 def word() -> str:
     """Returns the word for the last signal."""
-    return SIGNALS[_heard[0]]
+    return SIGNALS[_last[0]]
 
 
 def came() -> int | None:
-    """Counts the interrupts raised so far: without one, a KeyboardInterrupt is some code's own. None if they are not counted."""
+    """Returns the number of interrupts raised so far, or None if they are not counted.
+
+    If it has not grown, a KeyboardInterrupt was raised by user code.
+    """
     return len(_raised) if signal.getsignal(signal.SIGINT) is _raise else None
 
 
 def raised() -> int:
-    """Counts the interrupts raised so far without the check of `came`, which takes microseconds."""
+    """Returns the number of interrupts raised so far, without the check of `came`, which takes microseconds."""
     return len(_raised)
 
 
 def quiet_start() -> None:
     """Lets the process end silently on a signal while `python -m` is still importing a command.
 
-    An exception would not do: compiled packages turn it into errors of their own, or drop it. Does nothing if the package is
+    An exception would not help: compiled packages turn it into other errors, or drop it. It has no effect if the package is
     imported as a library.
     """
-    # Only until it knows where the module lies, `python -m` says "-m" there.
+    # `python -m` sets argv[0] to "-m" while it looks for the module.
     if sys.argv[:1] == ["-m"] and threading.current_thread() is threading.main_thread():
         speak_utf8()
         _handle_all(_leave)
-        # No command draws by MuJoCo. Without this, MuJoCo starts a second Python to look for GLFW, with tracebacks of its own.
+        # No command renders with MuJoCo, which would start a second Python to look for GLFW.
         os.environ["MUJOCO_GL"] = "disable"
-        # A second thread of BLAS waits for the next product without sleeping: more work for the processor than the product's own.
+        # A second BLAS thread waits for work without sleeping, and uses more of the processor than the small products do.
         for library in ("OPENBLAS", "MKL"):
             os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
@@ -92,9 +90,10 @@ def raise_from_now_on() -> None:
 
 
 def caused(error: BaseException | None) -> bool:
-    """Returns True if an error is or stems from Ctrl-C: a compiled module turns it into ImportError during its import.
+    """Returns True if an error is a KeyboardInterrupt, or was caused by one.
 
-    Some of these modules drop the interrupt with its trace. So an import that fails after a Ctrl-C counts as broken by it.
+    Compiled modules turn an interrupt during their import into an ImportError, some without a cause. So an import that fails
+    after a Ctrl-C counts as caused by it.
     """
     if isinstance(error, ImportError) and _raised:
         return True
@@ -104,7 +103,7 @@ def caused(error: BaseException | None) -> bool:
 
 
 class _Late:
-    """Signal handler that notes the first Ctrl-C and obeys the second."""
+    """Signal handler that records the first Ctrl-C and raises at the second."""
 
     def __init__(self) -> None:
         self.came = 0
@@ -117,10 +116,10 @@ class _Late:
 
 @contextmanager
 def finishing(work_goes_on: bool = False) -> Iterator[None]:
-    """Defers a Ctrl-C during a short block that must not be left half done; a second one is obeyed.
+    """Defers a Ctrl-C during a short block that must be completed; a second one is raised at once.
 
     Args:
-        work_goes_on: after the block; the deferred Ctrl-C is then raised at its end.
+        work_goes_on: True if work follows: the deferred Ctrl-C is then raised at the end of the block, else dropped.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -138,26 +137,26 @@ def finishing(work_goes_on: bool = False) -> Iterator[None]:
         before[late.came](late.came, None)  # an outer block of this kind, or the handler that raises KeyboardInterrupt
 
 
-LATE = "the end"  # instead of a part that was whole
+LATE = "the end"  # in place of the name of a part that was complete
 
 
 class Parts:
-    """Work in parts, of which a Ctrl-C cuts one short and keeps the others and the results so far.
+    """Work in parts: Ctrl-C interrupts one part, and keeps the others and the results so far.
 
     Attributes:
-        cut: name of the first part that was cut short, or empty.
+        cut: name of the first part that was interrupted, or empty.
     """
 
     def __init__(self) -> None:
         self.cut, self._done = "", ""
 
     def done(self, name: str) -> None:
-        """Marks a part as whole: a Ctrl-C from now on comes too late to cut it short."""
+        """Marks a part as complete: a later Ctrl-C no longer counts as its interruption."""
         self._done = name
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """Runs one part; `name` says what it does."""
+        """Runs one part of the work."""
         try:
             yield
         except KeyboardInterrupt:
@@ -166,28 +165,28 @@ class Parts:
 
 def ignore_from_now_on() -> None:
     """Ignores Ctrl-C from now on: the work is done, and the rest takes a moment."""
-    # An interrupt inside an `exec` of text, as `dataclass` and `namedtuple` do, makes Python remember that it is to end by the
-    # signal, even if the exception was caught; the next such `exec` forgets that (run_eval_code_obj in CPython's pythonrun.c).
+    # After an interrupt inside `exec` of a text, as in `dataclass`, Python exits by the signal even if the exception was caught.
+    # The next such `exec` resets that (run_eval_code_obj in CPython's pythonrun.c).
     exec("")
     if threading.current_thread() is threading.main_thread():
         _handle_all(signal.SIG_IGN)
 
 
 def _handle_all(handler: Any) -> None:
-    """Sets the handler of all signals except those that the parent process ignores, as `nohup` does for SIGHUP."""
+    """Sets the handler of all signals except those that the parent process set to be ignored, as `nohup` does for SIGHUP."""
     for number in SIGNALS:
         if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    _heard[0] = number
+    _last[0] = number
     _raised.append(number)
     raise KeyboardInterrupt
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    _heard[0] = number
+    _last[0] = number
     with suppress(OSError):  # stderr may be closed
         os.write(2, f"roadproof: {word()}\n".encode())
     os._exit(code())
@@ -196,10 +195,10 @@ def _leave(number: int, frame: FrameType | None) -> None:
 def _unraisable(unraisable: Any) -> None:
     """Handles exceptions that Python cannot raise, as in a finaliser.
 
-    An interrupt is raised again a moment later. After one, half-made objects may complain when they are deleted (pyparsing's do):
-    such complaints are dropped.
+    An interrupt is raised again a moment later. After one, errors from finalisers of incomplete objects, as of pyparsing, are
+    dropped.
     """
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        threading.Timer(0.005, _thread.interrupt_main, (_heard[0],)).start()
+        threading.Timer(0.005, _thread.interrupt_main, (_last[0],)).start()
     elif not _raised:
         sys.__unraisablehook__(unraisable)

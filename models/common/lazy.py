@@ -1,7 +1,11 @@
-"""Public names of a package that are imported when they are first used (PEP 562): `import sim` loads next to nothing."""
+"""Public names of a package that are imported at their first use (PEP 562), so that `import sim` is fast.
+
+A public function checks its arguments at this door (`models.common.checks`); inside, nobody calls it by its public name.
+"""
 
 import importlib
 import sys
+import types
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -10,7 +14,7 @@ def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], An
     """Returns `__getattr__`, `__dir__` and `__all__` of a package.
 
     Args:
-        modules: full name of each module -> its public names; "" for a module that is public itself.
+        modules: public names of each module, by its full name; "" if the module itself is public.
     """
     where = {name: module for module, names in modules.items() for name in names.split() or [module.rpartition(".")[2]]}
 
@@ -19,7 +23,11 @@ def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], An
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(where[name])
         value = getattr(module, name) if modules[where[name]] else module
-        setattr(sys.modules[package], name, value)  # the next access costs nothing
+        if isinstance(value, types.FunctionType):
+            from models.common.checks import at_the_door
+
+            value = at_the_door(value)
+        setattr(sys.modules[package], name, value)  # later accesses do not come here
         return value
 
     return get, lambda: sorted(where), sorted(where)

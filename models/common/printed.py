@@ -1,10 +1,10 @@
-"""Printed output: lines of at most 80 columns, numbers, commands to be pasted into a shell, and progress.
+"""Printed output: lines of at most 80 columns, numbers, commands to paste into a shell, and progress.
 
-The width is fixed, so that output does not depend on the terminal. A longer sentence goes on in the next line, indented; a table
-gives a name that is too long a line of its own. Only paths and lines to be copied may be longer: they must not be cut.
+The width is fixed, so that output does not depend on the terminal. A longer sentence continues in the next line, indented; in a
+table, a name that is too long has its own line. Only paths and lines to copy may be longer, as they must not be broken.
 
-A `Column` holds the key, title, digits and unit of a quantity of a result. The columns of a result make a table on the terminal
-(`column_table`), one on a page (`models.figures.page.Table.of`), and the JSON object (`json_object`).
+A `Column` has the key, title, digits and unit of one quantity of a result. The same columns give a table on the terminal
+(`column_table`), one on a page (`models.figures.page.Table.of`), and a JSON object (`json_object`).
 """
 
 import math
@@ -25,22 +25,22 @@ Of = TypeVar("Of", contravariant=True)
 
 
 def finite(value: Any) -> float | None:
-    """Returns a number as JSON has it: None for one that is infinite or does not exist."""
+    """Returns a number for JSON: None if it is infinite or absent."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
 def finite_pairs(values: Iterable[complex]) -> list[list[float | None]]:
-    """Returns complex numbers as JSON has them: [real, imaginary]."""
+    """Returns complex numbers for JSON, as pairs [real, imaginary]."""
     return [[finite(value.real), finite(value.imag)] for value in values]
 
 
 def cell(value: float | None, form: str, unit: str = "") -> str:
-    """Returns a number as a table has it, "-" for one that is infinite or does not exist."""
+    """Returns a number for a table, "-" if it is infinite or absent."""
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
 
 
 def percent(share: float) -> str:
-    """Returns a share in percent; rounding errors are 0."""
+    """Returns a share in percent; up to 1e-9, which is rounding, it is 0."""
     if share <= 1e-9:
         return "0 %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
@@ -73,7 +73,7 @@ ESCAPES = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def pasted(words: Sequence[str]) -> str:
-    """Returns a command of these words, quoted for a shell, on one line."""
+    """Returns a command as one line, its words quoted for a shell."""
     return " ".join(map(_word, words))
 
 
@@ -83,14 +83,14 @@ def option(name: str, value: str) -> str:
 
 
 def pasted_path(path: Path) -> str:
-    """Returns a path as a quoted argument; if it begins as an option does, with its folder."""
+    """Returns a path as a quoted argument; one that begins with "-" is preceded by "./"."""
     return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
 def _word(text: str) -> str:
     if text.isprintable():
         return shlex.quote(text)
-    return "$'" + "".join(map(_escaped, text)) + "'"  # what would break the line, or the terminal
+    return "$'" + "".join(map(_escaped, text)) + "'"
 
 
 def _escaped(letter: str) -> str:
@@ -99,11 +99,11 @@ def _escaped(letter: str) -> str:
     return "".join(f"\\{byte:03o}" for byte in letter.encode("utf-8", "surrogateescape"))
 
 
-WIDEST = 79  # a longer line would go on in the next one, and stay there
+WIDEST = 79  # a longer line would wrap, and could not be overwritten
 
 
 def show(message: str) -> None:
-    """Prints one line to stderr that the next one overwrites; an empty one clears it."""
+    """Prints a line to stderr that the next call overwrites; an empty one clears it."""
     if sys.stderr and sys.stderr.isatty():
         print(f"\r{message[:WIDEST]:{WIDEST}}\r", end="", file=sys.stderr, flush=True)
 
@@ -112,11 +112,11 @@ class Stages:
     """Counted stages of a command: `[2/6] margins: 31 runs of 12 s to go`."""
 
     def __init__(self, *names: str) -> None:
-        """Takes the names of the stages, in their order."""
+        """Prepares the stages, in order."""
         self._names, self._now = names, ""
 
     def __call__(self, text: str) -> None:
-        """Begins the stage of that name. Any other text is the progress of the present one, an empty one clears the progress."""
+        """Begins the stage of that name; any other text is shown as progress of the current stage, an empty one clears it."""
         if text in self._names:
             self._now, text = f"[{self._names.index(text) + 1}/{len(self._names)}] {text}", ""
         show(f"{self._now}: {text}" if text else self._now)
@@ -137,7 +137,7 @@ GLUE = "\N{NO-BREAK SPACE}"
 
 
 class Whole(str):
-    """Line that is to be copied unchanged and is never broken."""
+    """Line to be copied, which is never broken."""
 
 
 def say(lines: Iterable[str]) -> None:
@@ -146,22 +146,22 @@ def say(lines: Iterable[str]) -> None:
 
 
 def fitted(lines: Iterable[str]) -> list[str]:
-    """Returns lines that fit: a line that is too long goes on in the next one, indented by two more columns."""
+    """Returns lines of at most `WIDTH`: a longer one is broken, and continues indented by two more columns."""
     return [part for line in lines for part in (wrapped(line) if len(line) > WIDTH else [line])]
 
 
 def titled(title: str, source: str) -> list[str]:
-    """Returns a title, and below it the file that it comes from."""
+    """Returns a title, and below it the path of its source."""
     return [title, Whole(f"{GAP}{source}")]
 
 
 def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
-    """Returns a text in lines that fit. Never separates a number from its unit, and never cuts a word.
+    """Returns a text in lines of at most `WIDTH`, without breaking words or separating a number from its unit.
 
     Args:
         text: the text; its leading spaces stay.
         start: prefix of the first line.
-        hang: spaces before the other lines; by default two more than before the first.
+        hang: spaces before the other lines. Default: two more than before the first.
     """
     if isinstance(text, Whole):
         return [start + text]
@@ -182,7 +182,7 @@ def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
 
 
 def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
-    """Returns a matrix after some text, each of its rows on a line of its own."""
+    """Returns a matrix after some text, one row per line."""
     lines: list[str] = []
     for i, row in enumerate(rows):
         open_, close = "[[" if i == 0 else " [", "]]" if i == len(rows) - 1 else "],"
@@ -192,10 +192,10 @@ def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def table(rows: Iterable[Sequence[str] | str], indent: str = GAP) -> list[str]:
-    """Returns rows in aligned columns: names to the left, numbers to the right. A name that leaves them no room has its own line.
+    """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long has its own line.
 
     Args:
-        rows: all of the same number of cells, the first of them the name; a row that is a text goes over all columns.
+        rows: each with the same number of cells, the first one a name; or a text that spans all columns.
         indent: prefix of every line.
     """
     all_rows = list(rows)
@@ -218,7 +218,7 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
 
 
 def command(words: Sequence[str]) -> list[str]:
-    """Returns a command to be copied, wrapped by backslashes; each of `words` is an option with its value."""
+    """Returns a command to copy, wrapped with backslashes; each of `words` is an option with its value."""
     lines, line = [], GAP + words[0]
     for word in words[1:]:
         if len(f"{line} {word} \\") > WIDTH:
@@ -229,12 +229,20 @@ def command(words: Sequence[str]) -> list[str]:
     return [*lines, Whole(line)]
 
 
+def html_table(title: str, rows: Iterable[Sequence[str]]) -> str:
+    """Returns rows as an HTML table for a notebook, escaped. The first cell of each is its heading."""
+    body = "".join(
+        f"<tr><th>{escape(name)}</th>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>" for name, *cells in rows
+    )
+    return f"<table><caption>{escape(title)}</caption>{body}</table>"
+
+
 class Shown:
-    """Object with a short description: text at a prompt, a table in a notebook. A dataclass needs `repr=False` for it."""
+    """Object shown as text at a prompt and as a table in a notebook. A dataclass must set `repr=False`."""
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
-        """A title, and the rows below it by their names."""
+        """Title, and rows below it by name."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -243,8 +251,7 @@ class Shown:
 
     def _repr_html_(self) -> str:
         title, rows = self.shown
-        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
-        return f"<table><caption>{escape(title)}</caption>{cells}</table>"
+        return html_table(title, rows.items())
 
 
 @dataclass(frozen=True)
@@ -252,11 +259,11 @@ class Column(Generic[Of]):
     """A quantity of a result.
 
     Attributes:
-        title: above it in a table.
-        value: reads it off a result: a text, or a number in SI units.
-        form: its digits in a table, as a format, or what writes the number.
-        scale: of the number in a table, over SI units.
-        key: in JSON, in SI units; empty if it is not there.
+        title: heading in a table.
+        value: function of a result: a text, or a number in SI units.
+        form: format in a table, or a function that formats the number.
+        scale: factor from SI units to those of a table.
+        key: in JSON, in SI units; empty to leave it out.
     """
 
     title: str
@@ -266,7 +273,7 @@ class Column(Generic[Of]):
     key: str = ""
 
     def cell(self, one: Of) -> str:
-        """Returns the text in a table; "-" for a number that does not exist, or is infinite and has but a format."""
+        """Returns the text in a table; "-" for an absent number, or an infinite one if `form` is a format."""
         value = self.value(one)
         if isinstance(value, str) or value is None:
             return "-" if value is None else value
@@ -274,7 +281,7 @@ class Column(Generic[Of]):
         return cell(value, self.form) if isinstance(self.form, str) else self.form(value)
 
     def of(self, get: Callable[[T], Of], title: str = "") -> "Column[T]":
-        """Returns the same quantity of what has such a result, under another title if one is given."""
+        """Returns the column for objects from which `get` returns the result, under another title if one is given."""
         return Column(title or self.title, lambda one: self.value(get(one)), self.form, self.scale, self.key)
 
 
@@ -289,11 +296,11 @@ def cells(columns: Sequence[Column[T]], ones: Iterable[T]) -> tuple[tuple[str, .
 
 
 def column_table(columns: Sequence[Column[T]], ones: Iterable[T], indent: str = GAP) -> list[str]:
-    """Returns the lines of a table on the terminal, a row per result."""
+    """Returns the lines of a table for the terminal, a row per result."""
     return table([titles(columns), *cells(columns, ones)], indent)
 
 
 def json_object(columns: Iterable[Column[T]], one: T) -> dict[str, Any]:
-    """Returns a result as JSON has it: None for a number that is infinite or does not exist."""
+    """Returns a result for JSON, with None for infinite or absent numbers."""
     values = ((column.key, column.value(one)) for column in columns if column.key)
     return {key: finite(value) if isinstance(value, float) else value for key, value in values}

@@ -1,7 +1,7 @@
 """Work on several threads, and BLAS on a single one.
 
-The matrices here are small, and threads of BLAS that wait for each other cost a hundredfold on a busy machine. Nor must
-the rounding of a design depend on the number of threads.
+The matrices here are small: BLAS threads that wait for each other take a hundred times as long on a busy machine. Moreover, the
+rounding of a design must not depend on the number of threads.
 """
 
 import contextvars
@@ -23,7 +23,7 @@ def _libraries() -> ThreadpoolController:
 
 
 class _Limit:
-    """The one limit of the process: all blocks within it share one BLAS thread, whichever is entered first or left last."""
+    """The limit of the process to one BLAS thread, from the first block entered until the last one left."""
 
     def __init__(self) -> None:
         self._lock, self._within = threading.Lock(), 0
@@ -46,7 +46,7 @@ _limit = _Limit()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limits BLAS to one thread in a block or a decorated function. A nested limit costs next to nothing."""
+    """Limits BLAS to one thread in a block or a decorated function. Nesting is allowed and fast."""
     _limit.enter()
     try:
         yield
@@ -54,10 +54,10 @@ def one_thread() -> Iterator[None]:
         _limit.leave()
 
 
-AHEAD = 2  # pieces in hand per thread: one runs, one waits
+AHEAD = 2  # pieces taken per thread: one runs, one waits
 
 Result = TypeVar("Result")
-Piece = Callable[[Callable[[], bool]], Result]  # given a function that says whether to give up
+Piece = Callable[[Callable[[], bool]], Result]  # its argument returns True if the work is to be abandoned
 
 
 def cores() -> int:
@@ -69,11 +69,11 @@ def cores() -> int:
 def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tuple[int, Result]]:
     """Yields the number and the result of every piece of work, in the order of completion.
 
-    Pieces are taken from their iterable as threads become free, and run in the context of the first `next`. A caller that stops
-    early, as after Ctrl-C, has to close the iterator: this tells the running pieces to give up and waits for them.
+    Pieces are taken as threads become free, and run in the context of the first `next`. A caller that stops early must close the
+    iterator, which abandons the running pieces and waits for them.
 
     Args:
-        pieces: of work; long ones first, or one thread ends alone.
+        pieces: of work; long ones first, so that the threads end at about the same time.
     """
     stop, coming = threading.Event(), enumerate(pieces)
     with ThreadPoolExecutor(threads) as pool:

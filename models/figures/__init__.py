@@ -1,1 +1,1 @@
-"""Figures as data; drawn by matplotlib, or as a page."""
+"""Figures as data, and their drawing: by matplotlib, or as SVG on a page."""

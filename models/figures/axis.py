@@ -9,20 +9,20 @@ import numpy as np
 from models.common.arrays import Array
 from models.figures.figure import Bars, Classes, Panel, Shades
 
-ROOM = 0.04  # of the range, left free at either end where no limits are given
+ROOM = 0.04  # margin at both ends without given limits, as a share of the range
 NICE = (1.0, 2.0, 2.5, 5.0, 10.0)  # steps between ticks, times a power of ten
-PARTS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0))  # of a decade, that a logarithmic axis is labelled at
-EXTREME = 300.0  # powers of ten that a number has room for
-PLAIN = (1e-3, 1e5)  # numbers that are written without a power of ten
+PARTS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0))  # labelled multiples of powers of ten on a logarithmic axis
+EXTREME = 300.0  # largest exponent of ten
+PLAIN = (1e-3, 1e5)  # range of numbers written without a power of ten
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Range of numbers.
+    """Range of an axis.
 
     Attributes:
-        low, high: its ends, of which the second is larger; both positive on a logarithmic axis.
+        low, high: its ends, low < high; both positive on a logarithmic axis.
         log: True for a logarithmic axis.
     """
 
@@ -31,7 +31,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array) -> Array:
-        """Maps numbers to the axis, 0 at its low end and 1 at its high end; NaN for numbers that the axis cannot show."""
+        """Returns positions along the axis, 0 at its low end and 1 at its high end; NaN for numbers without a position."""
         values = np.asarray(values, dtype=float)
         if not self.log:
             return (np.where(np.isfinite(values), values, np.nan) - self.low) / (self.high - self.low)
@@ -40,7 +40,7 @@ class Axis:
         return (np.log(np.where(known, values, np.nan)) - low) / (high - low)
 
     def ticks(self, most: int) -> list[tuple[float, str]]:
-        """Returns positions and labels, at most about `most` of them."""
+        """Returns tick values and labels, about `most` at most."""
         if self.log:
             decades = self._decades(most)
             if len(decades) > 1:
@@ -71,14 +71,14 @@ class Axis:
 
 
 def nice_step(span: float, most: int) -> float:
-    """Returns a round step that fits at most `most` times into a span."""
+    """Returns a round step that divides a span into at most `most` parts."""
     rough = span / most
     power = 10.0 ** math.floor(math.log10(rough))
     return next(factor * power for factor in NICE if factor * power >= rough * (1 - 1e-9))
 
 
 def axis_of(values: Sequence[Array], limits: tuple[float, float] | None, log: bool) -> Axis:
-    """Returns an axis with these limits, or else one that holds all numbers, with some room."""
+    """Returns an axis with these limits; without limits, one that contains all numbers, with a margin."""
     if limits is not None:
         return Axis(float(limits[0]), float(limits[1]), log)
     joined = np.concatenate([np.ravel(np.asarray(array, dtype=float)) for array in values] or [np.zeros(0)])
@@ -103,14 +103,14 @@ def _power(part: float, power: int) -> str:
     return f"{f'{part:g}·' if part != 1 else ''}10{str(power).translate(SUPERSCRIPT)}"
 
 
-LETTER = 9.6  # width of a digit, at the size that narrow screens have
-ROW, BAR = 40, 12  # of bars, and their thickness; above each its name
-FINE = 100  # parts of a unit that coordinates are written in
+LETTER = 9.6  # width of a digit, at the letter size of narrow screens
+ROW, BAR = 40, 12  # height of a row with a bar and its name above, and of the bar
+FINE = 100  # coordinates are written in 1 / FINE of a unit
 
 
 @dataclass(frozen=True)
 class Area:
-    """Rectangle of the axes on a panel, and the axes [panel's units, from its upper left corner]."""
+    """Rectangle of the axes on a panel, from its upper left corner, in the panel's units."""
 
     left: float
     top: float
@@ -120,16 +120,16 @@ class Area:
     y: Axis
 
     def across(self, values: Array) -> Array:
-        """Returns the horizontal place of numbers."""
+        """Returns horizontal coordinates of numbers."""
         return self.left + self.width * self.x.place(values)
 
     def down(self, values: Array) -> Array:
-        """Returns the vertical place of numbers."""
+        """Returns vertical coordinates of numbers."""
         return self.top + self.height * (1 - self.y.place(values))
 
 
 def area_of(panel: Panel, width: float, height: float) -> Area:
-    """Returns the axes of a panel of this size, with room for all labels."""
+    """Returns the axes of a panel of this size, with space for all labels."""
     ground, curves = panel.ground, panel.curves
     across, down = [curve.x for curve in curves], [curve.y for curve in curves]
     xlim, ylim = panel.xlim, panel.ylim

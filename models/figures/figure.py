@@ -1,4 +1,4 @@
-"""Figures as data: the same for a picture file and for a page in a browser."""
+"""Figures as data, for picture files and for pages in a browser."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from models.common.arrays import Array
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
 Marker = Literal["", "o", "x", "+"]  # circle (hollow), cross, plus
 
-# The paper's colours and line styles; whatever else there is comes after.
+# Colours and line styles of the paper.
 STYLES: dict[str, tuple[str, Dash]] = {
     "passive": ("#000000", "dot"),
     "state": ("#1f77b4", "dash"),
@@ -20,14 +20,14 @@ STYLES: dict[str, tuple[str, Dash]] = {
     "II": ("#2ca02c", "solid"),
 }
 OTHERS = ("#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#e377c2", "#bcbd22", "#393b79", "#00695c")
-DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # one after the other, when the colours are used up
+DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # the next one when all colours are used
 
 
 def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
-    """Returns colour and line style of every controller: the paper's for its own, for others the first that is free.
+    """Returns colour and line style of every controller: those of the paper, or the next ones that are unused.
 
     Args:
-        names: all controllers, in their order: if one is left out, others change their style.
+        names: all controllers, in order, so that a controller's style is the same in every figure.
     """
     rest = [name for name in names if name not in STYLES]
     free: list[tuple[str, Dash]] = [(color, dash) for dash in DASHES for color in OTHERS]
@@ -50,8 +50,8 @@ class Curve:
 
     Attributes:
         x, y: shape (N,); NaN interrupts the line.
-        label: in the legend, where curves of one label have one entry; empty for none.
-        name: its name if the legend has none; a page shows it under the pointer.
+        label: in the legend, where equal labels have one entry; empty for no entry.
+        name: shown at the pointer on a page. Default: the label.
         color: as `#rrggbb`.
         dash: of the line.
         marker: at every point.
@@ -70,13 +70,13 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """A grid of cells that are each of one kind.
+    """A grid of cells, each of one class.
 
     Attributes:
         x, y: centres, shapes (N,) and (M,), equidistant.
         kind: index into `colors`, shape (M, N).
-        colors: of the kinds.
-        names: of the kinds; those that occur are in the legend.
+        colors: of the classes.
+        names: of the classes; those that occur are in the legend.
     """
 
     x: Array
@@ -87,7 +87,7 @@ class Classes:
 
     @property
     def legend(self) -> list[tuple[str, str]]:
-        """Name and colour of the kinds that occur and have a name."""
+        """Name and colour of the classes that occur and have a name."""
         pairs = zip(self.names, self.colors, strict=True)
         return [pair for i, pair in enumerate(pairs) if pair[0] and np.any(self.kind == i)]
 
@@ -99,7 +99,7 @@ class Shades:
     Attributes:
         x, y: shapes (N,) and (M,).
         z: shape (M, N); NaN for no value.
-        label: what it is, with its unit.
+        label: its name and unit.
     """
 
     x: Array
@@ -110,12 +110,12 @@ class Shades:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Horizontal bars from zero, the first on top. Bar k lies at y = k, so that points of a curve may mark it.
+    """Horizontal bars from zero, the first on top. Bar k is at y = k, where points of a curve may mark it.
 
     Attributes:
         names: of the bars.
-        values: their lengths, shape (N,), not negative; NaN for no bar.
-        words: text at each bar.
+        values: their nonnegative lengths, shape (N,); NaN for no bar.
+        words: text at the end of each bar.
         colors: of the bars.
     """
 
@@ -127,10 +127,10 @@ class Bars:
 
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Stretches of the horizontal axis.
+    """Shaded intervals of the horizontal axis.
 
     Attributes:
-        ends: from and to of each; infinite to the border.
+        ends: start and end of each; an infinite end is the border.
         names: of each.
         color: of all.
     """
@@ -145,13 +145,13 @@ class Panel:
     """Pair of axes.
 
     Attributes:
-        title: above it; may have two lines.
-        xlabel, ylabel: with units; that of bars has no ylabel.
+        title: above the axes; may have two lines.
+        xlabel, ylabel: with units; a panel of bars has no ylabel.
         curves: drawn in order.
         ground: below the curves.
-        xlog, ylog: whether an axis is logarithmic.
-        xticks: labelled places of the horizontal axis; empty for the usual ones.
-        xnames: labels there instead of the numbers.
+        xlog, ylog: True for a logarithmic axis.
+        xticks: ticks of the horizontal axis; empty for automatic ones.
+        xnames: their labels instead of the numbers.
         xlim, ylim: shown range; None for all.
     """
 
@@ -174,7 +174,7 @@ class Figure:
 
     Attributes:
         name: of its file, without suffix.
-        title: what it shows and how to read it: above all panels, or a caption.
+        title: caption: what it shows and how to read it.
         panels: in rows.
         columns: of panels.
         size: of one panel [inches].
@@ -193,7 +193,7 @@ class Figure:
 
 
 def thinned(y: Array, every: int) -> Array:
-    """Returns the indices of the points of a line to draw: every so many, and the largest and the least, which texts name.
+    """Returns the indices of the points of a line to draw: every `every`-th, and the largest and smallest, which texts quote.
 
     Args:
         y: shape (N,), finite somewhere.
@@ -203,7 +203,7 @@ def thinned(y: Array, every: int) -> Array:
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
-    """Returns the level line z = `height` of z, shape (M, N), over the grid y, x, as a curve's x and y. NaN bounds the area."""
+    """Returns the contour z = `height`, z of shape (M, N), over the grid y, x, as x and y of a curve, NaN between its pieces."""
     from contourpy import contour_generator
 
     pieces = contour_generator(x, y, np.ma.masked_invalid(z)).lines(height)
@@ -213,7 +213,7 @@ def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
 
 
 def bands(ground: Shades, levels: Sequence[float]) -> list[list[Array]]:
-    """Returns the outlines of the area between every two levels, shape (N, 2), holes included."""
+    """Returns the outlines of the areas between neighbouring levels, shapes (N, 2), holes included."""
     from contourpy import contour_generator
 
     contours = contour_generator(ground.x, ground.y, np.ma.masked_invalid(ground.z), fill_type="OuterOffset")

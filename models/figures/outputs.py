@@ -1,4 +1,4 @@
-"""Output files and folders of a command: checked before the work, and listed when they are written."""
+"""Output files and folders of a command: checked before the work, and listed at the end."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ SUFFIXES = (".png", ".svg")  # of pictures
 OPTIONS = {"report": "out"}  # options whose name differs from the output's
 FOLDERS = ("logs", "figures")
 ENDINGS = {  # allowed suffixes, and the reason
-    "picture": (SUFFIXES, "not a kind of picture that is drawn"),
+    "picture": (SUFFIXES, "this kind of picture cannot be written"),
     "report": ((".html", ".htm"), "a report is HTML"),
     "csv": ((".csv",), "a table is written as CSV"),
     "save": ((".toml",), "a vehicle file is TOML"),
@@ -21,28 +21,28 @@ OF_FIGURES = (*SUFFIXES, ".csv")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str] = (), json: bool = False) -> None:
-    """Proves that everything can be written, each output in a place of its own. Leaves nothing behind.
+    """Checks that all outputs can be written, and to different files. Leaves nothing behind.
 
     Args:
-        outputs: paths of csv, picture, report, save, logs or figures; None for an output that is not wanted.
-        read: files that the command reads, by any names.
+        outputs: paths of csv, picture, report, save, logs or figures; None if not requested.
+        read: input files, by any of their names.
         json: True if standard output is for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has a suffix of another format, is the same file as another one, or is read.
+        InputError: an output cannot be written, has a suffix of another format, or is the same file as another one or an input.
     """
     read_files = {identity(Path(path)) for path in read}
-    taken: dict[object, str] = dict.fromkeys(read_files, "is what is read")
+    taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
     for what, path in outputs.items():
         option = OPTIONS.get(what, what)
         if path is None:
             continue
         if path == STDOUT and json:
-            raise InputError(f"--{option} {path} and --json would print into one another; give --{option} a file")
+            raise InputError(f"--{option} {path} and --json both write to standard output; give --{option} a file")
         place = str(path) if path == STDOUT else identity(path)
         if place in taken:
             raise InputError(f"--{option} {path} {taken[place]}; give another file")
-        taken[place] = f"is the file of --{option} too"
+        taken[place] = f"is the file of --{option}, too"
     for what, path in outputs.items():
         if path is None:
             continue
@@ -58,22 +58,22 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         elif what == "figures" and path.is_dir():
             for file in path.iterdir():  # the figures' names are known only when they are drawn
                 if file.suffix.lower() in OF_FIGURES and identity(file) in read_files:
-                    raise InputError(f"--figures {path} holds {file.name}, which is read; give another folder")
+                    raise InputError(f"--figures {path} contains the input file {file.name}; give another folder")
 
 
 def _check_ending(path: Path, what: str) -> None:
-    """Refuses a suffix that does not match the output. The name decides, not the target of a link."""
+    """Refuses a suffix that does not match the output. The suffix of a link counts, not that of its target."""
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
         raise InputError(f"{what} {path}: {why}; give a name that ends in {' or '.join(endings)}")
 
 
 def written(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:
-    """Returns the paths of the outputs as JSON has them."""
+    """Returns the paths of the outputs for JSON."""
     return {name: str(path) if path is not None else None for name, path in outputs.items()}
 
 
 def written_lines(outputs: Mapping[str, Path | None]) -> list[str]:
-    """Returns the paths of the outputs as lines for the terminal; empty if nothing was written."""
+    """Returns the paths of the outputs as lines for the terminal; empty without outputs."""
     lines = [line for name, path in outputs.items() if path is not None for line in (name, Whole(f"  {path}"))]
     return ["", *lines] if lines else []

@@ -1,18 +1,18 @@
 "use strict";
-// Names what is under the pointer: whose curve, its value and unit. The page is whole without it.
+// Shows the curve under the pointer with its values and units. The page is complete without this script.
 (() => {
-  const NEAR = 16; // of a panel's units
-  const FINE = 100; // parts of a unit that paths are written in
+  const NEAR = 16; // largest distance of the pointer from a point, in a panel's units
+  const FINE = 100; // paths are written in 1 / FINE of a unit
   const tip = document.createElement("div");
   tip.className = "tip";
   tip.hidden = true;
-  tip.setAttribute("aria-hidden", "true"); // every figure has its text, and the tables have the numbers
+  tip.setAttribute("aria-hidden", "true"); // every figure has a text alternative, and tables have the numbers
   document.body.append(tip);
   const spot = document.createElementNS("http://www.w3.org/2000/svg", "circle");
   spot.setAttribute("class", "spot");
   spot.setAttribute("r", "5");
 
-  // The points of a path: all of a line's, the middles of markers.
+  // Returns the points of a path: all points of a line, or the centres of markers.
   function points(path) {
     const found = [];
     const markers = path.classList.contains("point");
@@ -33,8 +33,8 @@
     return found;
   }
 
-  // A share of an axis as a number with its unit.
-  function said(axis, share) {
+  // Returns a position along an axis, from 0 to 1, as a number with its unit.
+  function text(axis, share) {
     const { name, unit, low, high, log, names } = axis;
     const value = log ? low * (high / low) ** share : low + share * (high - low);
     if (names.length) return `${name} ${names[Math.round(value)]}`;
@@ -64,7 +64,7 @@
       const on = nearest < NEAR;
       name ||= event.target.dataset?.name ?? "";
       if (!name) return hide();
-      const values = [down && said(down, (top + height - y) / height), (on || down) && said(across, (x - left) / width)];
+      const values = [down && text(down, (top + height - y) / height), (on || down) && text(across, (x - left) / width)];
       tip.textContent = `${name}\n${values.filter(Boolean).join(" at ")}`.trim();
       tip.hidden = false;
       const room = document.documentElement.clientWidth - tip.offsetWidth - 8;

@@ -1,7 +1,7 @@
-"""Sections, tables and figures as one HTML file that needs no network and opens from disk.
+"""Sections, tables and figures as one HTML file, which needs no network.
 
-Every figure is SVG that stands in the page, so that it is there in print, in a mail and without JavaScript; `page.js` only names
-what is under the pointer. Jinja2 fills `page.html.jinja`.
+Figures are inline SVG, so they appear in print, in a mail and without JavaScript; `page.js` only names the point under the
+pointer. Jinja2 fills `page.html.jinja`.
 """
 
 import base64
@@ -19,7 +19,7 @@ from models.common.printed import Column, T, cells, titles
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans, rgb
 from models.figures.svg import DASHES, MARKERS, levels, on_paper, page_text, shade_colors, svg
 
-TEXT, GRAPHICS = 4.5, 3.0  # least contrasts, success criteria 1.4.3 and 1.4.11
+TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
 
 
@@ -31,16 +31,16 @@ def luminance(color: str) -> float:
 
 
 def contrast(color: str, other: str) -> float:
-    """Returns the contrast between two colours, from 1 for the same to 21 for black and white."""
+    """Returns the contrast ratio of two colours, from 1 for equal ones to 21 for black and white."""
     low, high = sorted((luminance(color), luminance(other)))
     return (high + 0.05) / (low + 0.05)
 
 
 def readable(color: str, background: str, least: float = GRAPHICS) -> str:
-    """Returns the colour mixed with as little white, or black, as gives the least contrast; the colour itself if it has it."""
-    toward = max(("#000000", "#ffffff"), key=lambda end: contrast(end, background))
-    mixed = (_mixed(color, toward, step / STEPS) for step in range(STEPS + 1))
-    return next((shade for shade in mixed if contrast(shade, background) >= least), toward)
+    """Returns the colour, mixed with as little black or white as the minimum contrast needs."""
+    end = max(("#000000", "#ffffff"), key=lambda one: contrast(one, background))
+    mixed = (_mixed(color, end, step / STEPS) for step in range(STEPS + 1))
+    return next((shade for shade in mixed if contrast(shade, background) >= least), end)
 
 
 def _mixed(color: str, other: str, share: float) -> str:
@@ -48,7 +48,7 @@ def _mixed(color: str, other: str, share: float) -> str:
     return "#" + "".join(f"{round((1 - share) * a + share * b):02x}" for a, b in pairs)
 
 
-LIGHT, DARK = "#ffffff", "#16181b"  # behind figures, as in page.css
+LIGHT, DARK = "#ffffff", "#16181b"  # backgrounds of figures, as in page.css
 VERDICTS = {
     "holds": "the physics confirms the analysis, over the paper's bump throughout",
     "ends": "nothing is refuted, but not all of it holds throughout",
@@ -66,8 +66,8 @@ class Table:
         name: of its CSV file, without suffix.
         caption: what it shows.
         headings: of the columns.
-        rows: cells as text; the first names the row.
-        words: how many columns on the left are words; the others are numbers, to the right.
+        rows: cells as text; the first is the row's name.
+        words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
     """
 
     name: str
@@ -91,10 +91,10 @@ class Section:
     """Part of the page: a title, text, tables and figures.
 
     Attributes:
-        title: above it, as a reader's question.
-        term: the field's name for it.
-        text: sentences, a paragraph each.
-        tables, figures: after the text.
+        title: the reader's question.
+        term: the field's term for it.
+        text: paragraphs.
+        tables, figures: below the text.
     """
 
     title: str
@@ -109,11 +109,11 @@ class Page:
     """Whole report.
 
     Attributes:
-        title: above all.
+        title: of the page.
         answer: the result, one entry per sentence.
         summary: the first section, a figure or a table, without a title.
-        sections: in order.
-        state: verdict, and colour of its heading: green if all holds, amber if something ended early, red if something fails.
+        sections: the others, in order.
+        state: verdict, which colours the heading: green if all holds, amber if something ended early, red if something fails.
     """
 
     title: str
@@ -129,7 +129,7 @@ class Page:
 
 
 def check_page() -> None:
-    """Checks that pages can be made here; raises InputError if a package is missing."""
+    """Checks that pages can be made; raises an InputError if a package is missing."""
     try:
         import contourpy  # noqa: F401
         import jinja2  # noqa: F401
@@ -159,7 +159,7 @@ def render(page: Page) -> str:
 
 
 def _said(value: Any) -> Any:
-    """Returns a value as it stands in the page: names in a text are isolated, markup stays."""
+    """Returns a value as the page shows it: text escaped and its names isolated, markup unchanged."""
     from markupsafe import Markup
 
     return Markup(page_text(value)) if isinstance(value, str) and not isinstance(value, Markup) else value
@@ -180,12 +180,12 @@ def _resource(name: str) -> str:
 
 
 def _digest(text: str) -> str:
-    """Returns the name of a script or a style in a Content-Security-Policy."""
+    """Returns the hash of a script or a style for a Content-Security-Policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
 class _Numbers:
-    """Counts tables, and figures, from 1."""
+    """Counters of tables and figures, from 1."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -197,7 +197,7 @@ class _Numbers:
 
 
 def _colors(page: Page) -> str:
-    """Returns CSS rules for all colours of figures: lines, points and bars stand out from the ground, by day and by night."""
+    """Returns CSS rules for the colours of figures: lines, points and bars have enough contrast, in light and dark mode."""
     strokes, bars, fills = set[str](), set[str](), set[str]()
     for panel in (panel for part in page.parts for figure in part.figures for panel in figure.panels):
         strokes |= {curve.color for curve in panel.curves}
@@ -219,13 +219,13 @@ def _colors(page: Page) -> str:
 
 
 def by_night(color: str) -> str:
-    """Returns a colour with the contrast to the dark that the given one has to white: black becomes white."""
+    """Returns a colour for dark mode, with as much contrast there as the given one has to white: black becomes white."""
     return readable(color, DARK, max(GRAPHICS, contrast(color, LIGHT)))
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """Entry of a legend: a line, a marker, both, or else a patch of colour."""
+    """Entry of a legend: a line, a marker, both, or a patch of colour."""
 
     label: str
     color: str
@@ -236,7 +236,7 @@ class _Entry:
 
 
 def _legend(figure: Figure) -> list[_Entry]:
-    """Returns one entry per label, in the order of the first curves, grounds before."""
+    """Returns one legend entry per label: of each panel first the classes, then the curves."""
     entries: dict[str, _Entry] = {}
     for entry in (entry for panel in figure.panels for entry in _of_panel(panel)):
         entries.setdefault(entry.label, entry)
@@ -254,12 +254,12 @@ def _of_panel(panel: Panel) -> Iterator[_Entry]:
 
 
 def _on_paper(figure: Figure) -> bool:
-    """Returns True if all panels lie on ground that is as light by night as by day."""
+    """Returns True if all panels keep their light background in dark mode."""
     return all(on_paper(panel) for panel in figure.panels)
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: one panel takes the full width, bars are narrow, others stand two by two."""
+    """Returns the CSS class of a figure: a single column is wide, bars are narrow, other panels form a grid."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
     return "wide" if figure.columns == 1 else ""

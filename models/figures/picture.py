@@ -1,4 +1,4 @@
-"""Figures as picture files, by matplotlib: drawn without a screen, never half-written."""
+"""Figures as picture files, drawn by matplotlib without a display."""
 
 import warnings
 from pathlib import Path
@@ -11,10 +11,10 @@ from models.common.files import whole_file
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 
 LONGEST = 24  # letters of a name in a legend
-FAR = 1e6  # end on the axis of a span without end
-SHOWN = " "  # before a label in a legend: matplotlib leaves out labels that begin with _
-ROW = 0.4  # of bars [inches]; above each its name
-TITLE, HEAD, WORDS = 11, 10, 9  # sizes of letters [points]
+FAR = 1e6  # end of a span with an infinite end
+SHOWN = " "  # prefix of a legend label: matplotlib leaves out labels that begin with _
+ROW = 0.4  # height of a bar and its name [inches]
+TITLE, HEAD, WORDS = 11, 10, 9  # font sizes [points]
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -38,7 +38,7 @@ def check_drawing() -> None:
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
-    """Writes a figure to every path, each whole or not at all; the same figure gives the same bytes.
+    """Writes a figure to every path, each whole or not at all. Equal figures give equal bytes.
 
     Raises:
         InputError: it cannot be written.
@@ -46,9 +46,9 @@ def write_picture(figure: Figure, *paths: Path) -> None:
     import matplotlib
 
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font has not are boxes
+        warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font lacks are drawn as boxes
         canvas = _drawn(figure)
-        # Laid out once, not for every file: that takes longer than drawing.
+        # The layout, which takes longer than drawing, is computed once for all files.
         layout = canvas.get_layout_engine()
         layout.execute(canvas)
         canvas.set_layout_engine("none")
@@ -59,7 +59,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
 
 
 def _drawn(figure: Figure) -> Any:
-    """Returns a figure as matplotlib has it, high enough for its bars and its legend."""
+    """Returns a matplotlib figure, high enough for its bars and its legend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
@@ -80,7 +80,7 @@ def _drawn(figure: Figure) -> Any:
     columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
     names = [label if len(label) <= LONGEST or " " in label else f"{label[: LONGEST - 1]}…" for label in entries]
     room = width * figure.columns - 0.2
-    while columns:  # as many as fit beside one another
+    while columns:  # as many as fit
         legend = canvas.legend(
             list(entries.values()), names, loc="outside lower center", ncols=columns, fontsize=WORDS, frameon=False
         )
@@ -94,7 +94,7 @@ def _drawn(figure: Figure) -> Any:
 
 
 def _width(text: str, size: float) -> float:
-    """Returns the width of a line of text at a size of letters in points [inches]."""
+    """Returns the width of a line of text [inches] at a font size [points]."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextToPath
 
@@ -116,7 +116,7 @@ def _broken(text: str, room: float, size: float) -> str:
 
 
 def _cut(name: str, room: float, size: float) -> str:
-    """Returns a name, or as much of its beginning as there is room for [inches]."""
+    """Returns a name, shortened at its end to fit into `room` [inches]."""
     if _width(name, size) <= room:
         return name
     while name and _width(f"{name}…", size) > room:
@@ -140,7 +140,7 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
     elif isinstance(ground, Bars):
         count = len(ground.names)
         axis.barh(np.arange(count), np.nan_to_num(ground.values), 0.3, color=ground.colors)
-        for k, (name, words) in enumerate(zip(ground.names, ground.words, strict=True)):  # above each bar, as on the page
+        for k, (name, words) in enumerate(zip(ground.names, ground.words, strict=True)):  # text above each bar, as on the page
             style: dict[str, Any] = {"fontsize": WORDS, "va": "bottom", "transform": axis.get_yaxis_transform()}
             shown = _cut(name, width - _width(words, WORDS) - 0.3, WORDS)
             axis.text(0.01, k - 0.2, shown, **style)
@@ -162,7 +162,7 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
             markersize=4.5,
             markerfacecolor="white" if curve.marker == "o" else None,
             zorder=3 if curve.marker else 2,
-            clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # corners are shown whole
+            clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # markers at corners are not cut
             label=SHOWN + curve.label if curve.label else None,
         )
     if panel.xlog:

@@ -1,10 +1,10 @@
-"""Panels as SVG for a page, and as text for readers who do not see it. Text stays text, colours are classes.
+"""Panels as SVG for a page, with a text alternative. Text stays text; colours are CSS classes.
 
-A page's own words are English and short, so any other word is a name, of a controller or of a file. A name written from right to
-left would reverse the numbers and commas beside it (Unicode Bidirectional Algorithm, UAX #9); an isolate prevents that.
+Texts of a page are English, so words from right to left, and long ones, are names of controllers or files. A name from right to
+left would reverse the order of numbers and commas next to it (Unicode Bidirectional Algorithm, UAX #9); an isolate prevents that.
 
-A curve is one path in hundredths: lines `M x y l dx dy ...`, markers one `M` each at their middle. `page.js` needs only this and
-the axes' ends, which the `svg` holds, to name the point under the pointer.
+A curve is one path in hundredths of a unit: lines `M x y l dx dy ...`, markers one `M` each at their centre. From these and the
+axes' ranges in the `svg` element, `page.js` names the point under the pointer.
 """
 
 import itertools
@@ -20,19 +20,19 @@ from models.common.arrays import Array
 from models.figures.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
 from models.figures.figure import Bars, Classes, Curve, Panel, Shades, Spans, bands
 
-LONG = 16  # letters, more than which a line may break within
+LONG = 16  # letters; a line may break within longer names
 OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
-# Spaces and punctuation of sentences end a name; its own are - and _.
+# A name ends at spaces and punctuation other than - and _.
 NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
 
 def drawn_text(text: str) -> str:
-    """Returns a text for SVG and attributes. Characters isolate its names, as no element can there."""
+    """Returns a text for SVG and attributes, where names are isolated by characters instead of elements."""
     return escape(NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text))
 
 
 def page_text(text: str) -> str:
-    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, which the style sheet breaks."""
+    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, within which lines may break."""
     pieces, at = [], 0
     for name in NAME.finditer(text):
         if _leftward(name[0]) or len(name[0]) > LONG:
@@ -46,13 +46,13 @@ def _leftward(name: str) -> bool:
 
 
 def quantity(label: str) -> tuple[str, str]:
-    """Returns an axis' name and its unit, from `name [unit]`; either may be empty."""
+    """Returns the name and the unit of an axis, from `name [unit]`; either may be empty."""
     name, _, unit = label.partition("[")
     return name.strip(), unit.removesuffix("]").strip()
 
 
 def about(panel: Panel) -> tuple[str, str]:
-    """Returns a panel's title on one line, and a description of what it shows."""
+    """Returns a panel's title on one line, and a description of its content."""
     across, down = (" ".join(filter(None, quantity(label))) for label in (panel.xlabel, panel.ylabel))
     title = panel.title.replace("\n", "; ") or f"{down} over {across}"
     return title, " ".join([*_ground(panel), *_curves(panel)])
@@ -66,7 +66,7 @@ def _ground(panel: Panel) -> list[str]:
         return [f"Shaded: {', '.join(ground.names)}."] if ground.names else []
     if isinstance(ground, Classes):
         shares = [(name, float(np.mean(ground.kind == i))) for i, name in enumerate(ground.names)]
-        return ["Of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]
+        return ["Shares of the map:", *(f"{name}, {100 * share:.3g} %;" for name, share in shares if share), "and on it:"]
     if isinstance(ground, Shades) and np.isfinite(ground.z).any():
         low, high = np.nanmin(ground.z), np.nanmax(ground.z)
         row, column = np.unravel_index(np.nanargmax(ground.z), ground.z.shape)
@@ -76,9 +76,9 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Describes each line by its ends and its extremes, each set of points by their number."""
+    """Returns descriptions of the curves: of a line its extremes and its end, of points their number."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
-    said = []
+    descriptions = []
 
     def at(x: float) -> str:
         return panel.xnames[panel.xticks.index(x)] if x in panel.xticks and panel.xnames else f"{x:.3g} {per}".rstrip()
@@ -89,17 +89,18 @@ def _curves(panel: Panel) -> list[str]:
             continue
         x, y = np.asarray(curve.x)[there], np.asarray(curve.y)[there] + 0.0  # no -0
         if curve.dash == "none":
-            said.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
+            descriptions.append(f"{name}: {len(x)} point{'s' if len(x) > 1 else ''}.")
         else:
             top, low = int(y.argmax()), int(y.argmin())
             size = f"{y[top]:.3g} {unit}".rstrip()
-            said.append(f"{name}: largest {size} at {at(x[top])}, least {y[low]:.3g} at {at(x[low])}, at the end {y[-1]:.3g}.")
-    return ["As drawn,", *said] if any(" largest " in words for words in said) else said
+            largest, least = f"largest {size} at {at(x[top])}", f"least {y[low]:.3g} at {at(x[low])}"
+            descriptions.append(f"{name}: {largest}, {least}, at the end {y[-1]:.3g}.")
+    return ["As drawn,", *descriptions] if any(" largest " in words for words in descriptions) else descriptions
 
 
-# From light to dark: ColorBrewer's YlOrBr.
+# ColorBrewer's YlOrBr, from light to dark.
 SEQUENCE = ("#ffffe5", "#fff7bc", "#fee391", "#fec44f", "#fe9929", "#ec7014", "#cc4c02", "#993404", "#662506")
-# Widths of letters at the size that bars are named in: most, wide ones, those of East Asia.
+# Widths of letters in names of bars: most, wide ones, East Asian ones.
 NARROW, BROAD, FULL = 8.0, 12.5, 13.0
 
 
@@ -112,7 +113,7 @@ def shade_colors(count: int) -> list[str]:
 
 
 def levels(ground: Shades) -> list[float]:
-    """Returns round levels that enclose the whole quantity."""
+    """Returns round levels that enclose all values."""
     low, high = (float(end) for end in (np.nanmin(ground.z), np.nanmax(ground.z)))
     if high - low <= 1e-9 * max(abs(low), abs(high)):
         room = 0.1 * max(abs(low), abs(high)) or 1.0
@@ -122,7 +123,7 @@ def levels(ground: Shades) -> list[float]:
 
 
 def ground_parts(panel: Panel, area: Area) -> Iterator[str]:
-    """Yields the ground of a panel, in pieces of SVG."""
+    """Yields the SVG elements of a panel's ground."""
     if isinstance(panel.ground, Bars):
         yield from _bars(panel.ground, area)
     elif isinstance(panel.ground, Classes):
@@ -143,9 +144,9 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
         yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{drawn_text(words)}</text>'
         if np.isfinite(value):
             width = max(0.5, float(area.across(np.array(value))) - area.left)
-            said = drawn_text(f"{name}: {words}")
+            shown = drawn_text(f"{name}: {words}")
             yield (
-                f'<rect class="f-{color[1:]}" data-name="{said}" x="{area.left:.5g}" y="{top + (ROW - BAR) / 2:.5g}" '
+                f'<rect class="f-{color[1:]}" data-name="{shown}" x="{area.left:.5g}" y="{top + (ROW - BAR) / 2:.5g}" '
                 f'width="{width:.5g}" height="{BAR}"/>'
             )
 
@@ -158,7 +159,7 @@ def text_width(text: str) -> float:
 
 
 def shortened(name: str, room: float) -> str:
-    """Returns a name, or as much of its beginning as there is room for."""
+    """Returns a name, shortened at its end to fit into `room`."""
     if text_width(name) <= room:
         return name
     widths = np.cumsum([text_width(letter) for letter in name])
@@ -267,7 +268,7 @@ def _ends(label: str, axis: Axis, names: Sequence[str] = ()) -> dict[str, object
 
 
 def on_paper(panel: Panel) -> bool:
-    """Returns True if the panel's colours lie on ground that is as light by night as by day."""
+    """Returns True if a panel keeps its light background in dark mode."""
     return isinstance(panel.ground, Classes | Shades)
 
 

@@ -3,20 +3,24 @@
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive
 from models.common.errors import InputError, listing, quoted
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, SUSPENSION_VELOCITY, Signal
 
+if TYPE_CHECKING:
+    from models.kinds.motion import Motion
+
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; parameters beyond these are mistakes, and rounding would decide
 
 
 @dataclass(frozen=True)
-class Variation:
+class Variation(Checked):
     """Range of a parameter over vehicles of a kind, relative to the one that a controller was designed for.
 
     Attributes:
@@ -28,10 +32,11 @@ class Variation:
     """
 
     name: str
-    smallest: float
-    largest: float
+    smallest: Positive
+    largest: Positive
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (0 < self.smallest <= 1 <= self.largest <= LARGEST and self.smallest < self.largest):
             raise InputError(
                 f"{self.name} varies by factors from {self.smallest:g} to {self.largest:g}; give one above 0 and at most 1, and "
@@ -44,7 +49,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(Checked):
     """Number of a vehicle file.
 
     Attributes:
@@ -62,8 +67,13 @@ class Parameter:
     meaning: str
     positive: bool = True
     varied: Variation | None = None
-    largest: float = LARGEST
+    largest: Positive = LARGEST
     usual: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.usual is not None:
+            self.check(self.usual)
 
     def check(self, value: Any) -> float:
         """Returns the value as a float.
@@ -95,11 +105,12 @@ GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
 
+Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Wheel:
+class Wheel(Checked):
     """Point where a road acts on the vehicle.
 
     Attributes:
@@ -112,17 +123,17 @@ class Wheel:
         lateral: parameters -> distance to the left of the vehicle's middle [m].
     """
 
-    road_body: str
-    road_displacement: str
-    road_velocity: str
-    tyre_deflection: str
+    road_body: Name
+    road_displacement: Name
+    road_velocity: Name
+    tyre_deflection: Name
     behind: Callable[[Parameters], float] = lambda p: 0.0
-    side: str = ""
+    side: Side = ""
     lateral: Callable[[Parameters], float] = lambda p: 0.0
 
 
 @dataclass(frozen=True)
-class Suspension:
+class Suspension(Checked):
     """Suspension of the body on a wheel.
 
     Attributes:
@@ -132,8 +143,8 @@ class Suspension:
         stiffness, damping: parameters of its spring and its damper, which curves can replace; empty if it has no such part.
     """
 
-    deflection: str
-    tendon: str
+    deflection: Name
+    tendon: Name
     force: str = ""
     stiffness: str = ""
     damping: str = ""
@@ -157,7 +168,7 @@ class Suspension:
 
 
 @dataclass(frozen=True)
-class BodyLoad:
+class BodyLoad(Checked):
     """Direction in which an external load acts on the body.
 
     Attributes:
@@ -170,7 +181,7 @@ class BodyLoad:
 
 
 @dataclass(frozen=True)
-class Invariant:
+class Invariant(Checked):
     """Transmissibility, from the road's displacement under every wheel, that no suspension force can change.
 
     Attributes:
@@ -187,7 +198,7 @@ class Invariant:
 
 
 @dataclass(frozen=True)
-class VehicleKind:
+class VehicleKind(Checked):
     """Equations of a kind of vehicle. Every function takes the parameters as a mapping from name to SI value.
 
     Attributes:
@@ -210,13 +221,15 @@ class VehicleKind:
         loads: external loads on its body, in the order of the linear model's loads.
         angles: parameters -> the body's angles over level ground [rad] as sums of signals, {"pitch_angle": {signal: factor}},
             `roll_angle` likewise.
+        motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none, and physics is
+            then held against the linear model alone.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
-    signals: tuple[Signal, ...]
-    wheels: tuple[Wheel, ...]
+    signals: Annotated[tuple[Signal, ...], AT_LEAST_ONE]
+    wheels: Annotated[tuple[Wheel, ...], AT_LEAST_ONE]
     linear_model: Callable[[Parameters], LinearModel]
     static_tyre_deflection: Callable[[Parameters], Mapping[str, float]]
     write_mjcf: Callable[[Any, Parameters], None]
@@ -228,6 +241,7 @@ class VehicleKind:
     on_demand: tuple[Signal, ...] = ()
     loads: tuple[BodyLoad, ...] = ()
     angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = lambda p: {}
+    motion: Callable[[Parameters], "Motion"] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
@@ -298,11 +312,11 @@ class VehicleKind:
         """Path of the kind's MJCF."""
         return self.folder / f"{self.name}.xml"
 
-    def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
-        """Returns all parameters, checked, in the kind's order.
+    def check_each(self, parameters: Mapping[str, Any]) -> dict[str, float]:
+        """Returns all parameters, each checked by itself, in the kind's order.
 
         Raises:
-            InputError: one is missing, unknown or not allowed, or together they squeeze a tyre flat at rest.
+            InputError: one is missing, unknown or not allowed.
         """
         names = [parameter.name for parameter in self.parameters]
         for name in parameters:
@@ -313,7 +327,15 @@ class VehicleKind:
         for parameter in self.parameters:
             if parameter.name not in parameters:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
-        checked = {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+
+    def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
+        """Returns all parameters, checked, in the kind's order.
+
+        Raises:
+            InputError: see `check_each`; or together they are no vehicle, or squeeze a tyre flat at rest.
+        """
+        checked = self.check_each(parameters)
         self.check_together(checked)
         for tyre, squeeze in self.static_tyre_deflection(checked).items():
             if squeeze > MOST_SQUEEZE:

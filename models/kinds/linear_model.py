@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import Positive, check_fields, check_shape
 from models.common.errors import InputError, listing, quoted
 
 
@@ -38,7 +39,7 @@ class LinearModel:
         Dl: from the loads to the output signals, shape (p, l); zero by default.
 
     Raises:
-        ValueError: a matrix does not fit the names or is not finite, or the names are no tuples of different texts.
+        InputError: a matrix does not fit the names or is not finite, or the names are no different texts.
     """
 
     A: Array
@@ -52,16 +53,17 @@ class LinearModel:
     outputs: tuple[str, ...]
     Br: Array
     Cr: Array
-    twist_rate: float = 1.0
+    twist_rate: Positive = 1.0
     loads: tuple[str, ...] = ()
     Bl: Array = field(default_factory=lambda: np.zeros((0, 0)))
     Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for what in ("states", "inputs", "disturbances", "outputs", "loads"):
             names = getattr(self, what)
-            if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-                raise ValueError(f"{what} = {quoted(names)} is no tuple of different names")
+            if len(set(names)) < len(names):
+                raise InputError(f"{what} = {quoted(names)} are not all different; give each a name of its own")
         n, m, r, p = len(self.states), len(self.inputs), len(self.disturbances), len(self.outputs)
         pushes = len(self.loads)
         if not pushes:
@@ -80,12 +82,11 @@ class LinearModel:
         }
         for name, shape in shapes.items():
             if np.iscomplexobj(getattr(self, name)):
-                raise ValueError(f"{name} has complex entries; give real ones")
+                raise InputError(f"{name} has complex entries; give real ones")
             matrix = np.array(getattr(self, name), dtype=float)
-            if matrix.shape != shape:
-                raise ValueError(f"{name} has shape {matrix.shape}; its names say {shape}")
+            check_shape(name, matrix, shape, "as the names of states, inputs, disturbances, outputs and loads say")
             for row, column in np.argwhere(~np.isfinite(matrix))[:1]:
-                raise ValueError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite")
+                raise InputError(f"{name}[{row}, {column}] = {matrix[row, column]} is not finite")
             matrix.flags.writeable = False
             object.__setattr__(self, name, matrix)
 

@@ -3,9 +3,11 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from models.common.checks import Checked
+
 
 @dataclass(frozen=True)
-class Signal:
+class Signal(Checked):
     """Named quantity, measured from static equilibrium.
 
     Attributes:

@@ -3,7 +3,6 @@
 Every check returns the mistake as text, or an empty text. The caller names the file.
 """
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import wraps
@@ -13,47 +12,27 @@ from typing import Any
 
 import numpy as np
 
+from models.common.checks import is_finite
 from models.common.errors import InputError, quoted, some
 from models.common.files import TEXT, read_text
-from models.kinds.kind import MOST_SQUEEZE, BodyLoad, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
+from models.kinds.kind import MOST_SQUEEZE, VehicleKind
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD, Signal
+from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD
 from models.laws.user_code import compiled, run_own
 
 LARGEST = 1e30  # SI; of any entry. A ratio of two parameters is at most 1e18; a vehicle has no square of that
 LONGEST = 60  # characters of a name
-SIDES = ("", "left", "right")
 LOADS = (HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name)
 
 
 def wrong_parts(kind: VehicleKind) -> str:
-    """Checks the parts of a kind that are no functions: parameters, signals, wheels, sums of sensors."""
-    for what, of in {"parameters": Parameter, "signals": Signal, "on_demand": Signal, "wheels": Wheel}.items():
-        parts = getattr(kind, what)
-        if not isinstance(parts, (tuple, list)) or not all(isinstance(part, of) for part in parts):
-            return f"its {what} are {quoted(parts)}; give a tuple of {of.__name__}s"
-        if what in ("signals", "wheels") and not parts:
-            return f"it has no {what}; give at least one"
-    for what, parts, texts in (
-        ("parameter", kind.parameters, ("unit", "meaning")),
-        ("signal", (*kind.signals, *kind.on_demand), ("symbol", "unit", "meaning")),
-    ):
+    """Checks how the parts of a kind that are no functions go together; each by itself is `Checked`."""
+    for what, parts in (("parameter", kind.parameters), ("signal", (*kind.signals, *kind.on_demand))):
         if wrong := _wrong_names(what, [part.name for part in parts]):
             return wrong
         for part in parts:
             if part.name.startswith(KEPT):
                 return f"{what} {part.name!r}: names that begin with {KEPT} are of a controller's states; give it another"
-            for text in texts:
-                if not isinstance(getattr(part, text), str):
-                    return f"{what} {part.name!r} has the {text} {quoted(getattr(part, text))}; give a text"
-    for part in kind.parameters:
-        varied = part.varied
-        if varied is not None and not (isinstance(varied, Variation) and isinstance(varied.name, str)):
-            return f"parameter {part.name!r} has varied = {quoted(varied)}; give Variation(name, smallest, largest)"
-        if part.usual is not None and not _is_number(part.usual):
-            return f"parameter {part.name!r} is usually {quoted(part.usual)}; give a finite number, or leave usual out"
-    if not isinstance(kind.lacking, Mapping) or not all(isinstance(text, str) for pair in kind.lacking.items() for text in pair):
-        return f"its lacking is {quoted(kind.lacking)}; give {{beginning of a parameter's name: why there is none}}"
     return _wrong_loads(kind) or _wrong_wheels(kind) or _wrong_sums(kind) or _wrong_suspensions(kind) or _wrong_invariants(kind)
 
 
@@ -66,43 +45,29 @@ def _wrong_wheels(kind: VehicleKind) -> str:
         for what in ("road_displacement", "road_velocity", "tyre_deflection"):
             if getattr(wheel, what) not in names:
                 return f"a wheel's {what} {getattr(wheel, what)!r} is none of its signals; add it to them"
-        if wheel.side not in SIDES:
-            return f"a wheel's side is {quoted(wheel.side)}; give 'left', 'right', or '' where there is only one track"
-        for what in ("behind", "lateral"):
-            if not callable(getattr(wheel, what)):
-                return f"a wheel's {what} is {quoted(getattr(wheel, what))}; give a function of the parameters"
     return ""
 
 
 def _wrong_loads(kind: VehicleKind) -> str:
-    if not isinstance(kind.loads, (tuple, list)) or not all(isinstance(load, BodyLoad) for load in kind.loads):
-        return f"its loads are {quoted(kind.loads)}; give a tuple of BodyLoads, or leave it out"
     for load in kind.loads:
-        if load.name not in LOADS or not isinstance(load.joint, str):
+        if load.name not in LOADS:
             return f"a load is {quoted(load)}; give BodyLoad(name, joint), with a name out of {some(LOADS)}"
     return _wrong_names("load", [load.name for load in kind.loads])
 
 
 def _wrong_sums(kind: VehicleKind) -> str:
-    if not isinstance(kind.combined, Mapping):
-        return f"its combined is {quoted(kind.combined)}; give {{signal: {{other signal: factor}}}}"
     names = {signal.name for signal in (*kind.signals, *kind.on_demand)}
     for name, parts in kind.combined.items():
         if name not in names:
             return f"combined {quoted(name)} is none of its signals; add it to them"
-        if not isinstance(parts, Mapping) or not parts:
-            return f"combined {name!r} is {quoted(parts)}; give {{other signal: factor}}"
-        for part, factor in parts.items():
-            if not isinstance(part, str) or not _is_number(factor) or factor == 0:
-                return f"combined {name!r} has {quoted(factor)} of {quoted(part)}; give finite factors that are not 0"
+        if not parts or not all(is_finite(factor) and factor for factor in parts.values()):
+            return f"combined {name!r} is {quoted(parts)}; give {{other signal: factor}}, finite factors that are not 0"
     return ""
 
 
 def _wrong_suspensions(kind: VehicleKind) -> str:
     if kind.suspended is None:
         return ""
-    if not isinstance(kind.suspended, (tuple, list)) or not all(isinstance(part, Suspension) for part in kind.suspended):
-        return f"its suspended is {quoted(kind.suspended)}; give a tuple of Suspensions, or leave it out"
     forces = [suspension.force for suspension in kind.suspended if suspension.force != ""]
     for what, names in {
         "deflection": [suspension.deflection for suspension in kind.suspended],
@@ -122,17 +87,12 @@ def _wrong_suspensions(kind: VehicleKind) -> str:
 
 
 def _wrong_invariants(kind: VehicleKind) -> str:
-    if not isinstance(kind.invariants, (tuple, list)) or not all(isinstance(part, Invariant) for part in kind.invariants):
-        return f"its invariants are {quoted(kind.invariants)}; give a tuple of Invariants"
     names = {signal.name for signal in kind.signals}
     for part in kind.invariants:
-        if not isinstance(part.name, str) or not part.name.isprintable() or not 0 < len(part.name) <= LONGEST:
+        if not part.name.isprintable() or not 0 < len(part.name) <= LONGEST:
             return f"an invariant is called {quoted(part.name)}; give a text on one line, at most {LONGEST} characters"
-        if not isinstance(part.signals, (tuple, list)) or not part.signals or not all(name in names for name in part.signals):
+        if not part.signals or not names.issuperset(part.signals):
             return f"invariant {part.name!r} is of {quoted(part.signals)}; give a tuple of the kind's signals"
-        for what in ("omega", "magnitude"):
-            if not callable(getattr(part, what)):
-                return f"invariant {part.name!r} has the {what} {quoted(getattr(part, what))}; give a function of the parameters"
     return ""
 
 
@@ -148,8 +108,6 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
             return (
                 f"{name}[{row}, {column}] = {getattr(model, name)[row, column]:g}, larger than any vehicle's; at most {LARGEST:g}"
             )
-    if not _is_number(model.twist_rate) or model.twist_rate <= 0:
-        return f"twist_rate = {quoted(model.twist_rate)}; give a finite number above 0"
 
     for suspension in kind.suspended or ():
         if suspension.force and suspension.force not in model.inputs:
@@ -190,7 +148,7 @@ def wrong_angles(angles: Any, kind: VehicleKind) -> str:
     """Checks the sums of signals that are the body's angles."""
     names = {signal.name for signal in kind.signals}
     for angle, parts in angles.items() if isinstance(angles, Mapping) else [("", None)]:
-        sound = isinstance(parts, Mapping) and all(name in names and _is_number(share) for name, share in parts.items())
+        sound = isinstance(parts, Mapping) and all(name in names and is_finite(share) for name, share in parts.items())
         if angle not in ("pitch_angle", "roll_angle") or not sound:
             return f"{quoted(angles)}; give {{'pitch_angle': {{signal: factor}}}}, 'roll_angle' likewise, of the kind's signals"
     return ""
@@ -207,7 +165,7 @@ def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
     for tyre, squeeze in squeezes.items():
         if tyre not in tyres:
             return f"a number for {quoted(tyre)}, which is no wheel's tyre; give one for each of {some(tyres)}"
-        if not _is_number(squeeze) or squeeze <= 0:
+        if not is_finite(squeeze) or squeeze <= 0:
             return (
                 f"{tyre} = {quoted(squeeze)}; give a number above 0 and at most {MOST_SQUEEZE} m: a tyre that carries nothing "
                 "stands on no road"
@@ -217,12 +175,12 @@ def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
 
 def wrong_place(place: Any) -> str:
     """Checks the distance of a wheel behind the first, or to the left."""
-    return "" if _is_number(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
+    return "" if is_finite(place) and abs(place) <= LARGEST else f"{quoted(place)}; give a finite number of metres"
 
 
 def wrong_size(size: Any) -> str:
     """Checks an invariant's frequency, or magnitude."""
-    return "" if _is_number(size) and 0 < size <= LARGEST else f"{quoted(size)}; give a finite number above 0"
+    return "" if is_finite(size) and 0 < size <= LARGEST else f"{quoted(size)}; give a finite number above 0"
 
 
 def wrong_distance(distance: Any) -> str:
@@ -241,11 +199,6 @@ def _wrong_names(what: str, names: Iterable[Any]) -> str:
             return f"{what}: {name!r} is there twice; give each a name of its own"
         seen.add(name)
     return ""
-
-
-def _is_number(value: Any) -> bool:
-    """Returns True for one real and finite number, of numpy or not."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _of_type(value: Any, allowed: str) -> str:
@@ -281,9 +234,6 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:
     """Returns the kind with functions that give correct results or raise InputError."""
-    for name in ("linear_model", "static_tyre_deflection", "write_mjcf", "check_together", "angles"):
-        if not callable(getattr(kind, name)):
-            raise InputError(f"kind of vehicle {path}: its {name} is no function; give one of the parameters")
     return replace(
         kind,
         wheels=tuple(

@@ -1,18 +1,20 @@
 """Linear law from measurements to forces: x_c' = A x_c + B y, u = C x_c + D y. A static gain is a law without states."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
+from models.common.checks import Positive, check
 from models.common.errors import InputError
+from models.common.lean_scipy import linalg
 
 MATRICES = ("A", "B", "C", "D")
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
 LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
+ROUNDING = 1e-7  # relative: of the poles of a double integrator
 SINGULAR = 1e-12  # smallest relative singular value of a loop through the measurements; below it no digit is left
 
 
@@ -26,6 +28,7 @@ class LinearLaw:
         C: shape (m, k).
         D: shape (m, q), the static gain K if there are no states [N per measured unit].
         sample_period: of a discrete law, x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D y[i] [s]; None of a continuous one.
+        anti_windup: rate at which its states follow the forces that are given where these are clipped [1/s]; None: they do not.
 
     Raises:
         InputError: a matrix has entries that are not real and finite or beyond `LARGEST`, or the wrong shape, or there are too
@@ -37,6 +40,7 @@ class LinearLaw:
     C: Array
     D: Array
     sample_period: float | None = None
+    anti_windup: float | None = None
 
     def __post_init__(self) -> None:
         for name in MATRICES:
@@ -53,9 +57,8 @@ class LinearLaw:
                     f"{name} has shape {given}; expected {shape}, as A has {k} row(s) and D, of shape {(m, q)}, a row per force "
                     "and a column per measured signal"
                 )
-        period = self.sample_period
-        if period is not None and not 0 < period < np.inf:
-            raise InputError(f"sample_period = {period!r} s is not allowed; give a number above 0, or none for a continuous law")
+        for name in ("sample_period", "anti_windup"):
+            check(name, getattr(self, name), Positive | None)
 
     @property
     def states(self) -> int:
@@ -64,16 +67,30 @@ class LinearLaw:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The law as JSON and TOML hold it: the gain of a static law; else matrices, and the sample period of a discrete one."""
+        """The law as JSON and TOML hold it: a static law's gain; else matrices, sample period and anti-windup."""
         if not self.states:
             return {"gain": self.D.tolist()}
-        period = {} if self.sample_period is None else {"sample_period": self.sample_period}
-        return {name: getattr(self, name).tolist() for name in MATRICES} | period
+        numbers = {"sample_period": self.sample_period, "anti_windup": self.anti_windup}
+        given = {name: number for name, number in numbers.items() if number is not None}
+        return {name: getattr(self, name).tolist() for name in MATRICES} | given
 
     @property
     def acts(self) -> bool:
         """True if some measurement ever makes a force."""
         return bool(np.any(self.D) or (np.any(self.B) and np.any(self.C)))
+
+    @property
+    def growth(self) -> float:
+        """Returns the rate of the law's fastest growing state, without measurements [1/s]; 0 if none grows, to rounding."""
+        if not self.states:
+            return 0.0
+        poles, size = np.linalg.eigvals(self.A), float(np.abs(self.A).max())
+        if self.sample_period is None:
+            fastest, rounding = float(poles.real.max()), ROUNDING * size
+        else:
+            largest = max(float(np.abs(poles).max()), ROUNDING)
+            fastest, rounding = np.log(largest) / self.sample_period, ROUNDING * max(size, 1.0) / self.sample_period
+        return float(fastest) if fastest > rounding else 0.0
 
     def response(self, omega: float) -> Array:
         """Returns the transfer matrix at a frequency [rad/s], complex, shape (m, q); for a discrete law below pi / period."""
@@ -93,7 +110,7 @@ class LinearLaw:
             factors: one for all forces, or one for each, shape (m,).
         """
         rows = np.broadcast_to(np.asarray(factors, dtype=float), len(self.D))[:, None]
-        return LinearLaw(self.A, self.B, rows * self.C, rows * self.D, self.sample_period)
+        return replace(self, C=rows * self.C, D=rows * self.D)
 
     def read_as(self, factors: Array | float) -> "LinearLaw":
         """Returns the law with its readings multiplied by factors.
@@ -102,7 +119,7 @@ class LinearLaw:
             factors: one for all readings, or one for each, shape (q,).
         """
         columns = np.broadcast_to(np.asarray(factors, dtype=float), self.D.shape[1])
-        return LinearLaw(self.A, self.B * columns, self.C, self.D * columns, self.sample_period)
+        return replace(self, B=self.B * columns, D=self.D * columns)
 
     def only(self, forces: Array) -> "LinearLaw":
         """Returns the law with all but some forces zero. With `scaled` it cuts a loop at actuators.
@@ -111,7 +128,7 @@ class LinearLaw:
             forces: True for the forces that remain, shape (m,).
         """
         rows = np.asarray(forces, dtype=bool)[:, None]
-        return LinearLaw(self.A, self.B, np.where(rows, self.C, 0.0), np.where(rows, self.D, 0.0), self.sample_period)
+        return replace(self, C=np.where(rows, self.C, 0.0), D=np.where(rows, self.D, 0.0))
 
     def fed_back(self, through: Array) -> "LinearLaw":
         """Returns the law on y0 for the law on y = y0 + `through` u: solves the loop through the measurements.
@@ -133,7 +150,7 @@ class LinearLaw:
             )
         C, D = np.linalg.solve(loop, self.C), np.linalg.solve(loop, self.D)
         B = self.B @ through
-        return LinearLaw(self.A + B @ C, self.B + B @ D, C, D, self.sample_period)
+        return replace(self, A=self.A + B @ C, B=self.B + B @ D, C=C, D=D)
 
     def continuous(self) -> "LinearLaw":
         """Returns the law in continuous time; for a discrete law, the one whose bilinear transform (Tustin) it is.
@@ -144,7 +161,7 @@ class LinearLaw:
         if self.sample_period is None:
             return self
         if not self.states:
-            return LinearLaw(self.A, self.B, self.C, self.D)
+            return replace(self, sample_period=None)
         root, shifted = np.sqrt(self.sample_period), self.A + np.eye(self.states)
         if np.linalg.svd(shifted, compute_uv=False)[-1] < SINGULAR * max(1.0, np.abs(self.A).max()):
             raise InputError("a discrete controller with a pole at -1 has no continuous counterpart; move that pole")
@@ -155,6 +172,7 @@ class LinearLaw:
                 2 / root * inverse @ self.B,
                 2 / root * self.C @ inverse,
                 self.D - self.C @ inverse @ self.B,
+                anti_windup=self.anti_windup,
             )
         except InputError as error:
             raise InputError(
@@ -182,7 +200,7 @@ class LinearLaw:
             period: [s].
         """
         if not self.states or self._at(period):
-            return LinearLaw(self.A, self.B, self.C, self.D, period)
+            return replace(self, sample_period=period)
         law = self.continuous()
         k, q = law.B.shape
         augmented = np.zeros((k + 2 * q, k + 2 * q))
@@ -190,7 +208,7 @@ class LinearLaw:
         augmented[k : k + q, k + q :] = np.eye(q)
         step = linalg.expm(augmented)
         Phi, held, ramp = step[:k, :k], step[:k, k : k + q], step[:k, k + q :]
-        return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period)
+        return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period, self.anti_windup)
 
     def _at(self, period: float) -> bool:
         """Returns True if the period is the law's own sample period."""
@@ -215,7 +233,8 @@ def law_of(record: Mapping[str, Any]) -> LinearLaw:
     """
     if "gain" in record:
         return static_law(record["gain"])
-    return LinearLaw(*(record[name] for name in MATRICES), sample_period=record.get("sample_period"))
+    numbers = {name: record.get(name) for name in ("sample_period", "anti_windup")}
+    return LinearLaw(*(record[name] for name in MATRICES), **numbers)
 
 
 def states_text(law: LinearLaw) -> str:

@@ -120,15 +120,12 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
     """Returns the law in Python that an entry of `[controllers]` names, or None if it names no such law. Opens no file.
 
     Raises:
-        InputError: `law` or `preview` is not allowed, or another key gives a law too.
+        InputError: `law` or `preview` is not allowed.
     """
     if "law" not in entry:
         if "preview" in entry:
             raise InputError(f"{where} preview is what a law in Python is told of the road ahead; {GIVE}, or take it out")
         return None
-    others = [key for key in entry if key not in ("measured", "law", "preview")]
-    if others:
-        raise InputError(f"{where} has a law in Python and {others[0]}, which is of a linear one; take one of them out")
     law = entry["law"]
     match = LAW.fullmatch(law) if isinstance(law, str) else None
     if match is None or Path(match["file"]).is_absolute() or ".." in Path(match["file"]).parts:

@@ -14,9 +14,9 @@ of one call would take hours.
 
 import ctypes
 import inspect
-import os
 import threading
 from collections.abc import Callable, Mapping
+from os import _exit as leave_at_once
 from time import monotonic as clock
 from time import sleep
 from types import ModuleType
@@ -251,7 +251,7 @@ def leave_by(leave: Callable[[str], None]) -> None:
 def _leave_command(said: str) -> None:
     told = interrupt.raised() > 0
     complain(interrupt.word() if told else said)
-    os._exit(interrupt.code() if told else BAD_INPUT)
+    leave_at_once(interrupt.code() if told else BAD_INPUT)
 
 
 def _flag(value: Any) -> bool | None:

@@ -30,7 +30,7 @@ Quantity = Any  # an array of many, or a number of one
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class LawCoefficients:
     """Coefficients and geometry of N vehicles with m adjustable dampers each; plain numbers for one damper of one vehicle.
 
     Attributes:
@@ -39,8 +39,8 @@ class Numbers:
         stiffness: of the suspensions' springs [N/m], shape (N, m).
         modes: factors from the velocities of the body's b modes to those at the suspensions, first times each mode's sky damping
             over `sky`, then alone, shapes (b, N, m).
-        mix: of hybrid: 1 is skyhook alone, 0 groundhook.
-        crossover: frequency of the mixed law, skyhook below and ADD above [rad/s].
+        mix: of hybrid: 1 is skyhook alone, 0 groundhook; shape (N, m).
+        crossover: frequency of the mixed law, skyhook below and ADD above [rad/s], shape (N, m).
     """
 
     c_min: Quantity
@@ -49,33 +49,33 @@ class Numbers:
     ground: Quantity
     stiffness: Quantity
     modes: tuple[Sequence[Quantity], Sequence[Quantity]]
-    mix: float
-    crossover: float
+    mix: Quantity
+    crossover: Quantity
 
-    def some(self, which: Array | slice) -> "Numbers":
+    def some(self, which: Array | slice) -> "LawCoefficients":
         """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
 
-    def alone(self, j: int) -> "Numbers":
+    def alone(self, j: int) -> "LawCoefficients":
         """Returns the coefficients of damper j of the first vehicle, in plain numbers."""
         return self._of_each(lambda quantity: float(quantity[0, j]))
 
-    def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "Numbers":
+    def _of_each(self, taken: Callable[[Quantity], Quantity]) -> "LawCoefficients":
         """Returns the coefficients with a function applied to each quantity."""
         damped, moved = ([taken(factor) for factor in factors] for factors in self.modes)
-        return Numbers(
+        return LawCoefficients(
             taken(self.c_min),
             taken(self.c_max),
             taken(self.sky),
             taken(self.ground),
             taken(self.stiffness),
             (damped, moved),
-            self.mix,
-            self.crossover,
+            taken(self.mix),
+            taken(self.crossover),
         )
 
 
-Law = Callable[..., Quantity]  # (Numbers, measurements of shape (N, m), or (N, 1) for a mode of the body) -> coefficients
+Law = Callable[..., Quantity]  # (LawCoefficients, measurements of shape (N, m), or (N, 1) for a mode of the body) -> coefficients
 
 
 def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
@@ -90,23 +90,23 @@ def _over(force: Quantity, v: Quantity) -> Quantity:
     return -force / _choose(v == 0, STILL, v)
 
 
-def skyhook(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
+def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     """Two-state skyhook: hard where a damper moves as the body does, else soft (Karnopp, Crosby, Harwood 1974)."""
     return _choose(body * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def skyhook_linear(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
+def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     """Continuous skyhook: the force of a damper to the sky, where the damper's own has its sign, else soft."""
     v = body - wheel
     return _choose(body * v > 0, _over(-of.sky * body, v), of.c_min)
 
 
-def groundhook(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
+def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     """Two-state groundhook: hard where a damper moves against the wheel, else soft (Valasek, Novak, Sika, Vaculin 1997)."""
     return _choose(-wheel * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def hybrid(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
+def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     """The forces of a damper to the sky and one to the ground, each where it can be had, in shares (Ahmadian 1997)."""
     v = body - wheel
     sky = _choose(body * v > 0, -of.sky * body, 0.0)
@@ -114,12 +114,12 @@ def hybrid(of: Numbers, body: Quantity, wheel: Quantity) -> Quantity:
     return _over(of.mix * sky + (1 - of.mix) * ground, v)
 
 
-def acceleration_driven(of: Numbers, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
+def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
     """ADD: hard where a damper moves as the body accelerates, else soft (Savaresi, Silani, Bittanti 2005)."""
     return _choose(acceleration * (body - wheel) > 0, of.c_max, of.c_min)
 
 
-def power_driven(of: Numbers, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
+def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Quantity) -> Quantity:
     """PDD: so that spring and damper together take energy out of the suspension (Morselli, Zanasi 2008).
 
     Soft where the soft damper takes all that the spring gives, hard where not even the hard one does; between them as much as the
@@ -132,13 +132,13 @@ def power_driven(of: Numbers, body: Quantity, wheel: Quantity, travel: Quantity)
     return _choose((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, coefficient)
 
 
-def skyhook_add(of: Numbers, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
+def skyhook_add(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
     """Mixed SH-ADD: skyhook where the body moves slower than a frequency, ADD where faster (Savaresi, Spelta 2007)."""
-    slow = acceleration * acceleration <= of.crossover**2 * (body * body)
+    slow = acceleration * acceleration <= of.crossover * of.crossover * (body * body)
     return _choose(slow, skyhook(of, body, wheel), acceleration_driven(of, body, wheel, acceleration))
 
 
-def skyhook_modal(of: Numbers, *modes_and_wheel: Quantity) -> Quantity:
+def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
     """Continuous skyhook of the body's modes: heave, pitch and roll have a damper to the sky each, shared among the corners."""
     damped = moved = 0.0
     for to_sky, share, speed in zip(*of.modes, modes_and_wheel, strict=False):  # one by one: the same in whatever company
@@ -197,7 +197,7 @@ class SemiActiveLaw:
         about = (LAWS[self.name][0].__doc__ or "").splitlines()[0].rstrip(".")
         return ", ".join([f"semi-active law {self.name}", *(f"{key} {value:g}" for key, value in self.numbers)]) + f" ({about})"
 
-    def coefficients(self, y: Array, of: Numbers) -> Array:
+    def coefficients(self, y: Array, of: LawCoefficients) -> Array:
         """Returns the requested coefficients [N s/m], shape (..., N, m).
 
         Args:
@@ -208,7 +208,7 @@ class SemiActiveLaw:
         corners = (y[..., at : at + m] for at in range(first, len(self.measured), m))
         return LAWS[self.name][0](of, *modes, *corners)
 
-    def alone(self, of: Numbers, places: Sequence[int]) -> Callable[[Sequence[float]], list[float]]:
+    def alone(self, of: LawCoefficients, places: Sequence[int]) -> Callable[[Sequence[float]], list[float]]:
         """Returns a function from a list of numbers to the m requested coefficients of the first vehicle, in plain numbers.
 
         Args:

@@ -8,9 +8,10 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from os import _exit as leave_at_once
 from pathlib import Path
 from types import CodeType
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from models.common import interrupt
 from models.common.command import keep_stdout
 from models.common.errors import InputError, one_line
 
-_lock, _users, _stdout = threading.Lock(), [0], list[TextIO]()
+_lock, _users, _stdout, _process = threading.Lock(), [0], list[TextIO](), [0]
 
 
 def compiled(what: str, path: Path, text: str) -> CodeType:
@@ -52,7 +53,7 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
     """
     before, failed, result = interrupt.raised(), "", None
     try:
-        with np.errstate(all="ignore"), _PrintingToStderr():  # what is not finite is found in the result
+        with np.errstate(all="ignore"), _Guarded():  # what is not finite is found in the result
             result = _without_children(code)
     except BaseException as error:  # SystemExit too, and what a user derives from BaseException
         if isinstance(error, KeyboardInterrupt) and interrupt.came() is None:  # nobody counts: it may be the user's
@@ -74,7 +75,7 @@ def _without_children(code: Callable[[], Any]) -> Any:
         return code()
     finally:
         if os.getpid() != process:
-            os._exit(0)  # no lock can be waited for: whoever held it is not in the child
+            leave_at_once(0)  # no lock can be waited for: whoever held it is not in the child
 
 
 def _reason(error: BaseException, path: Path) -> str:
@@ -90,19 +91,30 @@ def _reason(error: BaseException, path: Path) -> str:
     return ": ".join(text for text in (kind, said) if text) + where
 
 
-class _PrintingToStderr:
-    """Redirects output of all threads to stderr until the last such block has ended. Entered at every call."""
+def _kept_running(code: int) -> NoReturn:
+    """Stands in for `os._exit` while user code runs, by which a command would end without its output, and with any exit code."""
+    if os.getpid() != _process[0]:  # a child of theirs, which ends so
+        leave_at_once(code)
+    raise SystemExit(f"it ends the process by os._exit({code})")
+
+
+class _Guarded:
+    """Redirects output of all threads to stderr, and keeps the process, until the last such block has ended.
+
+    Entered at every call.
+    """
 
     def __enter__(self) -> None:
         with _lock:
             if not _users[0]:
                 keep_stdout()  # also from what does not go through Python's own
                 _stdout.append(sys.stdout)
-                sys.stdout = sys.stderr
+                sys.stdout, os._exit = sys.stderr, _kept_running
+                _process[0] = os.getpid()
             _users[0] += 1
 
     def __exit__(self, *error: object) -> None:
         with _lock:
             _users[0] -= 1
             if not _users[0]:
-                sys.stdout = _stdout.pop()
+                sys.stdout, os._exit = _stdout.pop(), leave_at_once

@@ -11,13 +11,11 @@ from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.load import Load
 from models.roads.load_choice import choose_load
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
 from models.roads.profile import Profile
-from models.roads.profile_file import read_profile, read_table
 from models.roads.rig import Rig
-from models.roads.rig_file import SETTINGS, read_rig
 from models.roads.road import Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
 from models.vehicle.vehicle import Vehicle
@@ -69,7 +67,7 @@ class RoadChoice:
             InputError: a number that is not allowed.
         """
         road = self._road(vehicle, speed, seed, distance)
-        return Loaded(road, self.loads) if self.loads else road
+        return RoadWithLoads(road, self.loads) if self.loads else road
 
     def _road(self, vehicle: Vehicle, speed: float, seed: int, distance: float) -> Road:
         if self.kind == "iso8608":
@@ -114,8 +112,10 @@ def _choose(text: str, folder: Path) -> RoadChoice:
             raise InputError(f"road {text!r}: an OpenCRG file says its own units; leave {file['settings']!r} out")
         return RoadChoice(text, "profile", {}, surface=read_surface(folder / file["path"]))
     if file:
+        from models.roads.profile_file import read_profile, table_format
+
         try:
-            table = read_table(settings(file["settings"], TABLE))
+            table = table_format(settings(file["settings"], TABLE))
         except InputError as error:
             raise InputError(f"road {text!r}: {error}") from error
         return RoadChoice(text, "profile", {}, read_profile(folder / file["path"], 20.0, table))
@@ -130,8 +130,6 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     values: dict[str, Any] = {
         name: value if isinstance(allowed[name], str) else _number(text, name, value) for name, value in given.items()
     }
-    if values.get("track", "both") not in ("left", "right", "both"):
-        raise InputError(f"road {text!r}: track = {values['track']!r} is not allowed; give left, right or both")
     if kind == "iso8608":
         _random(values)
     else:
@@ -146,6 +144,8 @@ def _rig(text: str, folder: Path) -> RoadChoice:
         raise InputError(
             f"road {text!r}: a rig is given by its drive file; give a .csv or .txt file, as in rig:file=drive.csv{RPC}"
         )
+    from models.roads.rig_file import SETTINGS, read_rig
+
     try:
         given = settings(file["settings"], SETTINGS)
         rig = read_rig(folder / file["path"], given)

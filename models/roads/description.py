@@ -8,7 +8,7 @@ from typing import Any
 from models.common.errors import InputError, listing, quoted
 from models.roads.iso8608 import HIGHEST, LOWEST, Iso8608, check_seed
 from models.roads.load_choice import described_loads
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import from_csv
 from models.roads.rig import rig_from_csv
@@ -38,7 +38,7 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
         if not isinstance(loads, str) or len(loads) > MOST_LOADS:
             raise InputError(f"its loads are no text of at most {MOST_LOADS} characters")
         road = described_road({name: value for name, value in description.items() if name != "loads"}, points)
-        return Loaded(road, described_loads(loads.split(PLUS)))
+        return RoadWithLoads(road, described_loads(loads.split(PLUS)))
     kind = description.get("type")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"a road of unknown type; known: {listing(KINDS)}")

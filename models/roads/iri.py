@@ -188,7 +188,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
         values |= {"mean": (values["left"] + values["right"]) / 2, "half_car": roughness_index(tracks.mean(axis=1), step)}
     if (spectrum := road.spectrum) is None:
         return tuple(Roughness(name, iri) for name, iri in values.items())
-    expected = _expected(spectrum, len(tracks) * step)
+    expected = _expected(spectrum, len(tracks) * step, tuple(values))
     return tuple(Roughness(name, iri, *expected[name]) for name, iri in values.items())
 
 
@@ -224,8 +224,8 @@ def _sampled(road: Road, distance: float, sides: tuple[str, ...]) -> tuple[float
 
 
 @lru_cache(maxsize=16)
-def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, float]]:
-    """Returns mean and standard deviation of every IRI over roads of a spectrum, for a driven distance [m].
+def _expected(spectrum: Spectrum, distance: float, names: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Returns mean and standard deviation of the named IRIs over roads of a spectrum, for a driven distance [m].
 
     A road's lines have fixed amplitudes, unlike those of a Gaussian signal: over its whole length its mean square is known. The
     variance left there is 0 on the left track, and 2 a^2 (1 - a^2) on the right one, of coherency a. This reduces the part of
@@ -248,24 +248,25 @@ def _expected(spectrum: Spectrum, distance: float) -> dict[str, tuple[float, flo
         line's square.
         """
         variance, of_squares, of_more = float(own.sum()), 0.0, 0.0
-        for part in (own, other):
+        for part, times in ((own, 2),) if own is other else ((own, 1), (other, 1)):
             spread_out = np.zeros(lags // 2 + 1)
             spread_out[first : last + 1] = part
             rho = (np.fft.irfft(spread_out) * (lags / 2) / variance)[: len(x)].clip(-1.0, 1.0)
-            of_squares += variance / math.pi * float(weight @ (rho**2 / 2))
-            of_more += variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1 - rho**2 / 2))
+            of_squares += times * variance / math.pi * float(weight @ (rho**2 / 2))
+            of_more += times * variance / math.pi * float(weight @ (np.sqrt(1 - rho**2) + rho * np.arcsin(rho) - 1 - rho**2 / 2))
         squares = own**2 + other**2
         left = 1 - (1 - float(squares @ free) / float(squares.sum())) * distance / spectrum.length
         begun = 1 - _lost(low, high, distance) / distance
         return 1e3 * math.sqrt(2 / math.pi * variance) * begun, 1e3 * math.sqrt(max(of_squares * left, 0.0) + max(of_more, 0.0))
 
     both = lines * (1 + a) / 2
-    return {
-        "left": moments(lines, lines, np.zeros(len(n))),
-        "right": moments(lines, lines, 2 * a**2 * (1 - a**2)),
-        "mean": moments(lines, lines * a, a**2 * (1 - a**2) / (1 + a**2)),
-        "half_car": moments(both, both, (1 - a**2) / 2),
+    parts = {
+        "left": (lines, lines, np.zeros(len(n))),
+        "right": (lines, lines, 2 * a**2 * (1 - a**2)),
+        "mean": (lines, lines * a, a**2 * (1 - a**2) / (1 + a**2)),
+        "half_car": (both, both, (1 - a**2) / 2),
     }
+    return {name: moments(*parts[name]) for name in names}
 
 
 def _lost(low: float, high: float, distance: float) -> float:

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import check_fields
 from models.common.errors import InputError
 from models.roads.iri import white_slope
 from models.roads.road import Road, check_numbers
@@ -39,7 +40,7 @@ LOWEST, HIGHEST = 0.01, 10.0  # cycle/m
 LENGTH = 1024.0  # m
 MOST_SEED = 2**63 - 1
 IRI_LIMITS = (0.01, 300.0)  # m/km; class H has 200
-LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6)}  # SI
+LIMITS = {"speed": (0.1, 200.0), "track_width": (0.0, 10.0), "length": (100.0, 1e6), "factor": (-1e9, 1e9)}  # SI
 BLOCK = 1_000_000  # terms that are summed at once if times are not evenly spaced
 USUAL_LINES, LINES_PER_SAMPLE = 40_000, 100  # no run without repetition of the road needs more
 FEW = 10  # times; more, if evenly spaced, are faster by transform
@@ -110,6 +111,7 @@ class Iso8608(Road):
     iri: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.road_class and self.iri is not None:
             raise InputError(f"a road of class = {self.road_class} and iri = {self.iri:g}; give one of them, for how rough it is")
         _ = self.roughness

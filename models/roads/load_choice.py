@@ -1,9 +1,6 @@
 """Loads by name: `KIND[:NAME=VALUE...]`, or a CSV file over time, as on a command line, in a campaign file or a log."""
 
-import csv
-import io
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -11,17 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
 from models.common.printed import settings
+from models.common.table import FORCE, MOMENT, TIME, find_table
 from models.kinds.kind import Parameters
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
-HEADING = re.compile(r"\s*(\w+)\s*\[([^\]]*)\]\s*")
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
-OF_FORCE, OF_MOMENT = {"N": 1.0, "kN": 1e3}, {"N m": 1.0, "Nm": 1.0, "kN m": 1e3, "kNm": 1e3}
-UNITS = {"time": {"s": 1.0, "ms": 1e-3}, "heave": OF_FORCE, "pitch": OF_MOMENT, "roll": OF_MOMENT}
+UNITS = {"time": TIME, "heave": FORCE, "pitch": MOMENT, "roll": MOMENT}
 MOST_ROWS = 20_000
 LARGEST = 1e9  # N, N m, s
 GIVE = "give a .csv file with the headings time [s] and some of heave [N], pitch [N m], roll [N m]"
@@ -94,55 +90,34 @@ def named(path: Path | str) -> str:
 
 def parse_history(text: str, source: str) -> History:
     """Reads a load from the text of a CSV file."""
-    where = f"load file {source}"
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
-    if not rows:
-        raise InputError(f"{where} is empty; {GIVE}")
-    names, factors = [], []
-    for heading in rows[0]:
-        match = HEADING.fullmatch(heading)
-        if not match or match[1] not in UNITS or match[1] in names:
-            raise InputError(f"{where}: heading {quoted(heading.strip())} is none, or there twice; {GIVE}")
-        if match[2].strip() not in UNITS[match[1]]:
-            raise InputError(f"{where}: {match[1]} in {quoted(match[2])} is not known; give {listing(UNITS[match[1]])}")
-        names.append(match[1])
-        factors.append(UNITS[match[1]][match[2].strip()])
+    try:
+        return _history(text, source)
+    except InputError as error:
+        raise InputError(f"load file {source}: {error}") from error
+
+
+def _history(text: str, source: str) -> History:
+    table = find_table(text, GIVE)
+    headings = table.headings(TIME | FORCE | MOMENT)
+    names = table.names(headings, UNITS)
     if "time" not in names or len(names) < 2:
-        raise InputError(f"{where}: its headings are {listing(names)}; {GIVE}")
-    if not 2 <= len(rows) - 1 <= MOST_ROWS:
-        raise InputError(f"{where}: has {len(rows) - 1} rows of numbers; give 2 to {MOST_ROWS}")
-    numbers = np.array(
-        [[_number(where, line, cell) for cell in _whole(where, line, row, names)] for line, row in enumerate(rows[1:], 2)]
-    )
-    values = dict(zip(names, (numbers * factors).T, strict=True))
+        raise InputError(f"its columns are {listing(names)}; {GIVE}")
+    numbers, lines = table.numbers()
+    if not 2 <= len(lines) <= MOST_ROWS:
+        raise InputError(f"has {len(lines)} rows of numbers; give 2 to {MOST_ROWS}")
+    numbers = numbers * [heading.scale(UNITS[name]) for heading, name in zip(headings, names, strict=True)]
+    for row, column in np.argwhere(np.abs(numbers) > LARGEST)[:1].tolist():
+        raise InputError(f"line {lines[row]}, column {column + 1}: {numbers[row, column]:g} is beyond {LARGEST:g}, in SI units")
+    values = dict(zip(names, numbers.T, strict=True))
     time = values.pop("time")
-    if (back := np.flatnonzero(np.diff(time) <= 0)).size:
-        raise InputError(
-            f"{where}: line {back[0] + 3}: its time, {time[back[0] + 1]:g} s, is not after the one before; sort the rows"
-        )
+    for i in np.flatnonzero(np.diff(time) <= 0)[:1].tolist():
+        raise InputError(f"line {lines[i + 1]}: its time, {time[i + 1]:g} s, is not after the one before; sort the rows")
     acting = [name for name, column in values.items() if column[0] != 0]
     if time[0] > 0 and acting:
         raise InputError(
-            f"{where}: begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; "
-            "begin at 0 s, or with 0"
+            f"begins at {time[0]:g} s with {acting[0]} that is not 0, and nothing says what it is before; begin at 0 s, or with 0"
         )
     return History(source, time, values)
-
-
-def _whole(where: str, line: int, row: list[str], names: list[str]) -> list[str]:
-    if len(row) != len(names):
-        raise InputError(f"{where}: line {line} has {len(row)} numbers, and there are {len(names)} headings; give as many")
-    return row
-
-
-def _number(where: str, line: int, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= LARGEST:  # NaN is in no range
-        raise InputError(f"{where}: line {line}: {quoted(cell.strip())} is no number up to {LARGEST:g}")
-    return value
 
 
 def choose_load(text: str, folder: Path = Path()) -> Load:

@@ -18,7 +18,7 @@ WAYS = {HEAVE_LOAD.name: "goes up and down", PITCH_LOAD.name: "pitches", ROLL_LO
 
 
 @dataclass(frozen=True, eq=False)
-class Loaded(DerivedRoad):
+class RoadWithLoads(DerivedRoad):
     """Road with loads. It has no spectrum: the loads act alike over every road of its class.
 
     Attributes:
@@ -92,9 +92,9 @@ class Loaded(DerivedRoad):
         """Road and loads on a line for people."""
         return f"{self.road.words}, loads {PLUS.join(load.label for load in self.on_body)}"
 
-    def scaled(self, factor: float) -> "Loaded":
+    def scaled(self, factor: float) -> "RoadWithLoads":
         """Returns road and loads multiplied by a factor."""
-        return Loaded(self.road.scaled(factor), tuple(load.scaled(factor) for load in self.on_body))
+        return RoadWithLoads(self.road.scaled(factor), tuple(load.scaled(factor) for load in self.on_body))
 
     def cost(self, samples: int) -> float:
         """Returns the cost of the road."""

@@ -30,7 +30,8 @@ class WattsHump(Road):
     speed: float = 8.0
 
     def __post_init__(self) -> None:
-        check_numbers("watts_hump", self, LIMITS | {"height": (1e-6, self.length / 2)})
+        check_numbers("watts_hump", self, {"length": LIMITS["length"], "speed": LIMITS["speed"]})
+        check_numbers("watts_hump", self, {"height": (1e-6, self.length / 2)})
 
     @property
     def radius(self) -> float:
@@ -139,8 +140,8 @@ class Pothole(Road):
     track: str = "both"
 
     def __post_init__(self) -> None:
-        limits = {"depth": LIMITS["height"], "length": LIMITS["length"], "speed": LIMITS["speed"]}
-        check_numbers("pothole", self, limits | {"edge": (LIMITS["length"][0], self.length / 2)})
+        check_numbers("pothole", self, {"depth": LIMITS["height"], "length": LIMITS["length"], "speed": LIMITS["speed"]})
+        check_numbers("pothole", self, {"edge": (LIMITS["length"][0], self.length / 2)})
 
     @property
     def duration(self) -> float:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError
 from models.roads.road import LIMITS, Road, check_numbers
 
@@ -42,6 +43,7 @@ class Profile(Road):
     source: str = field(default="")
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_numbers("profile", self, {"speed": LIMITS["speed"]})
         check_points(self.distance, self.heights)
 
@@ -113,22 +115,8 @@ def check_points(distance: Array, heights: Array, where: Callable[[int], str] = 
     Raises:
         InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points.
     """
-    if len(distance) < FEWEST:
-        raise InputError(f"a profile of {len(distance)} points is none; give at least {FEWEST}")
-    for i in np.flatnonzero(~np.isfinite(distance) | ~np.all(np.isfinite(heights), axis=1))[:1]:
-        raise InputError(f"{where(i)} is not finite: distance {distance[i]:g}, heights {heights[i, 0]:g} and {heights[i, 1]:g}")
-    spacing = np.diff(distance)
-    for i in np.flatnonzero(spacing <= 0)[:1]:
-        raise InputError(
-            f"distance falls or repeats, {distance[i]:g} m, then {distance[i + 1]:g} m ({where(i)} and {where(i + 1)}); sort the "
-            "points"
-        )
-    usual = float(np.median(spacing))
-    for i in np.flatnonzero(spacing > GAP * usual)[:1]:
-        raise InputError(
-            f"there is a gap from {distance[i]:g} m to {distance[i + 1]:g} m ({where(i)} and {where(i + 1)}): more than {GAP:g} "
-            f"times the usual spacing of {usual:g} m; fill it, or cut the profile there"
-        )
+    check_shape("heights", heights, (len(distance), 2), "as there are so many distances, and a left and a right track")
+    check_ascending("profile", distance, heights, where, "distance", "m")
     rises = heights - heights[0]  # a road begins at its first height, be that of the sea or of the bench
     for i in np.flatnonzero(np.abs(rises).max(axis=1) > HIGHEST)[:1]:
         raise InputError(
@@ -137,18 +125,60 @@ def check_points(distance: Array, heights: Array, where: Callable[[int], str] = 
         )
 
 
+def check_ascending(what: str, x: Array, heights: Array, where: Callable[[int], str], axis: str, unit: str) -> None:
+    """Checks that points are enough, finite, and ascend without a gap.
+
+    Args:
+        what: what they make, for messages.
+        x: distance or time, shape (P,); axis: which of them; unit: its unit.
+        heights: [m], shape (P, K).
+        where: index -> what a message calls the point.
+
+    Raises:
+        InputError: they are not.
+    """
+    if len(x) < FEWEST:
+        raise InputError(f"a {what} needs at least {FEWEST} points, and has {len(x)}; give more")
+    for i in np.flatnonzero(~np.isfinite(x) | ~np.all(np.isfinite(heights), axis=1))[:1]:
+        raise InputError(f"{where(i)} is not finite: {axis} {x[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
+    steps = np.diff(x)
+    for i in np.flatnonzero(steps <= 0)[:1]:
+        there = f"{axis} falls or repeats, {x[i]:g} {unit}, then {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
+        raise InputError(f"{there}; sort the points")
+    usual = float(np.median(steps))
+    for i in np.flatnonzero(steps > GAP * usual)[:1]:
+        there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
+        raise InputError(f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill it, or cut the {what} there")
+
+
 def from_csv(content: bytes, speed: float, source: str) -> Profile:
     """Returns a profile from `Profile.points`, to the last bit.
 
     Raises:
         InputError: the content is wrong.
     """
-    if content.count(b"\n") <= FEWEST:
-        raise InputError("no points of a road")
-    try:
-        table = np.loadtxt(io.BytesIO(content), delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8")
-    except ValueError as error:
-        raise InputError(f"no points of a road ({str(error).splitlines()[0]})") from error
-    if table.shape[1] != 3:
-        raise InputError(f"points of a road in {table.shape[1]} column(s); distance, left and right are three")
+    names, table = read_points(content, "road")
+    if len(names) != 3:
+        raise InputError(f"points of a road in {len(names)} column(s); distance, left and right are three")
     return Profile(table[:, 0], table[:, 1:], speed, source)
+
+
+def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
+    """Returns the names and the numbers of `Road.points`, to the last bit.
+
+    Raises:
+        InputError: the content is wrong.
+    """
+    head, _, rest = content.partition(b"\n")
+    if rest.count(b"\n") < FEWEST:
+        raise InputError(f"no points of a {what}")
+    try:
+        names, table = (
+            head.decode().split(","),
+            np.loadtxt(io.BytesIO(rest), delimiter=",", ndmin=2, comments=None, encoding="utf-8"),
+        )
+    except ValueError as error:
+        raise InputError(f"no points of a {what} ({str(error).splitlines()[0]})") from error
+    if table.shape[1] != len(names):
+        raise InputError(f"points of a {what} in {table.shape[1]} column(s) below {len(names)} name(s)")
+    return names, table

@@ -1,6 +1,5 @@
 """Posts of a test rig: the height under each wheel over time, as in a four-post rig's drive file."""
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError, listing, quoted
 from models.kinds.kind import Parameters, Wheel
-from models.roads.profile import FEWEST, GAP
+from models.roads.profile import check_ascending, read_points
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 
@@ -50,6 +50,9 @@ class Rig(Road):
     laid = False
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        check_shape("heights", self.heights, (len(self.time), len(self.posts)), "as there are so many times and posts")
+        check_posts(self.posts)
         check_history(self.time, self.heights)
 
     @property
@@ -152,21 +155,7 @@ def check_history(time: Array, heights: Array, where: Callable[[int], str] = lam
     Raises:
         InputError: times that do not ascend or leave a gap, numbers that are not finite, strokes of no post, too few points.
     """
-    if len(time) < FEWEST:
-        raise InputError(f"a time history of {len(time)} points is none; give at least {FEWEST}")
-    for i in np.flatnonzero(~np.isfinite(time) | ~np.all(np.isfinite(heights), axis=1))[:1]:
-        raise InputError(f"{where(i)} is not finite: time {time[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
-    steps = np.diff(time)
-    for i in np.flatnonzero(steps <= 0)[:1]:
-        raise InputError(
-            f"time falls or repeats, {time[i]:g} s, then {time[i + 1]:g} s ({where(i)} and {where(i + 1)}); sort the points"
-        )
-    usual = float(np.median(steps))
-    for i in np.flatnonzero(steps > GAP * usual)[:1]:
-        raise InputError(
-            f"there is a gap from {time[i]:g} s to {time[i + 1]:g} s ({where(i)} and {where(i + 1)}): more than {GAP:g} times "
-            f"the usual step of {usual:g} s; fill it, or cut the history there"
-        )
+    check_ascending("time history", time, heights, where, "time", "s")
     rises = np.abs(heights - heights[0])
     for i in np.flatnonzero(rises.max(axis=1) > STROKE)[:1]:
         raise InputError(
@@ -199,15 +188,5 @@ def rig_from_csv(content: bytes, source: str) -> Rig:
     Raises:
         InputError: the content is wrong.
     """
-    head, _, rest = content.partition(b"\n")
-    if rest.count(b"\n") < FEWEST:
-        raise InputError("no points of a rig")
-    try:
-        posts = tuple(head.decode().split(",")[1:])
-        table = np.loadtxt(io.BytesIO(rest), delimiter=",", ndmin=2, comments=None, encoding="utf-8")
-    except ValueError as error:
-        raise InputError(f"no points of a rig ({str(error).splitlines()[0]})") from error
-    if table.shape[1] != 1 + len(posts):
-        raise InputError(f"points of a rig in {table.shape[1]} column(s); time and {len(posts)} post(s) are {1 + len(posts)}")
-    check_posts(posts)
-    return Rig(table[:, 0], table[:, 1:], posts, source)
+    (_, *posts), table = read_points(content, "rig")
+    return Rig(table[:, 0], table[:, 1:], tuple(posts), source)

@@ -5,12 +5,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.checks import Must, check, is_finite
+from models.common.errors import InputError, quoted
 from models.kinds.kind import Parameters, Wheel
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
@@ -18,6 +19,7 @@ from models.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
+Track = Annotated[str, Must("left, right or both", lambda value: value in ("left", "right", "both"))]
 LOWEST = 1e-5  # m; the effect of a lower road is lost in the rounding of a vehicle's weight
 
 
@@ -129,15 +131,17 @@ LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)
 
 
 def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
-    """Refuses a road with a number beyond its limits (smallest, largest), by name.
+    """Refuses a road with a number beyond its limits (smallest, largest), by name, or on an unknown track.
 
     Raises:
-        InputError: it names the number, and the range.
+        InputError: it names the number, and the range; or the track.
     """
     for name, (smallest, largest) in limits.items():
         value = getattr(road, name)
-        if not smallest <= value <= largest:  # NaN is in no range
-            raise InputError(f"{kind} {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+        if not is_finite(value) or not smallest <= value <= largest:
+            shown = f"{value:g}" if isinstance(value, int | float) else quoted(value)
+            raise InputError(f"{kind} {name} = {shown} is not allowed; give a number from {smallest:g} to {largest:g}")
+    check(f"{kind} track", road.track, Track)
 
 
 @dataclass(frozen=True)

@@ -145,8 +145,9 @@ class SineSweep(Road):
     speed: float = 20.0
 
     def __post_init__(self) -> None:
-        limits = {"amplitude": LIMITS["height"], "lowest": (0.01, 100.0), "highest": (self.lowest * 1.001, 100.0)}
-        check_numbers("sweep", self, limits | {"duration": (0.1, 1e4), "speed": LIMITS["speed"]})
+        limits = {"amplitude": LIMITS["height"], "lowest": (0.01, 100.0), "duration": (0.1, 1e4), "speed": LIMITS["speed"]}
+        check_numbers("sweep", self, limits)
+        check_numbers("sweep", self, {"highest": (self.lowest * 1.001, 100.0)})
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the sweep, the same on both sides; it stays at its last height."""

@@ -1,10 +1,12 @@
-"""Spectrum of a random road, and coherency of its two tracks."""
+"""Spectrum of a random road, coherency of its two tracks, and the road as every wheel of a vehicle meets it."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.vehicle.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -41,3 +43,33 @@ def coherency(n: Array, width: float) -> Array:
 
     x = 2 * np.pi * np.asarray(n) * width
     return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)
+
+
+def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
+    """Returns the road under every wheel for a road exp(j omega t) under the first wheel, shape (F, r).
+
+    Args:
+        vehicle: r wheels.
+        omega: angular frequencies [rad/s], shape (F,).
+        speed: forward velocity [m/s].
+    """
+    later = np.array([wheel.behind(vehicle.parameters) / speed for wheel in vehicle.kind.wheels])
+    return np.exp(-1j * np.multiply.outer(omega, later))
+
+
+def tracks(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
+    """Returns the share of the two independent sources of a road in every wheel's track, shape (F, r, 2)."""
+    alike = road.coherency(omega)
+    left, right = np.stack([np.ones_like(alike), np.zeros_like(alike)]), np.stack([alike, np.sqrt(1 - alike**2)])
+    return np.moveaxis(np.stack([right if wheel.side == "right" else left for wheel in vehicle.kind.wheels]), -1, 0)
+
+
+def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
+    """Returns the road under every wheel by the two independent sources, complex, shape (F, r, 2)."""
+    return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
+
+
+def longest_panel(vehicle: Vehicle, speed: float) -> float:
+    """Returns the largest spacing of frequencies that resolves the delay of the last axle [rad/s]."""
+    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed
+    return 2 * np.pi / delay if delay else math.inf

@@ -21,7 +21,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.suspension.curve import ForceCurve
 from models.suspension.damper import Damper
-from models.suspension.fitted_curves import Fitted
+from models.suspension.fitted_curves import SuspensionCurve
 
 COEFFICIENT, MISSING = "damping", "missing_force"  # prefixes of a damper's signals
 ROUNDING = 1e-9  # relative to the force of curve and line
@@ -179,9 +179,8 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     where += [f"beyond {x[end]:g} m/s, as it goes on from there" for end in (0, -1) if on[end] < -ROUNDING * one.steepest]
     if where:
         raise InputError(
-            f"[curves] {parameter} lies beside an adjustable damper, at every setting with what it has beyond its line at rest, "
-            f"and so feeds energy in {where[0]} at the softest one; give its line and friction alone in [curves], and measured "
-            "limits of the damper as curves c_min and c_max of [actuators]"
+            f"[curves] {parameter} adds to an adjustable damper, whose softest setting then feeds energy in {where[0]}; give "
+            "only the line and the friction in [curves], and the measured limits as curves c_min and c_max of [actuators]"
         )
 
 
@@ -200,7 +199,9 @@ def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Dam
             )
 
 
-def softest(curves: Sequence[Fitted], dampers: Sequence[Adjustable], pushed: Callable[[str], str]) -> tuple[Fitted, ...]:
+def softest(
+    curves: Sequence[SuspensionCurve], dampers: Sequence[Adjustable], pushed: Callable[[str], str]
+) -> tuple[SuspensionCurve, ...]:
     """Returns the curves of suspensions, with `Adjustable.base` for the adjustable dampers.
 
     Args:

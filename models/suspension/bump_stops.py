@@ -12,6 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.suspension import STOP_KEYS
 
@@ -43,6 +46,16 @@ class Stop:
     stroke: float
     stiffness: tuple[float, float, float]
 
+    def push(self, beyond: Array) -> Array:
+        """Returns its force [N] where it is squeezed by so much [m], shape (...)."""
+        first, second, third = self.stiffness
+        return beyond * (first + beyond * (second + beyond * third))
+
+    def work(self, beyond: Array) -> Array:
+        """Returns the energy that it stores where it is squeezed by so much [J], shape (...)."""
+        first, second, third = self.stiffness
+        return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
+
 
 @dataclass(frozen=True)
 class Stops:
@@ -60,6 +73,19 @@ class Stops:
     def alike(self) -> bool:
         """True if one spring with a dead band replaces both: its force is odd, without x^2."""
         return self.bump.stiffness == self.rebound.stiffness and not self.bump.stiffness[1]
+
+    def pull(self, deflection: Array) -> Array:
+        """Returns the force that pulls body and wheel together [N], at deflections from rest [m], shape (...)."""
+        return sum((sign * stop.push(beyond) for sign, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
+
+    def work(self, deflection: Array) -> Array:
+        """Returns the energy that they store at deflections from rest [J], shape (...)."""
+        return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
+
+    def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
+        """Returns sign, stop and how far it is squeezed [m] for both sides."""
+        sides = ((-1.0, self.bump), (1.0, self.rebound))
+        return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in sides)
 
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
         """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).

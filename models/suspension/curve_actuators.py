@@ -13,7 +13,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.suspension.adjustable_dampers import Adjustable
-from models.suspension.fitted_curves import Fitted
+from models.suspension.fitted_curves import SuspensionCurve
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's bindings carry no type stubs.
@@ -23,7 +23,7 @@ UNBOUNDED = 1e9  # N; above any suspension's force, and below the limit at which
 SAME = 1e-9  # relative rounding error of a parameter that a kind's own code has written
 
 
-def fit_curves(spec: Any, curves: Sequence[Fitted], prefix: str, rest: Mapping[str, float]) -> None:
+def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: Mapping[str, float]) -> None:
     """Adds the deviations of curves from their lines to an `MjSpec`.
 
     Args:

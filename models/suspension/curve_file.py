@@ -6,29 +6,19 @@ format: blocks in brackets, tables under a row of names in braces, comments from
 `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
 """
 
-import csv
-import io
 import itertools
 import json
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TEXT, parse_toml, read_content
+from models.common.files import TEXT, origin, parse_toml, read_content
+from models.common.table import FORCE, LENGTH, TIME, VELOCITY, find_table, unit_named
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
-    "deflection": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254},
-    "force": {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605},
-}
-HEADING = re.compile(r"^\s*(\w+)\s*(?:[\[(]\s*([^\])]+?)\s*[\])])?\s*$")
-LENGTHS = {"mm": 1e-3, "millimeter": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "inch": 0.0254, "in": 0.0254}
-FORCES = {"newton": 1.0, "n": 1.0, "kilonewton": 1e3, "kn": 1e3, "pound_force": 4.4482216152605, "lbf": 4.4482216152605}
-TIMES = {"second": 1.0, "sec": 1.0, "s": 1.0, "millisecond": 1e-3, "ms": 1e-3}
+UNITS: Mapping[str, Mapping[str, float]] = {"velocity": VELOCITY, "deflection": LENGTH, "force": FORCE}
 BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
 
 
@@ -108,89 +98,62 @@ def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, 
     if beside := [key for key in ("velocity", "deflection", "force") if key in entry]:
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file
-    table, said = read_content(path, "curve", GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
-    return table, f"# from {file!a}, {said}", path
+    table, content = read_content(path, "curve", TEXT, GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
+    return table, origin(file, content), path
 
 
 def _of_csv(text: str) -> dict[str, list[float]]:
-    """Returns columns by their header, in SI units."""
-    rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if len(rows) < 2:
-        raise InputError(f"has {len(rows)} row(s), and no table below a header; {GIVE}")
-    delimiter = next((mark for mark in (";", "\t") if mark in rows[0]), ",")
-    cells = list(csv.reader(io.StringIO("\n".join(rows)), delimiter=delimiter, skipinitialspace=True))
-    columns, units = [], []
-    for cell in cells[0]:
-        heading = HEADING.match(cell)
-        name = heading[1].lower() if heading else ""
-        if heading is None or name not in UNITS:
-            raise InputError(f"has a column {quoted(cell)}; give velocity or deflection, and force, each with its unit: {GIVE}")
-        if heading[2] is None:
-            raise InputError(
-                f"says no unit of {name}; give one of {listing(UNITS[name])}, as in {name} [{next(iter(UNITS[name]))}]"
-            )
-        if heading[2] not in UNITS[name]:
-            raise InputError(f"has {name} in {quoted(heading[2])}; give one of {listing(UNITS[name])}")
-        columns.append(name)
-        units.append(UNITS[name][heading[2]])
-    if len(columns) != 2 or "force" not in columns or columns[0] == columns[1]:
-        raise InputError(f"has the columns {', '.join(columns)}; give two, force and either velocity or deflection")
-    values = _numbers(cells[1:], len(columns))
-    return {name: [unit * row[i] for row in values] for i, (name, unit) in enumerate(zip(columns, units, strict=True))}
-
-
-def _numbers(rows: list[list[str]], count: int) -> list[list[float]]:
-    """Returns rows of `count` finite numbers."""
-    points = []
-    for number, row in enumerate(rows, 1):
-        try:
-            values = [float(cell) for cell in row]
-        except ValueError:
-            values = []
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise InputError(f"point {number} is {quoted(row)}; give {count} finite numbers")
-        points.append(values)
-    return points
+    """Returns columns by their headings, in SI units."""
+    table = find_table(text, GIVE)
+    headings = table.headings(VELOCITY | LENGTH | FORCE)
+    names = table.names(headings, UNITS)
+    if len(names) != 2 or "force" not in names:
+        raise InputError(f"has the columns {', '.join(names)}; give two, force and either velocity or deflection")
+    scales = [heading.scale(UNITS[name]) for heading, name in zip(headings, names, strict=True)]
+    return dict(zip(names, (table.numbers()[0] * scales).T.tolist(), strict=True))
 
 
 def _of_dpr(text: str) -> dict[str, list[float]]:
     """Returns the table of a damper property file, in SI units."""
     blocks: dict[str, list[str]] = {}
+    lines = [re.split(r"[$!]", line, maxsplit=1)[0].strip() for line in text.replace("\r", "\n").split("\n")]
     inside: list[str] = []
-    for line in text.splitlines():
-        line = re.split(r"[$!]", line, maxsplit=1)[0].strip()
+    for i, line in enumerate(lines):
         if block := BLOCK.match(line):
             inside = blocks.setdefault(block[1].upper(), [])
         elif line:
             inside.append(line)
+        if inside is not blocks.get("CURVE") or block or line.startswith("{"):
+            lines[i] = ""  # what is left are the numbers, each in its line
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")
-    said = _units(blocks["UNITS"])
-    length, force, time = (_unit(said, key, known) for key, known in (("LENGTH", LENGTHS), ("FORCE", FORCES), ("TIME", TIMES)))
-    heads = [i for i, line in enumerate(blocks["CURVE"]) if line.startswith("{")]
+    units = _units(blocks["UNITS"])
+    length, force, time = (_unit(units, key, known) for key, known in (("LENGTH", LENGTH), ("FORCE", FORCE), ("TIME", TIME)))
+    heads = [line for line in blocks["CURVE"] if line.startswith("{")]
     if len(heads) != 1:
         raise InputError(f"has {len(heads)} tables in [CURVE]; give one, under {{ vel force }}")
-    names = [re.sub(r"<.*", "", name).lower() for name in blocks["CURVE"][heads[0]].strip("{} ").split()]
+    names = [re.sub(r"<.*", "", name).lower() for name in heads[0].strip("{} ").split()]
     if names not in (["vel", "force"], ["velocity", "force"]):
         raise InputError(f"has a table of {', '.join(names) or 'nothing'} in [CURVE]; give one of vel and force")
-    rows = _numbers([line.split() for line in blocks["CURVE"][heads[0] + 1 :]], 2)
-    return {"velocity": [row[0] * length / time for row in rows], "force": [row[1] * force for row in rows]}
+    table = find_table("\n".join(lines), "give two numbers, velocity and force")
+    v, forces = (table.numbers((0, 1))[0] * [length / time, force]).T.tolist()
+    return {"velocity": v, "force": forces}
 
 
 def _units(lines: list[str]) -> dict[str, str]:
     """Returns the units of a block, given as `KEY = 'unit'`, or as a table."""
-    said = {key.strip().upper(): value.strip(" '\"") for key, _, value in (line.partition("=") for line in lines) if value}
+    units = {key.strip().upper(): value.strip(" '\"") for key, _, value in (line.partition("=") for line in lines) if value}
     for head, row in itertools.pairwise(lines):
         if head.startswith("{"):
-            said = dict(zip(head.strip("{} ").upper().split(), row.replace("'", " ").split(), strict=False)) | said
+            units = dict(zip(head.strip("{} ").upper().split(), row.replace("'", " ").split(), strict=False)) | units
             break
-    return said
+    return units
 
 
-def _unit(said: Mapping[str, str], key: str, known: Mapping[str, float]) -> float:
-    if key not in said:
-        raise InputError(f"says no unit of {key} in [UNITS]; give one of {listing(known)}")
-    if said[key].lower() not in known:
-        raise InputError(f"has {key} = {quoted(said[key])} in [UNITS]; give one of {listing(known)}")
-    return known[said[key].lower()]
+def _unit(units: Mapping[str, str], key: str, known: Mapping[str, float]) -> float:
+    if key not in units:
+        raise InputError(f"[UNITS] has no {key}; give one of {listing(known)}")
+    if unit_named(units[key]) not in known:
+        raise InputError(f"[UNITS] has {key} = {quoted(units[key])}; give one of {listing(known)}")
+    return known[unit_named(units[key])]

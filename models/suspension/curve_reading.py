@@ -72,6 +72,8 @@ MOST_LINES = 24  # of a curve without its friction; each is an actuator, and cos
 USUAL_ERROR = 0.005  # over a curve's largest force, if its table has more lines than that
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 0.05
 ROUNDING = 1e-9  # of a range
+CLOSEST = 1e-9  # of a range, between points; nearer, rounding would decide
+SMALLEST_REACH, SMALLEST_FORCE = 1e-6, 1e-6  # m or m/s, and N; less is a mistake
 SMALLEST_FRICTION, LARGEST_FRICTION = 1e-3, 1e5  # N
 SMALLEST_CREEP, LARGEST_CREEP = 1e-4, 1.0  # m/s
 
@@ -172,10 +174,16 @@ def _check_argument(x: Array, over: Argument) -> None:
             f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}; sort the points by "
             f"{over.name}, each once"
         )
+    for i in np.flatnonzero(np.diff(x) < CLOSEST * (x[-1] - x[0]))[:1].tolist():
+        raise InputError(f"{over.name} goes from {x[i]:g} to {x[i + 1]:g} {over.unit} at point {i + 2}, too near; leave one out")
     if not x[0] < 0 < x[-1]:
         raise InputError(
             f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give both sides of rest: below 0 where the suspension is "
             "squeezed, above 0 where it stretches"
+        )
+    if min(-x[0], x[-1]) < SMALLEST_REACH:
+        raise InputError(
+            f"{over.name} goes from {x[0]:g} to {x[-1]:g} {over.unit}; give at least {SMALLEST_REACH:g} on both sides"
         )
     if max(-x[0], x[-1]) > over.largest:
         raise InputError(
@@ -193,8 +201,10 @@ def _from_rest(x: Array, force: Array, over: Argument) -> tuple[Array, Array]:
             "spring's preload has"
         )
     force = force - at_rest
-    if not np.abs(force).max() > 0:
-        raise InputError("has no force at any point; leave it out, or give its forces in N")
+    if not np.abs(force).max() >= SMALLEST_FORCE:
+        raise InputError(
+            f"force is {np.abs(force).max():g} N at most, and nothing below {SMALLEST_FORCE:g} N counts; give it in N"
+        )
     if 0.0 not in x:
         i = int(np.searchsorted(x, 0.0))
         x, force = np.insert(x, i, 0.0), np.insert(force, i, 0.0)

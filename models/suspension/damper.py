@@ -234,7 +234,7 @@ def _pair(where: str, given: Mapping[str, Any]) -> Pair | None:
     tables = [name for name in CURVED if isinstance(given[name], Mapping)]
     if len(tables) == 1:
         (other,) = {*CURVED} - {*tables}
-        raise InputError(f"{where} {tables[0]} is a curve, and {other} is none; give both as curves, or both as numbers [N s/m]")
+        raise InputError(f"{where} {tables[0]} is a curve, and {other} a number; give both as curves, or both as numbers [N s/m]")
     if not tables:
         return None
     curves = []

@@ -25,7 +25,7 @@ class Bent:
 
 
 @dataclass(frozen=True, eq=False)
-class Range:
+class CoefficientRange:
     """Limits of the coefficients relative to the nominal ones, for N runs with m actuators each.
 
     An actuator that pushes is included with infinite limits. Its closing velocity counts as 1, so its coefficient is its force.
@@ -97,6 +97,18 @@ class Range:
         low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)
         return low + (asked - low + soft / closing) * (closing / self.felt(closing, which))
 
+    def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
+        """Returns the forces at the settings less the requested ones [N], shape (N, m): exactly 0 where nothing is clipped.
+
+        Args:
+            forces: requested, shape (N, m).
+            closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
+            which: of the N.
+        """
+        turned = 1.0 if closing is None else self.felt(closing, which)
+        asked = forces / turned
+        return (np.minimum(np.maximum(asked, self.low[which]), self.high[which]) - asked) * turned
+
     @property
     def at_rest(self) -> Array:
         """Offsets that keep the closing velocities of `commands` from being 0, shape (m,)."""
@@ -110,29 +122,33 @@ def _pieces(pieces: Array, v: Array) -> Array:
     return np.add.reduce(np.minimum(np.maximum(slope * (v[..., None] - start), low), high), axis=-1)
 
 
-def range_of(vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str]) -> Range:
+def range_of(
+    vehicles: Sequence[Sequence[Adjustable]], forces: Sequence[str], most: Sequence[float | None] = ()
+) -> CoefficientRange:
     """Returns the range of the actuators of N vehicles.
 
     Args:
         vehicles: the adjustable dampers of each.
         forces: of each, m of them.
+        most: the largest force of the actuators that push, of each vehicle [N]; None for no limit.
     """
-    low, high = np.full((len(vehicles), len(forces)), -np.inf), np.full((len(vehicles), len(forces)), np.inf)
+    largest = np.array([np.inf if force is None else force for force in most or [None] * len(vehicles)])
+    high = np.repeat(largest[:, None], len(forces), axis=1)
+    low, adjustable = -high, np.zeros(high.shape, dtype=bool)
     for i, dampers in enumerate(vehicles):
         for damper in dampers:
             j = forces.index(damper.force)
-            low[i, j], high[i, j] = damper.low, damper.high
-    adjustable = np.isfinite(low)
+            low[i, j], high[i, j], adjustable[i, j] = damper.low, damper.high, True
     assert np.all(adjustable == adjustable[0]), "vehicles side by side have their dampers at the same places"
     if all(damper.damper.pair is None for dampers in vehicles for damper in dampers):
-        return Range(low, high, adjustable[0])
+        return CoefficientRange(low, high, adjustable[0])
     shapes, softs = [], []
     for dampers in vehicles:
         pairs = {damper.force: damper.damper.pair for damper in dampers}
         curves = [pairs.get(force) for force in forces]
         shapes.append([None if damper is None else damper.shape.pieces for damper in curves])
         softs.append([None if damper is None else damper.soft.pieces for damper in curves])
-    return Range(low, high, adjustable[0], Bent(_stacked(shapes), _stacked(softs)))
+    return CoefficientRange(low, high, adjustable[0], Bent(_stacked(shapes), _stacked(softs)))
 
 
 def _stacked(pieces: Sequence[Sequence[Pieces | None]]) -> Array:

@@ -34,7 +34,7 @@ class Suspended(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class SuspensionCurve:
     """ForceCurve of one suspension's damper or spring.
 
     Attributes:
@@ -63,7 +63,7 @@ def curvable(suspensions: Sequence[Suspended]) -> dict[str, Argument]:
     return {suspension.stiffness: DEFLECTION for suspension in suspensions if suspension.stiffness} | damping
 
 
-def lines_at_rest(curves: Sequence[Fitted]) -> str:
+def lines_at_rest(curves: Sequence[SuspensionCurve]) -> str:
     """Describes the lines of curves in linear analysis: slope at rest, and the range of slopes; empty if all are straight."""
     bent = {placed.parameter: placed.curve for placed in curves if len(placed.curve.pieces.slope)}
     return ", ".join(
@@ -89,7 +89,7 @@ def fitted(
     curves: Mapping[str, ForceCurve],
     parameters: Mapping[str, float],
     dampers: Mapping[str, ForceCurve | None],
-) -> tuple[Fitted, ...]:
+) -> tuple[SuspensionCurve, ...]:
     """Returns every suspension's curves, scaled to the vehicle's parameters.
 
     Args:
@@ -104,5 +104,5 @@ def fitted(
                 curve = curves.get(name)
                 curve = curve.scaled(parameters[name] / curve.slope) if curve is not None and curve.slope else curve
             if curve is not None:
-                placed.append(Fitted(suspension.deflection, suspension.tendon, name, over, curve))
+                placed.append(SuspensionCurve(suspension.deflection, suspension.tendon, name, over, curve))
     return tuple(placed)

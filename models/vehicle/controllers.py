@@ -4,7 +4,6 @@ import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +12,16 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.printed import size
-from models.kinds.kind import LARGEST, VehicleKind, is_number, is_within
+from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
 from models.kinds.linear_model import LinearModel
 from models.laws.linear import MATRICES, LinearLaw, static_law
-from models.laws.python_law import PythonLaw, read_law
-from models.laws.semi_active import SemiActiveLaw, read_semi_active
+from models.laws.python_law import Programmed, PythonLaw, read_law
+from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle import GOAL_KEYS
+from models.vehicle.combinations import check_together, goes, section_parts
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import designed_for_samples, goals_of, loads_of
+from models.vehicle.sections import goals_of, loads_of, read_sampled
 
 if TYPE_CHECKING:
     from models.vehicle.goals import Goals
@@ -30,25 +30,12 @@ QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square;
 FULL = "full"  # value of `order`
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # the law
-    *("order", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
+    "anti_windup",
+    *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
+FASTEST_TRACKING = 1e6  # 1/s, of anti-windup
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
-
-
-class Method(Enum):
-    """Origin of a controller's law; the value is a phrase about the controller."""
-
-    GAIN = "has a gain of its own"
-    LAW = "has a law with states of its own"
-    TWO_STEPS = "is designed in two steps"
-    NOISE = "is designed for noise, which (25) does not know"
-    SAMPLED = "is designed for the sampled loop"
-    GOALS = "is designed for goals"
-    FULL_ORDER = "is designed at full order"
-    QUADRATIC = "is designed for the mean square"
-    PYTHON = "is a law in Python"
-    SEMI_ACTIVE = "is a semi-active law"
 
 
 @dataclass(frozen=True)
@@ -84,6 +71,8 @@ class ControllerEntry:
         sampled: True if it is designed for the sampled loop.
         goals: goals of its design; None for the least norm.
         semi_active: its law for adjustable dampers, without any claim; None for all others.
+        stable: True if its law of full order is to be stable by itself.
+        anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
     """
 
     name: str
@@ -96,6 +85,8 @@ class ControllerEntry:
     sampled: bool = False
     goals: "Goals | None" = None
     semi_active: SemiActiveLaw | None = None
+    stable: bool = False
+    anti_windup: float | None = None
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -105,24 +96,47 @@ class ControllerEntry:
     @property
     def linear(self) -> bool:
         """True if linear analysis applies."""
-        return self.method not in (Method.PYTHON, Method.SEMI_ACTIVE)
+        return self.python is None and self.semi_active is None
 
     @property
-    def method(self) -> Method:
-        """Origin of its law; a law in the file takes precedence."""
+    def parts(self) -> dict[str, str]:
+        """Its law or design, and what is beside it, each as a vehicle file has it: rows of the table of what goes together."""
+        parts: dict[str, str] = {}
         if self.law is not None:
-            return Method.LAW if self.law.states else Method.GAIN
-        if self.python is not None:
-            return Method.PYTHON
-        if self.semi_active is not None:
-            return Method.SEMI_ACTIVE
-        if self.design:
-            return Method.QUADRATIC if self.design in QUADRATIC else Method.FULL_ORDER
+            parts |= {"states": "a law with states"} if self.law.states else {"gain": "gain"}
+        elif self.python is not None:
+            parts["law"] = "law"
+        elif self.semi_active is not None:
+            parts["semi_active"] = "semi_active"
+        elif self.design:
+            parts[self.design] = f'order = "{FULL}"' if self.design == FULL else f'design = "{self.design}"'
+        elif self.goals is None:
+            parts["steps"] = "no law, order or design"
+        flags = {
+            "stable": self.stable,
+            "noise": any(self.hardware.noise),
+            "lag": self.hardware.bandwidth is not None,
+            "sampled": self.sampled,
+        }
+        parts |= {key: f"{key} = true" for key, value in flags.items() if value}
         if self.goals is not None:
-            return Method.GOALS
-        if self.sampled:
-            return Method.SAMPLED
-        return Method.NOISE if any(self.hardware.noise) else Method.TWO_STEPS
+            parts |= {"goals": "goals"} | {key: key for key in ("tolerance", "family") if getattr(self.goals, key)}
+        parts |= {"anti_windup": "anti_windup"} if self.anti_windup is not None else {}
+        return parts | ({"loads": "loads"} if self.hardware.loads else {})
+
+    def driver(self) -> Programmed | SemiActive:
+        """Returns the controller of a law in Python, whose file is read and not run, or of a semi-active law.
+
+        Raises:
+            InputError: the file cannot be read.
+        """
+        if self.semi_active is not None:
+            return SemiActive(self.name, self.semi_active)
+        assert self.python is not None, "any other law is linear"
+        try:
+            return Programmed(self.name, self.measured, self.python, self.python.source())
+        except InputError as error:
+            raise InputError(f"controller {self.name!r}: {error}") from error
 
 
 def read_controllers(
@@ -151,8 +165,8 @@ def read_controllers(
         check_name(f"[controllers.{name}]", name, RESERVED)
         controller = _controller(name, entry, model, limits, implementation, folder, dampers or {})
         controller = replace(controller, goals=goals_of(f"[controllers.{name}]", entry, controller.measured, model.outputs, kind))
-        two_steps = controller.method is Method.TWO_STEPS and not controller.hardware.loads
-        for_samples = designed_for_samples(f"[controllers.{name}]", entry, two_steps, implementation, sampled)
+        usual = sampled and goes("sampled", controller.parts)
+        for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)
     return controllers
 
@@ -169,14 +183,15 @@ def _controller(
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
+    check_together(where, section_parts(entry, model.inputs))
     semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
     if semi_active is not None:
         return ControllerEntry(name, semi_active.measured, semi_active=semi_active)
     for key in entry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
-                f"{where} unknown key {key!r}; a controller is a static gain on what it measures, u = K y, or a law with states, "
-                f"x_c' = A x_c + B y, u = C x_c + D y, or a law in Python, and designed where none is given; known: "
+                f"{where} unknown key {key!r}; a controller is a static gain, u = K y, or a law with states, x_c' = A x_c + B y, "
+                f"u = C x_c + D y, or a law in Python, and designed where none is given; known: "
                 f"{listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:
@@ -185,7 +200,7 @@ def _controller(
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
-    design, python = _design(where, entry, given), read_law(where, entry, folder)
+    design, python = _design(where, entry), read_law(where, entry, folder)
     if design == "lqr" and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
@@ -203,11 +218,6 @@ def _controller(
                 f"{where} {signal!r} has the road's height in it beside the state, and loops are closed through the state alone; "
                 f"give signals out of: {measurable}"
             )
-        if signal in model.inputs and not (given or design or python or entry.get("lag")):
-            raise InputError(
-                f"{where} {signal!r} says nothing of the state, so no gain is designed on it; leave it out, or give "
-                'order = "full", whose controller takes the force out of the accelerations that it measures'
-            )
     if not given and python is None and set(measured) <= set(model.inputs):
         raise InputError(f"{where} control forces alone say nothing of the state; give measured = signals out of: {measurable}")
     if design == "lqr" and set(measured) != set(model.states):
@@ -218,7 +228,11 @@ def _controller(
     hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
     hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
     law = None if python else _law(where, entry, model, measured)
-    return ControllerEntry(name, tuple(measured), law, entry.get("certificate"), design, python, hardware)
+    stable, clipped = _stable(where, entry), bool(dampers) or limits.actuator_force is not None
+    anti_windup = _anti_windup(where, entry, law, clipped)
+    law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
+    claims = entry.get("certificate")
+    return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, stable=stable, anti_windup=anti_windup)
 
 
 def _hardware(
@@ -235,9 +249,6 @@ def _hardware(
     for key, value in flags.items():
         if not isinstance(value, bool):
             raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give true or false: how much stands elsewhere")
-        if value and (design == "lqr" or (design == "lqg" and key == "noise")):
-            why = "is of the state itself" if design == "lqr" else "takes the noise of [implementation] by itself"
-            raise InputError(f'{where} has {key} = true, and design = "{design}" {why}; leave {key} out')
     noise = tuple(implementation.noise.get(signal, 0.0) for signal in measured) if flags["noise"] else ()
     if flags["noise"] and not any(noise):
         raise InputError(
@@ -257,25 +268,47 @@ def _hardware(
     return Hardware(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
 
-def _design(where: str, entry: Mapping[str, Any], given: bool) -> str:
+def _design(where: str, entry: Mapping[str, Any]) -> str:
     """Returns the method of design, see `ControllerEntry`."""
     for key, allowed in {"order": (FULL,), "design": QUADRATIC}.items():
         if key in entry and entry[key] not in allowed:
             raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}")
-    keys = [key for key in ("order", "design") if key in entry]
-    if len(keys) > 1:
-        raise InputError(f"{where} has an order and a design; an H2, LQG or LQR controller has its order: leave order out")
-    if keys and given:
-        given_key = f"{keys[0]} = {quoted(entry[keys[0]])}"
-        raise InputError(f"{where} has {given_key} and a law of its own, which is not designed; give one")
-    return entry[keys[0]] if keys else ""
+    return entry.get("order", entry.get("design", ""))
+
+
+def _stable(where: str, entry: Mapping[str, Any]) -> bool:
+    """Returns True if a law is to be designed that is stable by itself."""
+    stable = entry.get("stable", False)
+    if not isinstance(stable, bool):
+        raise InputError(f"{where} stable = {quoted(stable)} is not allowed; give true or false")
+    return stable
+
+
+def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, clipped: bool) -> float | None:
+    """Returns the rate of a law's anti-windup [1/s], or None without it.
+
+    Args:
+        clipped: True if something limits the forces.
+    """
+    if "anti_windup" not in entry:
+        return None
+    try:
+        rate = Parameter("anti_windup", "1/s", "of its states", largest=FASTEST_TRACKING).check(entry["anti_windup"])
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+    if law is not None and not law.states:
+        raise InputError(f"{where} has anti_windup, and its law has no states that wind up; leave anti_windup out")
+    if not clipped:
+        raise InputError(
+            f"{where} has anti_windup, and nothing clips its forces; give [limits] actuator_force, or [actuators] "
+            'kind = "damper", or leave anti_windup out'
+        )
+    return rate
 
 
 def _law(where: str, entry: Mapping[str, Any], model: LinearModel, measured: list[str]) -> LinearLaw | None:
     """Returns the law of an entry, or None if the entry has no matrices."""
     matrices = [key for key in MATRICES if key in entry]
-    if "gain" in entry and (matrices or "sample_period" in entry):
-        raise InputError(f"{where} has a gain and {listing(matrices or ['sample_period'])}; a static gain is whole by itself")
     if "gain" in entry:
         return static_law(_gain(where, entry["gain"], model, measured))
     if not matrices and "sample_period" not in entry:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from models.common.errors import InputError, listing, quoted
-from models.vehicle import GOAL_KEYS
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
@@ -182,12 +181,11 @@ def _described(bound: Bound) -> dict[str, Any]:
 PERFORMANCE = "performance"
 FORCE = "force"  # in a tolerance: all forces
 SMALLEST, LARGEST = 1e-9, 1e12
+HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 MOST_MEMBERS = 50
 MOST_BOUNDS = 20
 LARGEST_TOLERANCE = 0.9  # relative: a sensor that may be off by its whole reading says nothing
 LOWEST_FACTOR, HIGHEST_FACTOR = 0.1, 10.0  # of a parameter in a family
-
-OTHER_WAYS = ("order", "design", "sampled", "law", "file", "A", "sample_period")  # keys that goals do not go with
 
 BOUND_KINDS = {  # further keys of a bound, and an example
     "norm": (("signals", "band"), "{ norm = 8.6 }"),
@@ -233,12 +231,6 @@ def read_goals(
     Raises:
         InputError: a key or a number that is not allowed.
     """
-    for key in OTHER_WAYS:
-        if entry.get(key):
-            raise InputError(
-                f"{where} has {key} = {quoted(entry[key])} beside goals, which are of static gains in continuous "
-                f"time; leave {key} out, or {listing([goal for goal in GOAL_KEYS if goal in entry])}"
-            )
     corners = kind.corners
     minimise, over = _minimise(where, entry.get("minimise", {}), outputs)
     family = _family(where, entry.get("family"), [parameter.name for parameter in kind.parameters])
@@ -290,14 +282,17 @@ def _norm(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Nor
         weights = {}
     if weights is not None and not weights:
         raise InputError(
-            f'{where} signals = {quoted(value["signals"])} is none; give "performance", or signals with their weights, as in '
-            "{ sprung_acceleration = 1.0 }"
+            f'{where} signals = {quoted(value["signals"])} is not allowed; give "performance", or signals with their weights, '
+            "as in { sprung_acceleration = 1.0 }"
         )
     if band is None:
         return NormOf(weights)
     fits = isinstance(band, list) and len(band) == 2 and all(_is_number(end, True) for end in band)
-    if not fits or not 0 <= band[0] < band[1]:
-        raise InputError(f"{where} band = {quoted(band)} is none; give two frequencies [Hz], from and to, as in [4.0, 8.0]")
+    if not fits or not 0 <= band[0] < band[1] <= HIGHEST:
+        raise InputError(
+            f"{where} band = {quoted(band)} is not allowed; give two frequencies [Hz], from and to, of at most {HIGHEST:g}, as "
+            "in [4.0, 8.0]; leave band out for all frequencies"
+        )
     ends = (float(band[0]), float(band[1]))
     return NormOf(weights, ends if ends != EVERYWHERE else EVERYWHERE)
 
@@ -396,7 +391,7 @@ def _structure(
     fits = isinstance(value, list) and len(value) == len(corners) and all(isinstance(row, list) for row in value)
     if not fits or not all(len(row) == len(measured) and all(entry in (0, 1) for entry in row) for row in value):
         raise InputError(
-            f'{where} structure = {quoted(value)} is none; give "{CORNER}", or {len(corners)} row(s), one a force, of '
+            f'{where} structure = {quoted(value)} is not allowed; give "{CORNER}", or {len(corners)} row(s), one a force, of '
             f"{len(measured)} numbers 0 or 1, one a measured signal"
         )
     if not any(any(row) for row in value):

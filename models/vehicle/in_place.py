@@ -7,9 +7,6 @@ A TOML file of a family has the key `family` of a section. A CSV file has a vehi
 its numbers are factors on them.
 """
 
-import csv
-import hashlib
-import io
 import json
 import re
 from collections.abc import Mapping
@@ -20,7 +17,8 @@ import numpy as np
 
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, listing, quoted, some
-from models.common.files import MIB, TEXT, parse_toml, read_bytes, read_content
+from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
+from models.common.table import find_table
 from models.vehicle.mat_file import SAVE, Variable, read_mat
 
 
@@ -96,8 +94,8 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 def _read_family(file: str, folder: Path) -> tuple[list[dict[str, Any]], str]:
     """Returns the members in a file, and a comment with its source."""
     path = folder / file
-    family, said = read_content(path, KEY, GIVE_FAMILY, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
-    return family, f"# from {file!a}, {said}"
+    family, content = read_content(path, KEY, TEXT, GIVE_FAMILY, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
+    return family, origin(file, content)
 
 
 def _of_toml(text: str) -> list[dict[str, Any]]:
@@ -109,25 +107,9 @@ def _of_toml(text: str) -> list[dict[str, Any]]:
 
 
 def _of_csv(text: str) -> list[dict[str, Any]]:
-    try:  # lines may end as on any system, old Macs too
-        rows = [row for row in csv.reader(io.StringIO(text, newline=None)) if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(f"is no table ({error}); {GIVE_FAMILY}") from error
-    if len(rows) < 2:
-        raise InputError(f"has {len(rows)} row(s) and no vehicle below a header; {GIVE_FAMILY}")
-    names = [name.strip() for name in rows[0]]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"has {quoted(name)} as the name of {names.count(name)} columns; give a column for each parameter")
-    family = []
-    for number, row in enumerate(rows[1:], 2):
-        if len(row) != len(names):
-            raise InputError(f"row {number} has {len(row)} numbers, and the header {len(names)} names; give as many")
-        try:
-            family.append({name: float(cell) for name, cell in zip(names, row, strict=True)})
-        except ValueError as error:
-            raise InputError(f"row {number} is {quoted(row)}; give numbers, factors on the parameters") from error
-    return family
+    table = find_table(text, GIVE_FAMILY)
+    names = [heading.text for heading in table.headings({})]
+    return [dict(zip(names, row, strict=True)) for row in table.numbers()[0].tolist()]
 
 
 def _table(member: dict[str, Any]) -> str:
@@ -202,8 +184,7 @@ def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], s
         if said != period:
             raise InputError(f"file {path}: has a sample period of {period:g} s, and sample_period = {quoted(said)} is another")
         record |= {} if "sample_period" in entry else {"sample_period": period}
-    digest = hashlib.sha256(content).hexdigest()
-    return record, f"# from {file!a}, {len(content)} bytes, SHA-256 {digest}", path
+    return record, origin(file, content), path
 
 
 def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str) -> tuple[dict[str, Any], float | None]:

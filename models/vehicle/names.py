@@ -9,6 +9,7 @@ from collections.abc import Collection
 
 from models.common.errors import InputError
 
+PASSIVE = "passive"  # the controller without force, of every vehicle
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from models.suspension.damper import Damper
     from models.vehicle.filter import Filter
     from models.vehicle.goals import Goals
-    from models.vehicle.limits_and_implementation import Implementation, Limits
+    from models.vehicle.limits_and_implementation import Limits
 
 
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
@@ -145,40 +145,18 @@ def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tupl
         return ()
     from models.vehicle.weighted_loads import weighed_loads
 
-    return weighed_loads(where, entry, loads, GOAL_KEYS)
+    return weighed_loads(where, entry, loads)
 
 
-def read_sampled(section: Mapping[str, Any]) -> bool:
-    """Returns `sampled` of `[implementation]`: True if designs are for the sampled loop.
-
-    Raises:
-        InputError: the value is not allowed, or the section gives no sample period.
-    """
-    return _sampled("[implementation]", section.get("sampled", False), section.get("sample_period"))
-
-
-def designed_for_samples(
-    where: str, entry: Mapping[str, Any], two_steps: bool, implementation: "Implementation", usual: bool
-) -> bool:
-    """Returns True if a controller is designed for the sampled loop.
+def read_sampled(where: str, value: Any, period: Any) -> bool:
+    """Returns `sampled` of a section: True if designs are for the sampled loop.
 
     Args:
-        two_steps: whether it is designed in two steps, without noise.
-        usual: default, `sampled` of `[implementation]`.
+        period: of `[implementation]`; None without one.
 
     Raises:
-        InputError: the section requests such a design, but the controller has no such method or no sample period.
+        InputError: the value is not allowed, or there is no sample period.
     """
-    sampled = _sampled(where, entry.get("sampled", usual and two_steps), implementation.sample_period)
-    if sampled and not two_steps:
-        raise InputError(
-            f"{where} has sampled = true, which is of static gains that are designed in two steps, without noise; leave sampled "
-            "out, or its law, order, design or noise"
-        )
-    return sampled
-
-
-def _sampled(where: str, value: Any, period: Any) -> bool:
     if not isinstance(value, bool):
         raise InputError(f"{where} sampled = {quoted(value)} is not allowed; give true or false")
     if value and period is None:

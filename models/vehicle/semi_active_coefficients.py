@@ -7,32 +7,40 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.laws.semi_active import CROSSOVER, MODAL, SPRUNG, Numbers, SemiActiveLaw
+from models.laws.semi_active import CROSSOVER, MODAL, SPRUNG, LawCoefficients, SemiActiveLaw
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from models.suspension.damper_range import Range
+    from models.suspension.damper_range import CoefficientRange
 
 
-def numbers_of(law: SemiActiveLaw, vehicles: Sequence[Vehicle]) -> Numbers:
-    """Returns the coefficients of a law for N vehicles of one kind.
+def numbers_of(laws: Sequence[SemiActiveLaw], vehicles: Sequence[Vehicle]) -> LawCoefficients:
+    """Returns the coefficients of N laws of one name for N vehicles of one kind.
 
     A damper between body and sky, or wheel and ground, has c_max by default; a damper of a mode of the body has the sky damper's
     coefficient by default.
     """
-    given = dict(law.numbers)
     dampers = [[damper.damper for damper in vehicle.adjustable] for vehicle in vehicles]
     c_min, c_max = (np.array([[getattr(damper, name) for damper in row] for row in dampers]) for name in ("c_min", "c_max"))
-    sky, ground = (np.full_like(c_max, given[name]) if name in given else c_max for name in ("sky_damping", "ground_damping"))
-    moved = np.stack([_modes(law, vehicle) for vehicle in vehicles], axis=1)
+    given = [dict(law.numbers) for law in laws]
+
+    def of(key: str, otherwise: Array | float) -> Array:
+        numbers = np.broadcast_to(otherwise, c_max.shape).astype(float)
+        for i, one in enumerate(given):
+            if key in one:
+                numbers[i] = one[key]
+        return numbers
+
+    sky, ground = of("sky_damping", c_max), of("ground_damping", c_max)
+    moved = np.stack([_modes(law, vehicle) for law, vehicle in zip(laws, vehicles, strict=True)], axis=1)
     damped = moved.copy()
-    to_sky = [np.full(len(vehicles), given[key]) if key in given else None for key, mode in MODAL.items() if mode in law.modes]
-    for b, coefficient in enumerate(to_sky):
-        if coefficient is not None:
-            damped[b] *= coefficient[:, None] / np.where(sky > 0, sky, 1.0)
+    for b, key in enumerate(key for key, mode in MODAL.items() if mode in laws[0].modes):
+        for i, one in enumerate(given):
+            if key in one:
+                damped[b, i] *= one[key] / np.where(sky[i] > 0, sky[i], 1.0)
     stiffness = np.array([_stiffness(vehicle) for vehicle in vehicles])
-    mix, crossover = given.get("mix", 0.5), given.get("crossover", CROSSOVER)
-    return Numbers(c_min, c_max, sky, ground, stiffness, ([*damped], [*moved]), mix, crossover)
+    mix, crossover = of("mix", 0.5), of("crossover", CROSSOVER)
+    return LawCoefficients(c_min, c_max, sky, ground, stiffness, ([*damped], [*moved]), mix, crossover)
 
 
 def _stiffness(vehicle: Vehicle) -> list[float]:
@@ -50,7 +58,7 @@ def _modes(law: SemiActiveLaw, vehicle: Vehicle) -> Array:
     return rows[:, [model.states.index(mode) for mode in law.modes]].T
 
 
-def numbers_at(numbers: Numbers, of: "Range", closing: Array, which: Array | slice) -> Numbers:
+def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array, which: Array | slice) -> LawCoefficients:
     """Returns the coefficients with the limits of curved dampers at velocities.
 
     Args:

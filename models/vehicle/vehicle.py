@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, listing, quoted
 from models.common.files import TEXT, parse_toml, read_text
 from models.kinds.kind import HERE, ShownVehicle, VehicleKind
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
-    from models.suspension.fitted_curves import Fitted
+    from models.suspension.fitted_curves import SuspensionCurve
     from models.vehicle.filter import Filter
 
 
@@ -77,6 +78,9 @@ class Vehicle(ShownVehicle):
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: of dampers and springs, by the parameter that each replaces.
         dampers: adjustable dampers in place of actuators, by force.
+
+    Raises:
+        InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
     """
 
     kind: VehicleKind
@@ -94,8 +98,33 @@ class Vehicle(ShownVehicle):
     curves: Mapping[str, "ForceCurve"] = field(default_factory=dict)
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("parameters", "performance", "controllers"):
+            object.__setattr__(self, name, ReadOnly(getattr(self, name)))
+        self.kind.check_each(self.parameters)
+        object.__setattr__(self, "kind", self.kind.naming(self.performance))
+        known = {signal.name for signal in self.kind.signals}
+        for name, weight in self.performance.items():
+            if name not in known or weight < 0:
+                raise InputError(f"performance: {name} = {weight:g} is not allowed; give weights from 0 for {listing(known)}")
+
+    def with_parameters(self, **parameters: float) -> "Vehicle":
+        """Returns the vehicle with other values of some parameters, its controllers as they are.
+
+        Raises:
+            InputError: a parameter is unknown or not allowed, or they are no vehicle together.
+
+        Example:
+            >>> from models import read_vehicle
+            >>> heavier = read_vehicle("quarter_car").with_parameters(sprung_mass=600.0)
+            >>> heavier.parameters["sprung_mass"]
+            600.0
+        """
+        return replace(self, parameters={**self.parameters, **parameters}).checked()
+
     @cached_property
-    def fitted(self) -> "tuple[Fitted, ...]":
+    def fitted(self) -> "tuple[SuspensionCurve, ...]":
         """Curves of its suspensions, scaled to its parameters."""
         if not (self.curves or self.dampers):
             return ()
@@ -114,6 +143,17 @@ class Vehicle(ShownVehicle):
     def linear_model(self) -> LinearModel:
         """Linear model of these parameters."""
         return self.kind.model(self.parameters)
+
+    def _repr_html_(self) -> str:
+        from models.figures.notebook import gain_curve, gain_panel, notebook_figure
+
+        model = self.linear_model
+        weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
+        omega, gains = gain_curve(model.A, model.Bw, weights * model.C, np.zeros((len(weights), model.Bw.shape[1])))
+        panel = gain_panel(
+            "largest singular value without control, from the road's velocity to the weighted signals:", omega, gains, {}
+        )
+        return super()._repr_html_() + notebook_figure(panel)
 
     @cached_property
     def adjustable(self) -> "tuple[Adjustable, ...]":
@@ -181,10 +221,10 @@ class Vehicle(ShownVehicle):
         return self.limits == Limits() and self.implementation.ideal
 
     def checked(self) -> "Vehicle":
-        """Returns the vehicle with its parameters and weights checked, which `dataclasses.replace` does not do.
+        """Returns the vehicle with its parameters and weights checked together, which `dataclasses.replace` does not do.
 
         Raises:
-            InputError: a parameter or weight is missing, unknown or not allowed.
+            InputError: they are no vehicle together, or do not go with its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
         performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
@@ -231,8 +271,8 @@ class Vehicle(ShownVehicle):
         if not entry.linear:
             what = "law in Python, " + entry.python.law if entry.python else "semi-active law"
             raise InputError(
-                f"controller {name!r} is a {what}, of which there is no linear claim, and here is nothing else; sim.bump, "
-                "sim.drive, sim.sweep, sim.campaign and sim.report drive it: name another one here"
+                f"controller {name!r} is a {what}, which has no linear loop to analyse; name another controller, or drive this "
+                "one with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
 
@@ -305,7 +345,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     model = vehicle_kind.whole_model(parameters)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
-    sampled = read_sampled(data.get("implementation", {}))
+    sampled = read_sampled("[implementation]", data.get("implementation", {}).get("sampled", False), implementation.sample_period)
     section = data.get("controllers", {})
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}

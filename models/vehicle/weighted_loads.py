@@ -1,25 +1,20 @@
 """Loads in a controller's section: weighted disturbances of its norm, beside the road."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.kinds.kind import LARGEST, SMALLEST, is_within
 
-ALONE = ("design", "law", "semi_active", "sampled")  # keys of designs that know no loads
 
-
-def weighed_loads(
-    where: str, section: Mapping[str, Any], loads: Sequence[str], goals: Collection[str]
-) -> tuple[tuple[str, float], ...]:
+def weighed_loads(where: str, section: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """Returns the size of each load [N, N m] that counts as much as 1 m/s of w, by name, from a section with loads.
 
     Args:
         loads: the vehicle's loads.
-        goals: keys of goals, whose designs know no loads either.
 
     Raises:
-        InputError: a load is unknown, a value is not allowed, or the design knows no loads.
+        InputError: a load is unknown, or a value is not allowed.
     """
     given = section["loads"]
     if not isinstance(given, Mapping) or not given:
@@ -31,6 +26,4 @@ def weighed_loads(
             raise InputError(
                 f"{where} loads: {name} = {quoted(value)} is not allowed; give a number from {SMALLEST:g} to {LARGEST:g}"
             )
-    if others := [key for key in (*ALONE, *goals) if section.get(key)]:
-        raise InputError(f"{where} has loads and {others[0]}, which knows no loads; leave one out")
     return tuple((name, float(value)) for name, value in given.items())

@@ -15,13 +15,15 @@ A law in Python that fails, ends its process, or takes longer than 10 s a call o
 the reason. The campaign goes on with the same file of the law only; --verify runs it, and the Python of a kind of
 vehicle of your own, only if FILE is named as well.
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
-exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault,
-2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
+exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault, or nothing
+is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal:
+what is done is kept
 
 examples:
   python -m sim.campaign campaign.toml
   python -m sim.campaign campaign.toml --results /data/campaign --workers 8 --json
   python -m sim.campaign campaign.toml --ray auto
+  python -m sim.campaign campaign.toml --best ride --subject-to peak_travel:0.08 --save tuned.toml
   python -m sim.campaign --verify campaign-results
 """
 
@@ -56,6 +58,20 @@ def _parser() -> Parser:
     parser.add_argument(
         "--picture", type=Path, metavar="FILE", help="draw ride against road holding, a point a controller (.png or .svg)"
     )
+    parser.add_argument(
+        "--best",
+        metavar="METRIC",
+        help="say which controller, or variant of a law that is drawn, has the least of this metric over all runs: "
+        "ride, peak_travel, dynamic_load, off_ground, force_rms, force_peak, at_stops, or a metric's column of the results",
+    )
+    parser.add_argument(
+        "--subject-to",
+        action="append",
+        metavar="METRIC:LIMIT",
+        help="of those only that have at most this of another metric, in SI units (m, m/s2, N; shares of time are 0 to 1); may "
+        "be repeated",
+    )
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best one")
     parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
     parser.add_count("--batch", "most runs in a batch", "what is done in a few seconds", 1, RUNS_AT_ONCE)
     parser.add_argument(
@@ -73,7 +89,9 @@ def _parser() -> Parser:
     )
     parser.add_count("--runs", "how many runs --verify drives again", "16", 1, MOST_RUNS, 16)
     parser.add_count("--seed", "which ones", "0", 0, 2**63 - 1, 0)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    printed = parser.add_mutually_exclusive_group()
+    printed.add_argument("--brief", action="store_true", help="print only which controller is best at what, over all runs")
+    printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 
 

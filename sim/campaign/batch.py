@@ -15,15 +15,16 @@ from models.roads.choice import RoadChoice
 from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.columns import EXPECTED, LINEAR
-from sim.campaign.file import Campaign, with_sample
+from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
+from sim.campaign.samples import with_sample
 from sim.linear.dampers import is_linear
 from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
-from sim.response.regime import END_NAMES
+from sim.response.regime import DIVERGENCE, END_NAMES, LAW_OVERFLOW, RAN_AWAY
 from sim.response.response import SILENT
 from sim.studies.ride.expected import Expected, Settled, expect, settled
 from sim.studies.ride.metrics import Meter
@@ -114,12 +115,13 @@ class ReferenceResponse:
 
 
 def _is_exact(runs: Sequence[PlannedRun]) -> bool:
-    """Returns True if a `ReferenceResponse` is that of the runs: of linear laws that act at once, without curves or active forces
-    through adjustable dampers.
+    """Returns True if a `ReferenceResponse` is that of the runs: of linear laws that act at once on exact signals, or not at all,
+    without curves or active forces through adjustable dampers.
     """
     vehicle = runs[0].vehicle
     linear = all(isinstance(run.controller, Controller) and is_linear(run.vehicle, run.controller) for run in runs)
-    return linear and vehicle.implementation.ideal and not is_curved(vehicle)
+    silent = not any(isinstance(run.controller, Controller) and run.controller.law.acts for run in runs)
+    return linear and (silent or vehicle.implementation.ideal) and not is_curved(vehicle)
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:
@@ -230,13 +232,16 @@ def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[],
         row["reason"] = (
             f"flat: a tyre is squeezed by more than {MOST_SQUEEZE:g} m at {flat:.4g} s"
             if flat < diverged[i]
+            else f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=diverged[i])}"
+            if watched.ran_away[i]
             else f"diverged: a signal is beyond {DIVERGED:g} at {diverged[i]:.4g} s"
             if broken
             else None
         )
         absent = row["reason"] is not None
-        row["diverged_at"] = float(diverged[i]) if broken else None
-        row["ended_by"] = None if np.isinf(ended) else "divergence" if diverged[i] <= ends.first[i] else END_NAMES[ends.which[i]]
+        row["diverged_at"] = float(diverged[i]) if broken and not watched.ran_away[i] else None
+        last = LAW_OVERFLOW if watched.ran_away[i] else DIVERGENCE
+        row["ended_by"] = None if np.isinf(ended) else last if diverged[i] <= ends.first[i] else END_NAMES[ends.which[i]]
         row["ended_at"] = float(ended) if np.isfinite(ended) else None
         row["linear_error"] = finite(errors[i])
         row |= {name: None if absent else finite(values[i]) for name, values in measured.items()}
@@ -251,8 +256,8 @@ def _roughness(campaign: Campaign, run: PlannedRun) -> dict[str, float]:
     """Returns every IRI of the run's road as far as it is driven, by name; computed once, whatever drives over it."""
     kept = _kept_roughness(campaign, run.choice, track_width(run.vehicle), run.speed, run.seed)
     if not kept:
-        found = roughness_object(driven_roughness(run.vehicle, run.road, campaign.time))
-        kept.append({name: entry["road"] for name, entry in found.items()})
+        roughness = roughness_object(driven_roughness(run.vehicle, run.road, campaign.time))
+        kept.append({name: entry["road"] for name, entry in roughness.items()})
     return kept[0]
 
 
@@ -287,10 +292,10 @@ class _Expectations:
         if where not in self.begun:
             self.begun[where] = settled(linear, controller, spectrum, c.timestep, float(c.time[c.first]))
         begun = self.begun[where]
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         if expected is not None:
-            found |= {f"{EXPECTED}{name}": finite(value) for name, value in expected.mean.items()}
-            found["expected_error"] = finite(expected.error)
+            values |= {f"{EXPECTED}{name}": finite(value) for name, value in expected.mean.items()}
+            values["expected_error"] = finite(expected.error)
         if begun is not None:
-            found |= {"settled": begun.share, "settled_signal": begun.signal}
-        return found
+            values |= {"settled": begun.share, "settled_signal": begun.signal}
+        return values

@@ -10,10 +10,11 @@ from sim.studies.ride.run_metrics import ABOUT_IRI, UNIT, roughness_names
 
 EXPECTED, LINEAR = "expected_", "linear_"
 
-WITHOUT = "vehicles without curves, and without adjustable dampers but where these are asked for nothing"
+PROMPT = "linear controllers that act at every timestep, without delay, noise and quantisation, and passive"
+WITHOUT = f"{PROMPT}; of vehicles without curves, and without adjustable dampers but where these are asked for nothing"
 LINEAR_IS = (
-    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum, "
-    f"controllers that are a gain, and {WITHOUT}"
+    "of the exact linear response over the same road, of a vehicle without limits; there for roads without a spectrum "
+    f"and {WITHOUT}"
 )
 EXPECTED_IS = (
     "over all roads of the class, from the spectrum, of a vehicle without limits, noise and quantisation; {}; by statistical "
@@ -41,6 +42,11 @@ def columns(campaign: Campaign) -> dict[str, Column]:
     metrics = {metric.name: metric for vehicle in campaign.vehicles.values() for metric in metrics_of(vehicle, campaign.loaded)}
     rough = dict.fromkeys(name for vehicle in campaign.vehicles.values() for name in roughness_names(vehicle))
     sampled = dict.fromkeys(name for samples in campaign.samples.values() for name in samples[0])
+    laws = [variants[0] for of_vehicle in campaign.variants.values() for variants in of_vehicle.values()]
+    drawn = dict.fromkeys(key for values in laws for key in values)
+    variant = (
+        {"variant": Column(int, {"definition": "number of the variant of a law that is drawn; null for others"})} if laws else {}
+    )
     return {
         "run": Column(int, {}),
         "vehicle": Column(str, {}),
@@ -50,6 +56,8 @@ def columns(campaign: Campaign) -> dict[str, Column]:
         "seed": Column(int, {"definition": "of a random road; null for others"}),
         "sample": Column(int, {"definition": "number of the sample of the parameters; null where none are sampled"}),
         **{f"parameter_{name}": Column(float, {"unit": "SI"}) for name in sampled},
+        **variant,
+        **{f"law_{key}": Column(float, {"unit": "SI", "definition": "key of the drawn law; null without it"}) for key in drawn},
         **{name: Column(float, {"unit": UNIT, "definition": IRI_IS}) for name in rough},
         "reason": Column(str, {"definition": "why the run has no metrics; null where it has"}),
         "diverged_at": Column(float, {"unit": "s"}),
@@ -60,7 +68,7 @@ def columns(campaign: Campaign) -> dict[str, Column]:
             {
                 "unit": "-",
                 "definition": "largest difference of a state from the exact linear response until then, over its peak; there for "
-                f"controllers that are a gain, and {WITHOUT}",
+                f"{WITHOUT}",
             },
         ),
         "settled": Column(

@@ -6,7 +6,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from models.common import interrupt
+from models.common import interrupt, memory
 from models.common.command import complain, versions
 from models.common.errors import InputError
 from models.common.files import TEXT, read_text
@@ -15,17 +15,19 @@ from models.common.threads import cores
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
 from sim.campaign import MOST_RUNS
+from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns, described
-from sim.campaign.controllers import as_begun, designed
+from sim.campaign.controllers import as_begun, designed, drawn_laws
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
 from sim.campaign.plan import Plan, Progress
 from sim.campaign.store import Store
-from sim.campaign.summary import summarise, summary_lines, trade_off
+from sim.campaign.summary import compare, compared_lines, compared_object, summarise, summary_lines, trade_off
 from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
 
+LEAST_MEMORY, MEMORY_OF_WORKER = 750_000_000, 250_000_000  # bytes of address space; with less, MuJoCo may end the process
 FINISHED = "give a folder of a finished campaign's results"
 LEFT_OUT = (
     "of the runs that were drawn {count} are of laws in Python and were not driven again: their code is run only for a campaign "
@@ -41,10 +43,16 @@ def run_campaign(options: argparse.Namespace) -> int:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
     """
     campaign = read_campaign(options.file)
-    check_outputs({"picture": options.picture}, [options.file])
+    request = requested(campaign, options.best, options.subject_to or (), options.save)
+    outputs = {"picture": options.picture, "save": options.save}
+    check_outputs(
+        outputs, [options.file, *(file for vehicle in campaign.vehicles.values() for file in vehicle.files)], options.json
+    )
     folder = options.results or options.file.with_name(f"{options.file.stem}-results")
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
+    workers = options.workers or cores()
+    memory.check(LEAST_MEMORY + workers * MEMORY_OF_WORKER, " or give fewer --workers" if workers > 1 else "")
     with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
         stage = Stages("designs", "runs", "results")
         stage("designs")
@@ -65,7 +73,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             run_batches(
                 plan,
                 plan.batches(gaps, progress.next_batch),
-                options.workers or cores(),
+                workers,
                 options.ray is not None,
                 write,
             )
@@ -76,7 +84,13 @@ def run_campaign(options: argparse.Namespace) -> int:
             return interrupt.code()
         stage("results")
         store.finish()
-        entries = summarise(plan, store)
+        entries, standings = summarise(plan, store), compare(plan, store)
+        choices = choose(plan, store, request, standings) if request is not None else []
+        met = all(choice.within for choice in choices)
+        if options.save is not None and met:
+            saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
+        else:
+            saved, outputs["save"] = None, None
         if options.picture is not None:
             write_picture(trade_off(plan, entries), options.picture)
         stage.end()
@@ -87,7 +101,10 @@ def run_campaign(options: argparse.Namespace) -> int:
                 "new": progress.done,
                 "damaged": store.damaged,
                 "summary": entries,
-                **written({"picture": options.picture}),
+                "compared": compared_object(standings),
+                "best": [choice.record for choice in choices],
+                "saved_controller": saved,
+                **written(outputs),
             }
             print(json.dumps(result, allow_nan=False))
         else:
@@ -99,11 +116,14 @@ def run_campaign(options: argparse.Namespace) -> int:
                     "",
                     "results",
                     Whole(f"  {store.results}"),
-                    *summary_lines(entries),
-                    *written_lines({"picture": options.picture}),
+                    *([] if options.brief else summary_lines(entries)),
+                    *written_lines(outputs),
+                    *compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices}),
+                    *(["", *(choice.line for choice in choices)] if choices else []),
+                    *([f"saved as controller {saved}"] if saved is not None else []),
                 ]
             )
-    return 0
+    return 0 if met else 1
 
 
 def check_results(options: argparse.Namespace) -> int:
@@ -112,35 +132,35 @@ def check_results(options: argparse.Namespace) -> int:
     Raises:
         InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
     """
-    for name in ("results", "workers", "batch", "ray", "picture"):
-        if name in options.given:
-            raise InputError(f"--verify runs no campaign, so --{name} does not go with it; leave it out")
+    for name in ("results", "workers", "batch", "ray", "picture", "brief", "best", "subject_to", "save"):
+        if name in options.given or (name == "subject_to" and options.subject_to):
+            raise InputError(f"--verify runs no campaign, so --{name.replace('_', '-')} does not go with it; leave it out")
     folder = options.verify
     if not folder.is_dir():
         raise InputError(f"--verify {folder}: there is no such folder; give one of a finished campaign's results")
     try:
-        runs, found, remark = _found(options, folder)
+        runs, verified, remark = _found(options, folder)
     except FaultError as error:
-        runs, found, remark = None, Verified(0, (), (str(error),)), ""
+        runs, verified, remark = None, Verified(0, (), (str(error),)), ""
     if options.json:
-        result = {"results": str(folder), "runs": runs, "rows": found.rows, "seed": options.seed, "remark": remark}
-        print(json.dumps({**result, "again": found.again, "faults": found.faults, "holds": not found.faults}))
-        return 1 if found.faults else 0
+        result = {"results": str(folder), "runs": runs, "rows": verified.rows, "seed": options.seed, "remark": remark}
+        print(json.dumps({**result, "again": verified.again, "faults": verified.faults, "holds": not verified.faults}))
+        return 1 if verified.faults else 0
     if remark:
         say([remark])
     say(["results", Whole(f"  {folder}")])
-    if found.faults:
-        say([*found.faults, "", "the results DO NOT HOLD what the campaign comes to"])
+    if verified.faults:
+        say([*verified.faults, "", "the results DO NOT HOLD what the campaign comes to"])
     else:
         say(
             [
-                f"each of {found.rows} runs has its row, with its inputs; {len(found.again)} of them, drawn with seed "
+                f"each of {verified.rows} runs has its row, with its inputs; {len(verified.again)} of them, drawn with seed "
                 f"{options.seed}, were driven again and are the same to the last bit",
                 "",
                 "the results hold what the campaign comes to",
             ]
         )
-    return 1 if found.faults else 0
+    return 1 if verified.faults else 0
 
 
 def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, str]:
@@ -175,11 +195,11 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
     stage("rows")
     store = _store(plan, folder, manifest)
     own = options.file is not None
-    found = verify(plan, store, options.runs, options.seed, own, stage.counted("runs driven again", options.runs, "runs"))
+    verified = verify(plan, store, options.runs, options.seed, own, stage.counted("runs driven again", options.runs, "runs"))
     stage.end()
-    if found.left_out:
-        remark = "; ".join(filter(None, [remark, LEFT_OUT.format(count=found.left_out)]))
-    return plan.count, found, remark
+    if verified.left_out:
+        remark = "; ".join(filter(None, [remark, LEFT_OUT.format(count=verified.left_out)]))
+    return plan.count, verified, remark
 
 
 def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
@@ -198,7 +218,7 @@ def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]
 
 
 def _planned(campaign: Campaign, gains: Gains, folder: Path) -> Plan:
-    return Plan(campaign, as_begun(campaign, gains, folder))
+    return Plan(campaign, as_begun(campaign, gains, folder), drawn_laws(campaign))
 
 
 def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:

@@ -11,10 +11,11 @@ from models.common.errors import InputError
 from models.laws.linear import law_of
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
-from models.vehicle.vehicle import Vehicle
+from models.vehicle.controllers import ControllerEntry
 from sim.campaign.file import Campaign
+from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
-from sim.command.comparison import controllers_of, lawful, programmed, say_false_claims
+from sim.command.comparison import controllers_of, say_false_claims
 from synth.controller.controller import Controller, Driver
 from synth.vehicle.designer import Designer
 
@@ -46,9 +47,9 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
         InputError: the file of a law cannot be read, is not as it was, or lies in that folder.
     """
 
-    found: dict[str, dict[str, Driver]] = {}
+    controllers: dict[str, dict[str, Driver]] = {}
     for name, vehicle in campaign.vehicles.items():
-        found[name] = {}
+        controllers[name] = {}
         designer = Designer(vehicle, search=False)  # one for all: they share the path of (22) and the lower bounds
         for each in campaign.controllers:
             try:
@@ -56,14 +57,32 @@ def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
             except KeyError as error:
                 raise _strange(error) from error
             if linear:
-                found[name][each] = _gain_of_then(designer, each, entry)
-            elif isinstance(law := lawful(vehicle, each), SemiActive):  # ours, as the campaign's own vehicle file has it
-                found[name][each] = law
+                controllers[name][each] = _gain_of_then(designer, each, entry)
+            elif isinstance(law := vehicle.controllers[each].driver(), SemiActive):  # as the campaign's vehicle file has it
+                controllers[name][each] = law
                 if gains_of({"": {each: law}})[""][each] != entry:
                     raise FaultError(f"the folder's gains are not those of the campaign (controller {each!r}); {ELSEWHERE}")
             else:
-                found[name][each] = _law_of_then(vehicle, each, entry, folder)
-    return found
+                controllers[name][each] = _as_then(law, entry, folder)
+    return controllers
+
+
+def drawn_laws(campaign: Campaign) -> dict[str, dict[str, list[Driver]]]:
+    """Returns the drawn laws of every vehicle, by controller: each is its vehicle file's, with other numbers."""
+    drawn: dict[str, dict[str, list[Driver]]] = {}
+    for name, vehicle in campaign.vehicles.items():
+        designer, drawn[name] = Designer(vehicle, search=False), {}
+        for controller, variants in campaign.variants[name].items():
+            entries = [drawn_entry(vehicle, controller, values) for values in variants]
+            drawn[name][controller] = [_driver(designer, entry) for entry in entries]
+    return drawn
+
+
+def _driver(designer: Designer, entry: ControllerEntry) -> Driver:
+    if entry.semi_active is not None:
+        return entry.driver()
+    assert entry.law is not None, "a law that is designed, or in Python, is not drawn"
+    return designer.given(entry.name, entry.measured, entry.law, entry.hardware)
 
 
 def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
@@ -78,20 +97,19 @@ def _strange(error: Exception) -> FaultError:
     return FaultError(f"the folder's gains are not those of the campaign ({error}); {ELSEWHERE}")
 
 
-def _law_of_then(vehicle: Vehicle, name: str, entry: Mapping[str, Any], folder: Path) -> Programmed:
-    """The law of a controller, whose file the vehicle file names, as its campaign began with it. Nothing is run."""
-    law = programmed(vehicle, name)
+def _as_then(law: Programmed, entry: Mapping[str, Any], folder: Path) -> Programmed:
+    """Returns a law in Python if it is as its campaign began with it. Nothing is run."""
     path = law.law.path
     assert path is not None, "it was read"
     if path.resolve().is_relative_to(folder.resolve()):
         raise InputError(
-            f"controller {name!r}: its law {path} lies in the folder of results, from which no code is run; put vehicle file and "
-            "law elsewhere"
+            f"controller {law.name!r}: its law {path} lies in the folder of results, from which no code is run; put vehicle file "
+            "and law elsewhere"
         )
-    now = gains_of({"": {name: law}})[""][name]
+    now = gains_of({"": {law.name: law}})[""][law.name]
     if now != entry:
         raise InputError(
-            f"controller {name!r}: its law {law.law.law} has changed since the campaign began (SHA-256 of its file "
+            f"controller {law.name!r}: its law {law.law.law} has changed since the campaign began (SHA-256 of its file "
             f"{str(entry.get('sha256'))[:16]}... then, {law.sha256[:16]}... now); restore it, or {ELSEWHERE}"
         )
     return law

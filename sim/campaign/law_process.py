@@ -17,6 +17,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from os import _exit as leave_at_once
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -102,9 +103,9 @@ class _Process:
 
     def __init__(self, payload: bytes) -> None:
         known = os.environ.get("PYTHONPATH")
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *([known] if known else [])])}
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *([known] if known else []), os.curdir])}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "sim.campaign.law_process"],
+            [sys.executable, "-P", "-m", "sim.campaign.law_process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=environment,
@@ -193,13 +194,13 @@ def main() -> None:
 
     def answer(said: dict[str, Any]) -> None:
         if os.getpid() != process:  # forked by what no call guards, as where an object of a law's goes
-            os._exit(0)
+            leave_at_once(0)
         answers.write(json.dumps({"batch": batch, **said}, allow_nan=False).encode() + b"\n")
         answers.flush()
 
     def leave(said: str) -> None:
         answer({"left": said})
-        os._exit(LEFT)
+        leave_at_once(LEFT)
 
     leave_by(leave)
     plan: Plan = pickle.load(asked)
@@ -211,7 +212,7 @@ def main() -> None:
             answer({"error": f"{type(error).__name__}: {error}"})
             raise
         answer({"rows": rows})
-    os._exit(0)  # threads that a law has begun may go on for ever
+    leave_at_once(0)  # threads that a law has begun may go on for ever
 
 
 def _kept(number: int, mode: int) -> BinaryIO:

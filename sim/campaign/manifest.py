@@ -103,8 +103,10 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         raise FaultError(f"results {path}: was changed since the campaign began, or is damaged; restore it, or {instead}")
     entries = {field.name for field in fields(Manifest)}
     if set(whole) != entries:
-        found = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
-        raise InputError(f"results {path}: is of another version of Roadproof ({found}); go on with that version, or {instead}")
+        differences = ", ".join([f"no {name}" for name in sorted(entries - set(whole))] + sorted(set(whole) - entries))
+        raise InputError(
+            f"results {path}: is of another version of Roadproof ({differences}); go on with that version, or {instead}"
+        )
     for name, value in whole.items():
         if not _is_its_kind(name, value):
             raise FaultError(f"results {path}: {name} = {quoted(value)} is not what a campaign writes; restore it, or {instead}")
@@ -130,14 +132,15 @@ def _is_its_kind(name: str, value: Any) -> bool:
         return isinstance(value, list) and all(row(each) for each in value)
 
     def law(value: Any) -> bool:
-        if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get("sample_period", 0)]):
+        numbers = ("sample_period", "anti_windup")
+        if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get(key, 0) for key in numbers]):
             return False
         if "law" in value:
             return set(value) - {"preview"} == {"measured", "law", "sha256"} and text(value["law"]) and text(value["sha256"])
         if "semi_active" in value:
             numbers = [value[key] for key in set(value) - {"measured", "semi_active"}]
             return text(value["semi_active"]) and row(numbers)
-        matrices = set(value) - {"measured", "sample_period"}
+        matrices = set(value) - {"measured", *numbers}
         return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
 
     if name == "runs":

@@ -1,8 +1,9 @@
 """The runs of a campaign: which there are, in what order, which are driven side by side, and how far they are."""
 
+import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -22,14 +23,33 @@ FEWEST = 16  # runs in a batch all the same; quarter-cars cost a fifth more by 1
 
 @dataclass(frozen=True)
 class RunKey:
-    """Indices of a run into the lists of its campaign."""
+    """Indices of a run into the lists of its campaign; the variant is 0 of a controller whose law is not drawn."""
 
     vehicle: int
     controller: int
     road: int
     speed: int
+    variant: int
     sample: int
     seed: int
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A controller of a vehicle, or a variant of one whose law is drawn.
+
+    Attributes:
+        controller: its name.
+        variant: number of the variant; None for the law of the vehicle file.
+    """
+
+    controller: str
+    variant: int | None
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return self.controller if self.variant is None else f"{self.controller}#{self.variant}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +59,25 @@ class Plan:
     Attributes:
         campaign: the campaign.
         controllers: by vehicle and name.
+        variants: of every vehicle, the drawn laws of each controller that has some.
     """
 
     campaign: Campaign
     controllers: Mapping[str, Mapping[str, Driver]]
+    variants: Mapping[str, Mapping[str, Sequence[Driver]]] = field(default_factory=dict)
 
     @cached_property
     def _blocks(self) -> list[tuple[int, int, int, int, int]]:
-        """(first run, vehicle, controller, road, speed) of every combination, ascending; sample and seed count within."""
-        c, found, start = self.campaign, [], 0
+        """(first run, vehicle, controller, road, speed) of every combination, ascending; variant, sample and seed within."""
+        c, blocks, start = self.campaign, [], 0
         for v, name in enumerate(c.vehicles):
-            for k in range(len(c.controllers)):
+            for k, controller in enumerate(c.controllers):
+                drawn = len(c.variants[name].get(controller, ({},))) * len(c.samples[name])
                 for r, road in enumerate(c.roads):
                     for s in range(len(c.speeds)):
-                        found.append((start, v, k, r, s))
-                        start += len(c.samples[name]) * (len(c.seeds) if road.random else 1)
-        return [*found, (start, -1, -1, -1, -1)]
+                        blocks.append((start, v, k, r, s))
+                        start += drawn * (len(c.seeds) if road.random else 1)
+        return [*blocks, (start, -1, -1, -1, -1)]
 
     @property
     def count(self) -> int:
@@ -68,9 +91,30 @@ class Plan:
     def key(self, run: int) -> RunKey:
         """Returns the key of a run."""
         start, v, k, r, s = self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1]
-        seeds = len(self.campaign.seeds) if self.campaign.roads[r].random else 1
-        sample, seed = divmod(run - start, seeds)
-        return RunKey(v, k, r, s, sample, seed)
+        c = self.campaign
+        drawn, seed = divmod(run - start, len(c.seeds) if c.roads[r].random else 1)
+        variant, sample = divmod(drawn, len(c.samples[list(c.vehicles)[v]]))
+        return RunKey(v, k, r, s, variant, sample, seed)
+
+    def driver(self, key: RunKey) -> Driver:
+        """Returns the controller of a run."""
+        vehicle, controller = list(self.campaign.vehicles)[key.vehicle], self.campaign.controllers[key.controller]
+        drawn = self.variants.get(vehicle, {}).get(controller)
+        return self.controllers[vehicle][controller] if drawn is None else drawn[key.variant]
+
+    def candidates(self, vehicle: str) -> "dict[Candidate, Array]":
+        """Returns every controller of a vehicle, and every variant of a drawn one, with its runs."""
+        c = self.campaign
+        runs: dict[Candidate, list[Array]] = {}
+        for (start, v, k, *_), (stop, *_) in itertools.pairwise(self._blocks):
+            if list(c.vehicles)[v] != vehicle:
+                continue
+            controller = c.controllers[k]
+            drawn = c.variants[vehicle].get(controller)
+            for i, some in enumerate(np.split(np.arange(start, stop), len(drawn or ((),)))):
+                candidate = Candidate(controller, None) if drawn is None else Candidate(controller, i)
+                runs.setdefault(candidate, []).append(some)
+        return {candidate: np.concatenate(some) for candidate, some in runs.items()}
 
     def programmed(self, run: int) -> bool:
         """Returns True if a law in Python drives the run."""
@@ -102,15 +146,18 @@ class Plan:
         """Returns the inputs of a run as its row has them."""
         c = self.campaign
         name, road = list(c.vehicles)[key.vehicle], c.roads[key.road]
-        sample = c.samples[name][key.sample]
+        sample, controller = c.samples[name][key.sample], c.controllers[key.controller]
+        drawn = c.variants[name].get(controller)
+        of_law = {"variant": key.variant, **{f"law_{one}": value for one, value in drawn[key.variant].items()}} if drawn else {}
         return {
             "vehicle": name,
-            "controller": c.controllers[key.controller],
+            "controller": controller,
             "road": road.text,
             "speed": c.speeds[key.speed],
             "seed": c.seeds[key.seed] if road.random else None,
             "sample": key.sample if sample else None,
             **{f"parameter_{parameter}": value for parameter, value in sample.items()},
+            **of_law,
         }
 
 
@@ -120,10 +167,10 @@ class PlannedRun:
     def __init__(self, plan: Plan, key: RunKey, vehicle: Vehicle) -> None:
         c = plan.campaign
         self.name, self.vehicle, self.key = list(c.vehicles)[key.vehicle], vehicle, key
-        self.controller = plan.controllers[self.name][c.controllers[key.controller]]
+        self.controller = plan.driver(key)
         self.choice, self.speed, self.seed = c.roads[key.road], c.speeds[key.speed], c.seeds[key.seed]
         self.road: Road = self.choice.build(vehicle, self.speed, self.seed, self.speed * c.duration)
-        self.system = (id(vehicle), key.controller)
+        self.system = (id(vehicle), key.controller, key.variant)
         self.inputs = plan.inputs(key)
 
 

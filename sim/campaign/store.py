@@ -94,10 +94,10 @@ class Store:
         """
         try:
             with open_plain(self.results, "results", "") as file:
-                found = hashlib.file_digest(file, "sha256").hexdigest()
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
         except (InputError, OSError):
-            found = "nothing"
-        if found != self.manifest.results:
+            digest = "nothing"
+        if digest != self.manifest.results:
             raise FaultError(
                 f"results {self.results}: is not the file that the campaign wrote (damaged, edited or gone); restore it, or "
                 f"remove {self.folder} to run the campaign again"
@@ -183,18 +183,18 @@ class Store:
 
     def _find_parts(self) -> None:
         """The parts that are what was written; of others it is said that their runs are run again."""
-        found = []
+        parts = []
         for path in sorted(self.folder.glob("part-*")):
             match = PART.fullmatch(path.name)
             start, stop = (int(match[1]), int(match[2])) if match else (0, 0)
             part = Part(start, stop, path)
             if match and self._table(part, ["run"]) is not None:
-                found.append(part)
+                parts.append(part)
             else:
                 self.damaged.append(f"{path.name} is damaged, or not of this campaign: its runs are run again")
                 self._useless.append(path)
         # Parts that were joined may still be there beside what they became: the longer one counts.
-        for part in sorted(found, key=lambda part: (part.start, -part.stop)):
+        for part in sorted(parts, key=lambda part: (part.start, -part.stop)):
             if self._parts and part.start < self._parts[-1].stop:
                 self._useless.append(part.path)
             else:

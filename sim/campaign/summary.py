@@ -18,13 +18,15 @@ from models.common.printed import cell, table
 from models.figures.figure import DASHES, OTHERS, STYLES, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed
 from models.roads.spectrum import Spectrum
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.campaign.batch import FAILED
 from sim.campaign.columns import EXPECTED, LINEAR
-from sim.campaign.plan import Plan
+from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import dynamic_load, points
+from sim.studies.ride.standing import MEASURES, Standing, columns_of, standing_lines, standing_over_runs, standings_object
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 
@@ -41,22 +43,68 @@ def headlines(plan: Plan, vehicle: str) -> dict[str, tuple[str, ...]]:
     }
 
 
+def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
+    """Returns the standings of all controllers and variants by vehicle, over all other inputs of its runs, passive first."""
+    names = {name: columns_of(vehicle) for name, vehicle in plan.campaign.vehicles.items()}
+    metrics = dict.fromkeys(metric for columns in names.values() for some in columns.values() for metric in some)
+    table = store.read([*metrics])
+    standings = {}
+    for vehicle, columns in names.items():
+        values = {metric: table[metric].to_numpy().astype(float) for some in columns.values() for metric in some}
+        standings[vehicle] = {}
+        for candidate, runs in sorted(plan.candidates(vehicle).items(), key=lambda item: item[0].controller != PASSIVE):
+            here = {metric: each[runs] for metric, each in values.items()}
+            standings[vehicle][candidate] = standing_over_runs(plan.campaign.vehicles[vehicle], candidate.name, here)
+    return standings
+
+
+Standings = Mapping[str, Mapping[Candidate, Standing]]  # by vehicle
+
+
+def compared_object(standings: Standings) -> list[dict[str, Any]]:
+    """Returns the standings by vehicle as JSON has them."""
+    return [{"vehicle": vehicle, **standings_object([*some.values()])} for vehicle, some in standings.items()]
+
+
+def compared_lines(standings: Standings, chosen: Mapping[str, Candidate | None]) -> list[str]:
+    """Returns a table of standings for each vehicle; of variants only those that have the least of something.
+
+    Args:
+        chosen: a candidate of each vehicle that stands in its table anyway.
+    """
+    lines = []
+    for vehicle, every in standings.items():
+        shown = {chosen.get(vehicle)}
+        for one in MEASURES:
+            counted = {who: each for who, each in every.items() if not (one.effort and who.controller == PASSIVE)}
+            numbers = {who: value for who, each in counted.items() if (value := each.values[one.key]) is not None}
+            shown.add(min(numbers, key=numbers.__getitem__, default=None))
+        there = {who.controller for who, each in every.items() if any(value is not None for value in each.values.values())}
+        shown |= {who for who in every if who.variant == 0 and who.controller not in there}  # all have broken off
+        some = [each for who, each in every.items() if who.variant is None or who in shown]
+        absent = "; -: not all runs have metrics" if any(not any(each.values.values()) for each in some) else ""
+        left = f"; {len(every) - len(some)} variants that are best at nothing are left out" if len(every) > len(some) else ""
+        lines += ["", vehicle, *standing_lines(some, f"MuJoCo, all runs, their largest peaks{absent}{left}")]
+    return lines
+
+
 UNITS = {"ride": "m/s2", "travel": "m", "load": "-"}
 
 
 def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
-    """Returns one entry per vehicle, road, speed and controller, over its samples and seeds.
+    """Returns one entry per vehicle, road, speed and controller, over its variants, samples and seeds.
 
     Each headline is of the column that is worst, and has its root mean square and 95th percentile over runs, and the root mean
     square of what is predicted of the same runs: expected over random roads, the linear response over others. A run counts as
     having left the linear regime where a tyre lifted, a stop was reached, an actuator saturated, or it broke off, diverged or on
     a flat tyre; one that broke off has no metrics, and neither it nor its prediction counts. Of a law in Python nothing is
-    predicted; a run whose law failed has no metrics, either.
+    predicted; a run whose law failed has no metrics, either. Of a drawn law there are the root mean squares of each variant, too.
     """
     lines = {name: headlines(plan, name) for name in plan.campaign.vehicles}
     metrics = list(dict.fromkeys(name for kinds in lines.values() for names in kinds.values() for name in names))
     predicted = [f"{prefix}{name}" for name in metrics for prefix in (EXPECTED, LINEAR)]
-    table = store.read([*INPUTS, "ended_by", "reason", *metrics, *predicted])
+    drawn = ["variant"] if any(plan.campaign.variants.values()) else []
+    table = store.read([*INPUTS, *drawn, "ended_by", "reason", *metrics, *predicted])
     # Dictionary-encoded, so that rows are compared by number.
     codes = np.zeros(len(table), dtype=np.int64)
     values: list[list[Any]] = []
@@ -71,7 +119,7 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
     columns = {name: table[name].to_numpy() for name in (*metrics, *predicted)}
     order = {road.text: i for i, road in enumerate(plan.campaign.roads)}
 
-    found = []
+    summaries = []
     by_code = np.argsort(codes, kind="stable")
     first = np.flatnonzero(np.diff(codes[by_code], prepend=-1))
     for some in np.split(by_code, first[1:]) if len(first) else []:
@@ -81,15 +129,21 @@ def summarise(plan: Plan, store: Store) -> list[dict[str, Any]]:
             where.append(names[index])
         entry: dict[str, Any] = dict(zip(INPUTS, reversed(where), strict=True))
         entry |= {"runs": len(some), "left": int(ended[some].sum()), "broke_off": int(broken[some].sum())}
+        entry["first_reason"] = next((reasons[i] for i in some[broken[some]].tolist()), None)
         if isinstance(law := plan.controllers[entry["vehicle"]][entry["controller"]], Programmed):
             why = [reason.removeprefix(FAILED) for i in some[failed[some]].tolist() if (reason := reasons[i])]
             entry |= {"law": law.law.law, "failed": len(why), "first_failure": why[0] if why else None}
         for line, names in lines[entry["vehicle"]].items():
             entry[line] = _statistics(columns, names, some)
-        found.append(entry)
+        if variants := plan.campaign.variants[entry["vehicle"]].get(entry["controller"]):
+            of_law = table["variant"].to_numpy()[some]
+            rows = [some[of_law == i] for i in range(len(variants))]
+            by_line = lines[entry["vehicle"]].items()
+            entry["variants"] = [{line: _statistics(columns, names, own)["rms"] for line, names in by_line} for own in rows]
+        summaries.append(entry)
     vehicles, controllers = list(plan.campaign.vehicles), plan.campaign.controllers
-    found.sort(key=lambda e: (vehicles.index(e["vehicle"]), order[e["road"]], e["speed"], controllers.index(e["controller"])))
-    return found
+    summaries.sort(key=lambda e: (vehicles.index(e["vehicle"]), order[e["road"]], e["speed"], controllers.index(e["controller"])))
+    return summaries
 
 
 def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array) -> dict[str, Any]:
@@ -132,8 +186,17 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             for entry in every:
                 numbers = (cell(entry[name][key], ".4g") for key in ("rms", "p95", "predicted"))
                 rows.append((f"  {entry['controller']}", *numbers, *(str(entry.get(key, 0)) for key in counted)))
-        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_law_lines(every)]
+        lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_broken_lines(every), *_law_lines(every)]
     return lines
+
+
+def _broken_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Returns a sentence on each controller of which runs broke off."""
+    return [
+        f"  {entry['controller']}: {entry['broke_off']} of {entry['runs']} runs broke off, the first: {entry['first_reason']}"
+        for entry in entries
+        if entry["broke_off"]
+    ]
 
 
 def _law_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -155,7 +218,7 @@ ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighte
 
 
 def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
-    """A panel for every road and speed, a point for every vehicle and controller: their root mean squares in MuJoCo.
+    """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
         entries: what it came to, see `summarise`.
@@ -180,12 +243,14 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
                 color = looks[f"{controller}{own[name]}"][0]
                 curves.append(Curve(np.array([x]), np.array([y]), label, color, "none", "x"))
         for entry in entries:
-            x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
-            if (entry["road"], entry["speed"]) == (road, speed) and x is not None and y is not None:
+            ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
+            there = [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
+            if (entry["road"], entry["speed"]) == (road, speed) and there:
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
                 color, dash = looks[label]
                 again = label not in STYLES and dash != DASHES[0]  # the colours are used up
-                curves.append(Curve(np.array([x]), np.array([y]), label, color, "none", "+" if again else "o"))
+                x, y = np.array(there).T
+                curves.append(Curve(x, y, label, color, "none", "+" if again else "o"))
         crossed = crossed or any(curve.marker == "x" for curve in curves)
         if any(curve.marker in ("o", "+") for curve in curves):
             title = f"{road} at {speed:g} m/s"
@@ -233,14 +298,14 @@ class RoadAndSpeed:
         campaign, lines = self.plan.campaign, headlines(self.plan, self.name)
         if self.spectrum is None:
             return None
-        found = expect(vehicle, controller, self.spectrum, campaign.timestep, campaign.duration - campaign.settle)
-        return None if found is None else [max(found.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
+        prediction = expect(vehicle, controller, self.spectrum, campaign.timestep, campaign.duration - campaign.settle)
+        return None if prediction is None else [max(prediction.mean[column] for column in lines[line]) for line in (ACROSS, UP)]
 
     def constant_dampers(self) -> Array:
         """Dynamic load and ride of adjustable dampers that stay as they are, softest first, shape (k, 2)."""
         if self.spectrum is None:
             return np.zeros((0, 2))
-        vehicle, found = self.vehicle, []
+        vehicle, points = self.vehicle, []
         adjustable = {one.force: one.damper for one in vehicle.adjustable}
         dampers = {one.damping: adjustable[one.force] for one in vehicle.kind.suspensions if one.force in adjustable}
         passive = Designer(vehicle).design("passive")
@@ -250,14 +315,15 @@ class RoadAndSpeed:
                 softest = max(damper.c_min, SOFTEST * damper.c_max)
                 fixed[parameter] = float(softest * (damper.c_max / softest) ** share)
             still = replace(vehicle, parameters={**vehicle.parameters, **fixed}).pushing
-            found.append(self.expected(still, passive))
-        return np.array([one for one in found if one is not None]).reshape(-1, 2)
+            points.append(self.expected(still, passive))
+        return np.array([one for one in points if one is not None]).reshape(-1, 2)
 
     def fully_active(self) -> dict[str, list[float]]:
-        """Dynamic load and ride of every linear law, by name, were every force given that it asks for."""
-        found = {}
+        """Dynamic load and ride of every linear law that is not drawn, by name, were every force given that it asks for."""
+        points = {}
         for name, controller in self.plan.controllers[self.name].items():
-            if isinstance(controller, Controller) and controller.law.acts:
+            drawn = name in self.plan.campaign.variants[self.name]
+            if isinstance(controller, Controller) and controller.law.acts and not drawn:
                 there = self.expected(self.vehicle.pushing, controller)
-                found |= {name: there} if there is not None else {}
-        return found
+                points |= {name: there} if there is not None else {}
+        return points

@@ -106,11 +106,16 @@ def _same_law(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
     if set(there) != set(here) or there["measured"] != here["measured"]:
         return False
     one, two = law_of(there), law_of(here)
-    if (one.D.shape, one.states, one.sample_period) != (two.D.shape, two.states, two.sample_period):
+    if _made(one) != _made(two):
         return False
     if not _near(one.D, two.D, SAME_GAIN):
         return False
     return not two.states or all(_near(one.response(omega), two.response(omega), SAME_RESPONSE) for omega in _asked(two))
+
+
+def _made(law: LinearLaw) -> tuple[object, ...]:
+    """Returns what two laws have in common to the last bit, beside their numbers."""
+    return law.D.shape, law.states, law.sample_period, law.anti_windup
 
 
 def _near(one: Array, two: Array, share: float) -> bool:
@@ -150,7 +155,7 @@ def _shape(plan: Plan, store: Store, table: pa.Table) -> list[str]:
 def _inputs(plan: Plan, table: pa.Table) -> list[str]:
     """Rows whose vehicle, controller, road, speed, seed or sample is not that of their run."""
     names = ["vehicle", "controller", "road", "speed", "seed", "sample"]
-    names += [name for name in table.schema.names if name.startswith("parameter_")]
+    names += [name for name in table.schema.names if name == "variant" or name.startswith(("parameter_", "law_"))]
     for batch in table.select(["run", *names]).to_batches(max_chunksize=4096):
         for row in batch.to_pylist():
             run = row.pop("run")

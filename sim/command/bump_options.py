@@ -39,7 +39,7 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
+def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to."""
     from sim.command.road_options import ExpectedLog
     from sim.runs.run import sample_times
@@ -50,12 +50,12 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
         names,
         samples,
         options.timestep,
-        lambda road: road == asked_road(options).describe(),
+        lambda road: road == requested_road(options).describe(),
         lambda name, how: name in names and how == vehicle.implementation,
     )
 
 
-def asked_road(options: argparse.Namespace) -> "Bump":
+def requested_road(options: argparse.Namespace) -> "Bump":
     """Returns the requested bump."""
     from models.roads.road import Bump
 

@@ -1,55 +1,36 @@
 """Parts shared by commands that drive controllers: their choice, warnings, text, view and logs."""
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.laws.python_law import Programmed
-from models.laws.semi_active import SemiActive
 from models.roads.road import Road
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.report import controller_lines, energy_lines, run_lines, verdict_lines
-from sim.runs.run import Reference, Run, reference, run_all
+from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
+
+if TYPE_CHECKING:
+    from sim.studies.ride.standing import Standing
 
 
 def controllers_of(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Driver]:
-    """The controllers of these names; no law in Python is run.
+    """Returns the controllers of these names; no law in Python is run.
 
     Raises:
         InputError: one cannot be designed, or the file of a law cannot be read.
     """
     linear = vehicle.linear_names
-    return [design(name) if name in linear else lawful(vehicle, name) for name in names]
-
-
-def lawful(vehicle: Vehicle, name: str) -> Programmed | SemiActive:
-    """The controller of that name, of which linear analysis does not speak; arguments and errors as for `programmed`."""
-    law = vehicle.controllers[name].semi_active
-    return programmed(vehicle, name) if law is None else SemiActive(name, law)
-
-
-def programmed(vehicle: Vehicle, name: str) -> Programmed:
-    """The controller of that name; the file of its law is read, and not run.
-
-    Args:
-        name: of one of its controllers that is a law in Python.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
-    entry = vehicle.controllers[name]
-    assert entry.python is not None, "it is a law in Python"
-    try:
-        return Programmed(entry.name, entry.measured, entry.python, entry.python.source())
-    except InputError as error:
-        raise InputError(f"controller {name!r}: {error}") from error
+    return [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:
@@ -122,12 +103,15 @@ def recorded(
         runs: makes those that are recorded, by the names they have there, and is not called in vain.
         result: as `--json` prints it.
     """
+    nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
-        return {"mcap": None, "layout": None, "rerun": None}
-    from sim.recording.run_records import record_runs  # it imports Rerun
+        return nothing
+    from sim.recording.files import rerun_fits
+    from sim.recording.run_records import record_runs
 
-    leave_out_pandas()
-    return {**record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
+    if rerun_fits():
+        leave_out_pandas()
+    return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
 def log_lines(logs: Mapping[str, str | None]) -> list[str]:
@@ -138,9 +122,6 @@ def log_lines(logs: Mapping[str, str | None]) -> list[str]:
     from sim.recording.files import opening_lines
 
     return ["", "logs", *opening_lines(paths)]
-
-
-PASSIVE = "passive"
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -179,22 +160,44 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
 def run_named(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array) -> list[Run]:
     """Returns a run of every controller asked for, in their order. Claims of theirs that are false are said first.
 
-    Arguments and errors as for `controllers_of` and `run_all`.
+    Arguments and errors as for `controllers_of` and `run_controllers`.
     """
     controllers = controllers_of(vehicle, names, design)
     say_false_claims(controllers)
-    return run_all(vehicle, controllers, road, time)
+    return run_controllers(vehicle, controllers, road, time)
 
 
-def compared_lines(runs: Sequence[Run], design: Callable[[str], Controller]) -> list[list[str]]:
-    """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict.
+def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
+    """Returns the run of the passive vehicle, which is one of the runs, or made for the comparison.
 
     Args:
         design: gives the passive vehicle's controller.
     """
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)
-    beside = passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
-    return [_compared_lines(run, None if run is passive else beside) for run in runs]
+    return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
+
+
+def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[str]]:
+    """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict."""
+    return [_compared_lines(run, None if run is passive else passive) for run in runs]
+
+
+def standings_of(runs: Sequence[Run], passive: Run | Reference, first: int = 0) -> "list[Standing]":
+    """Returns the standing of every controller, the passive vehicle first.
+
+    Args:
+        first: index of the sample with which measuring begins.
+    """
+    from sim.studies.ride.metrics import measure
+    from sim.studies.ride.standing import standing
+
+    vehicle, road = runs[0].vehicle, runs[0].road
+    others = {run.controller.name: run.physics for run in runs if run is not passive}
+    standings = []
+    for name, response in {PASSIVE: passive.physics, **others}.items():
+        broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
+        standings.append(standing(vehicle, name, {} if broken else measure(vehicle, response, first, road.loaded)))
+    return standings
 
 
 def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:

@@ -51,7 +51,7 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
+def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to. Files of roads and loads are compared by name, and not read."""
     from models.roads.choice import choose_road
     from sim.command.road_options import ExpectedLog, same_path
@@ -75,7 +75,7 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
 
 
-def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
+def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":
     """Returns the requested road, if it can be driven."""
     from models.roads.choice import choose_road
     from models.roads.load_choice import choose_load
@@ -83,7 +83,7 @@ def asked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -
     choice = choose_road(_road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
-        raise InputError(f"--seed says which random road, and {choice.text!r} is none; leave it out")
+        raise InputError(f"--seed says which random road, and {choice.text!r} is not random; leave it out")
     if "speed" in options.given and choice.kind == "rig":
         raise InputError("--speed says how fast a vehicle drives, and on a rig it stands; leave it out")
     road = _built(vehicle, options, choice)

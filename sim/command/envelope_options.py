@@ -47,7 +47,7 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
+def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to: some of the cells."""
     from models.figures.outputs import written
     from models.roads.road import Bump

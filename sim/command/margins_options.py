@@ -41,7 +41,7 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
+def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to."""
     from models.vehicle.limits_and_implementation import Implementation
     from sim.command.road_options import ExpectedLog

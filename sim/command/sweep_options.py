@@ -41,7 +41,7 @@ def parser() -> Parser:
     return parser
 
 
-def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
+def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to: worst sinusoids, whose frequencies the command finds itself."""
     from models.roads.description import described_road
     from models.roads.sinusoids import Multisine
@@ -53,12 +53,12 @@ def asked(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
         return isinstance(description_read, Multisine) and road == worst_road(description_read.omega[0], options).describe()
 
     result = {name: getattr(options, name) for name in ("amplitude", "timestep", "speed")}
-    names, ideal = asked_names(vehicle, options), ideal_measurements(vehicle).implementation
+    names, ideal = requested_names(vehicle, options), ideal_measurements(vehicle).implementation
     samples = len(worst_times(vehicle, options))
     return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == ideal, result)
 
 
-def asked_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:
+def requested_names(vehicle: "Vehicle", options: argparse.Namespace) -> list[str]:
     """Returns the names of the requested controllers."""
     usual = [name for name in USUAL if name in vehicle.controller_names]
     return chosen(vehicle.controller_names, options.controller, usual)

@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import finite
 from models.kinds.signals import is_kept
-from models.vehicle.controllers import Method
+from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
 from sim.inspect.log import Recorded, RecordedRun, read_json
@@ -102,7 +102,7 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
         controller: its law is the logged one.
     """
     entry = vehicle.controllers.get(controller.name)
-    if entry is None or entry.method is not Method.QUADRATIC:
+    if entry is None or entry.law is not None or entry.design not in QUADRATIC:
         return
     best, asked = best_in_the_mean(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
     logged, now = controller.law, best.law

@@ -50,8 +50,8 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     if command not in RESULTS or command_of(line) != command:
         raise InputError(f"the command {command[:40]!r} and its line do not fit together; {', '.join(RESULTS)} record")
     options = _options(command, line)
-    asked: ExpectedLog = COMMANDS[command].asked(vehicle, options)
-    wrong = list(_wrong(log, asked, timestep, runs))
+    expected: ExpectedLog = COMMANDS[command].expected_log(vehicle, options)
+    wrong = list(_wrong(log, expected, timestep, runs))
     source = log.metadata.get("vehicle", "")
     ships = options.vehicle in shipped() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
     if not ships and not same_path(source, options.vehicle):
@@ -61,28 +61,28 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     yield from (Finding("command", FAILS, text) for text in wrong)
     if wrong:
         return
-    held = "controllers, roads, samples and timestep" if asked.samples is not None else "controllers, roads and timestep"
+    held = "controllers, roads, samples and timestep" if expected.samples is not None else "controllers, roads and timestep"
     yield Finding("command", HOLDS, f"its line asks for the {held} that were logged")
     if ships and (HERE / f"{options.vehicle}.toml").read_text(encoding="utf-8") != vehicle.text:
         yield Finding("command", NOTE, f"vehicle.toml is not the {options.vehicle} that ships with this version")
 
 
-def _wrong(log: Recorded, asked: ExpectedLog, timestep: float, runs: Sequence[LoggedRun]) -> Iterator[str]:
+def _wrong(log: Recorded, expected: ExpectedLog, timestep: float, runs: Sequence[LoggedRun]) -> Iterator[str]:
     """Yields the differences between the options of the line and the log, in words."""
     names = [run.controller for run in runs]
-    wanted = list(asked.controllers)
+    wanted = list(expected.controllers)
     if names != wanted and not (len(wanted) == 1 and set(names) == set(wanted)):
         yield f"its line asks for other controllers than were logged: {', '.join(wanted)}"
-    if asked.timestep != timestep:
-        yield f"its line asks for a timestep of {asked.timestep:g} s"
-    if asked.samples is not None and any(run.samples != asked.samples for run in runs):
-        yield f"its line asks for {asked.samples} samples"
-    if not all(isinstance(run.road, dict) and asked.road(run.road) for run in runs):
+    if expected.timestep != timestep:
+        yield f"its line asks for a timestep of {expected.timestep:g} s"
+    if expected.samples is not None and any(run.samples != expected.samples for run in runs):
+        yield f"its line asks for {expected.samples} samples"
+    if not all(isinstance(run.road, dict) and expected.road(run.road) for run in runs):
         yield "its line asks for another road"
-    if not all(asked.run(run.name, run.implementation) for run in runs):
+    if not all(expected.run(run.name, run.implementation) for run in runs):
         yield "its line asks for other runs, or another implementation of the controllers"
-    result = log.result if asked.result else {}
-    for key, value in asked.result.items():
+    result = log.result if expected.result else {}
+    for key, value in expected.result.items():
         if result.get(key) != value:
             yield f"its line asks for another {key} than result.json has"
 

@@ -170,12 +170,12 @@ def _channel(logged: Logged, channel: LoggedChannel) -> Iterator[str]:
             return
 
 
-def _keys(what: str, found: Any, expected: Any) -> Iterator[str]:
+def _keys(what: str, present: Any, expected: Any) -> Iterator[str]:
     """Yields missing and extra keys."""
     for name in expected:
-        if name not in found:
+        if name not in present:
             yield f"the {what} {name} is missing"
-    for name in found:
+    for name in present:
         if name not in expected:
             yield f"the {what} {name[:60]!r} is none of a log's"
 

@@ -5,7 +5,6 @@ The reverse of `sim.recording.mcap_writer` and `sim.recording.run_records`: name
 
 import json
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +19,9 @@ from models.common.errors import InputError
 from sim.inspect.mcap_contents import Logged, McapContents
 from sim.inspect.mcap_reader import read_mcap
 from sim.recording.mcap_writer import PACKAGE
-from sim.recording.run_log import CONTINUOUS, FORMAT, MUJOCO, SAMPLED, SINCE
+from sim.recording.run_log import CONTINUOUS, FORMAT, MUJOCO, NAME, SAMPLED, SINCE
 
 RESPONSES = (MUJOCO, SAMPLED, CONTINUOUS)
-NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
 MOST_JSON = 8 * 2**20  # bytes; parsed, it may take twenty times as much
 MOST_ABOUT = 4096  # characters that say unit, symbol and meaning of a signal
 MOST_RUNS = 1000
@@ -216,10 +214,10 @@ def _fields(schema: bytes) -> tuple[str, ...]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         raise ValueError("a key is given twice")
-    return found
+    return entries
 
 
 def _no_number(text: str) -> None:

@@ -42,7 +42,7 @@ from sim.inspect.reproduction import (
 from sim.recording.run_log import MUJOCO, RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING
-from sim.runs.run import Run, judge
+from sim.runs.run import Run, compare_runs
 from synth.controller.controller import Controller
 
 UNCHECKED = (
@@ -216,7 +216,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         return inspected()
     findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
     try:
-        (run,) = judge([again], [as_response(own, recorded, MUJOCO, samples, h, kept(controller))])
+        (run,) = compare_runs([again], [as_response(own, recorded, MUJOCO, samples, h, kept(controller))])
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
@@ -248,12 +248,12 @@ def _is_whole(recorded: RecordedRun, samples: int) -> bool:
 
 def _guarded(part: str, verdict: str, check: Callable[[], Iterator[Finding]]) -> list[Finding]:
     """A check's findings; an error that stops it is one, too."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     try:
-        found.extend(check())
+        findings.extend(check())
     except (ValueError, ArithmeticError) as error:
-        found.append(Finding(part, verdict, str(error)))
-    return found
+        findings.append(Finding(part, verdict, str(error)))
+    return findings
 
 
 def _differing(vehicle: Vehicle, own: Vehicle) -> str:

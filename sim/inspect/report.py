@@ -99,10 +99,10 @@ def _road(recorded: RecordedRun) -> dict[str, Any] | None:
 def _versions(log: Recorded) -> dict[str, str]:
     """Returns the versions of the packages that wrote the log."""
     try:
-        found = read_json(log.metadata.get("versions", "{}"), "versions")
+        versions = read_json(log.metadata.get("versions", "{}"), "versions")
     except InputError:
         return {}
-    return {str(name): str(version) for name, version in found.items()} if isinstance(found, dict) else {}
+    return {str(name): str(version) for name, version in versions.items()} if isinstance(versions, dict) else {}
 
 
 def _shown(text: str) -> str:

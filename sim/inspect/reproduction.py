@@ -34,7 +34,7 @@ from sim.recording.run_records import run_log
 from sim.response.response import Response
 from sim.runs.forces import read_forces
 from sim.runs.prediction import Prediction, predict, predict_replayed
-from sim.runs.run import Run, balanced, driver_again
+from sim.runs.run import Run, driver_again, with_energy_balance
 from synth.analysis.record import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, checked
 from synth.controller.open_loop import LoopModel
@@ -109,6 +109,8 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Dr
     given = none if name == "passive" else None if name == "state" else vehicle.controllers[name].law
     if given is not None and law.record != given.record:
         raise InputError("its gain or law is not that of vehicle.toml")
+    if entry is not None and law.states and law.anti_windup != entry.anti_windup:
+        raise InputError("its anti-windup is not that of vehicle.toml")
 
     record = run.claim("certificate")
     if not isinstance(record, dict):
@@ -129,13 +131,13 @@ def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[st
     if content is None or len(content) > MOST_TEXT:
         raise InputError("the text of its law in Python is not attached")
     try:
-        found = Programmed(name, tuple(signals), law, content.decode("utf-8"))
+        programmed = Programmed(name, tuple(signals), law, content.decode("utf-8"))
     except UnicodeDecodeError:
         raise InputError("what is attached as its law in Python is no text") from None
-    if run.claims.get("sha256") != found.sha256:
+    if run.claims.get("sha256") != programmed.sha256:
         raise InputError("the text of its law in Python is not the one whose checksum the log has")
     _check_unclaimed(run, "a law in Python")
-    return found
+    return programmed
 
 
 def _semi_active(run: RecordedRun, found: SemiActive) -> SemiActive:
@@ -261,12 +263,14 @@ def _law(run: RecordedRun, m: int, q: int) -> LinearLaw:
         if not np.all(np.abs(gain) <= LARGEST):
             raise InputError(f"its gain has numbers beyond {LARGEST:g}")
         return static_law(gain)
-    A, period = run.claim("A"), run.claim("sample_period") if "sample_period" in run.claims else None
+    A = run.claim("A")
+    period, rate = (run.claim(name) if name in run.claims else None for name in ("sample_period", "anti_windup"))
     k = len(A) if isinstance(A, list) else 0
     shapes = zip(MATRICES, ((k, k), (k, q), (m, k), (m, q)), strict=True)
-    if not 0 < k <= MOST_OF_A_LAW or not (period is None or isinstance(period, float)):
+    if not 0 < k <= MOST_OF_A_LAW or not all(number is None or isinstance(number, float) for number in (period, rate)):
         raise InputError(f"its law is none of 1 to {MOST_OF_A_LAW} states")
-    return LinearLaw(*(_matrix(run.claim(name), name, shape) for name, shape in shapes), sample_period=period)
+    matrices = (_matrix(run.claim(name), name, shape) for name, shape in shapes)
+    return LinearLaw(*matrices, sample_period=period, anti_windup=rate)
 
 
 def _matrix(value: Any, name: str, shape: tuple[int, int]) -> Array:
@@ -283,7 +287,7 @@ def balanced_again(run: Run) -> tuple[Run, Response]:
     """
     time = run.prediction.time
     made = simulate([driver_again(run.prediction, time)], [RoadInput(run.vehicle, run.road, time)])
-    (run,) = balanced([run], made)
+    (run,) = with_energy_balance([run], made)
     return run, made.run(0)
 
 

@@ -8,6 +8,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from synth.controller.controller import Controller
 
+MOST_SQUARED = 1e150  # N
+
 
 def stretching(vehicle: Vehicle) -> Array:
     """Returns V, which maps the state to the stretching rate of each force's suspension, shape (m, n); zero rows for force
@@ -73,9 +75,10 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
 
 
 def commands_of(vehicle: Vehicle, physics: Response) -> Array:
-    """Returns the commands of the actuators in a run of physics, shape (T, 2 m), see `Range.commands`; 0 where the run diverged.
+    """Returns the commands of the actuators in a run of physics, shape (T, 2 m); 0 where the run diverged.
 
-    In a step RK4 moves a lagging coefficient by a known share towards its command: the command follows from that.
+    See `CoefficientRange.commands`. In a step RK4 moves a lagging coefficient by a known share towards its command: the command
+    follows from that.
     """
     forces, h = vehicle.linear_model.inputs, float(physics.time[1] - physics.time[0])
     m = len(forces)
@@ -93,8 +96,13 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
     return np.nan_to_num(commands, nan=0.0, posinf=0.0, neginf=0.0)
 
 
+def squarable(forces: Array) -> Array:
+    """Returns requested forces [N], of which those that have no finite square are cut off; an unstable law asks for such."""
+    return np.clip(forces, -MOST_SQUARED, MOST_SQUARED)
+
+
 def command_names(vehicle: Vehicle) -> tuple[str, ...]:
-    """Returns the names of the commands of a law in Python: forces, or `Range.commands` if there are adjustable dampers."""
+    """Returns the names of the commands of a law in Python: forces, or with adjustable dampers `CoefficientRange.commands`."""
     forces, coefficients = (
         vehicle.linear_model.inputs,
         {adjustable.force: adjustable.coefficient for adjustable in vehicle.adjustable},

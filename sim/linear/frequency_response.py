@@ -25,11 +25,12 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, steps_held, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements
 from synth.controller.controller import Controller
-from synth.controller.open_loop import Controlled, continuous, sampled
+from synth.controller.open_loop import OpenLoop, continuous, sampled
 from synth.plant.discrete import held_inputs
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
@@ -162,7 +163,7 @@ class _Outside:
         return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
 
 
-def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) -> _Outside:
+def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None) -> _Outside:
     """Returns the disturbances by the roads under the wheels and by suspension forces."""
     model = cut.model
     rates, wheels = model.A @ model.Bw + model.Br, model.Bw.shape[1]
@@ -177,7 +178,7 @@ def _outside(cut: Controlled, controller: Controller, pulls: Elements | None) ->
 
 
 def _inputs_by_step(
-    cut: Controlled, how: Implementation, s: Array, h: float, x: Array, through_readings: Array | None
+    cut: OpenLoop, how: Implementation, s: Array, h: float, x: Array, through_readings: Array | None
 ) -> list[Array]:
     """Returns all inputs at every timestep of a period that begins with state x, per unit of Z."""
     intervals, steps = steps_held(how, h), steps_per_sample(how, h)
@@ -196,7 +197,7 @@ def _harmonic(
     timestep: float,
     exponential: Callable[[Array], Array],
     pulls: Elements | None = None,
-) -> tuple[Controlled, Array, Array, Array]:
+) -> tuple[OpenLoop, Array, Array, Array]:
     """Returns the open loop, and per unit of Z the state at its samples and the components at omega of state and inputs."""
     how, h = vehicle.implementation, timestep
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
@@ -230,18 +231,6 @@ def _harmonic(
     parts = zip(mean_held, of_parts, from_readings, strict=True)
     mean_inputs = sum(mean * (F @ (xi + jump) + reading) for mean, F, reading in parts)
     return cut, xi + jump, mean_P @ xi + mean_Q + jump, np.asarray(mean_inputs)
-
-
-def as_met(vehicle: Vehicle, omega: Array, speed: float) -> Array:
-    """Returns the road under every wheel for a road exp(j omega t) under the first wheel, shape (F, r).
-
-    Args:
-        vehicle: r wheels.
-        omega: angular frequencies [rad/s], shape (F,).
-        speed: forward velocity [m/s].
-    """
-    later = np.array([wheel.behind(vehicle.parameters) / speed for wheel in vehicle.kind.wheels])
-    return np.exp(-1j * np.multiply.outer(omega, later))
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     velocities = {suspension.deflection: suspension.velocity.name for suspension in vehicle.kind.suspensions}
     over = [velocities[fitted.deflection] if fitted.damps else fitted.deflection for fitted in curved]
     index = [model.outputs.index(name) for name in over]
-    push, outputs = _pulls(vehicle, [fitted.deflection for fitted in curved])
+    push, outputs = pulls_on(vehicle, [fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows, lines = model.C[index], np.zeros(len(curved))
     return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.Bw, push, outputs)
@@ -109,7 +109,7 @@ def adjustable_inputs(vehicle: Vehicle) -> list[int]:
     return [vehicle.linear_model.inputs.index(adjustable.force) for adjustable in vehicle.adjustable]
 
 
-def _pulls(vehicle: Vehicle, deflections: Sequence[str]) -> tuple[Array, Array]:
+def pulls_on(vehicle: Vehicle, deflections: Sequence[str]) -> tuple[Array, Array]:
     """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
 
     For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.

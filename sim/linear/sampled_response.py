@@ -41,7 +41,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import is_curved
 from sim.response.response import Response
 from synth.controller.controller import Controller
-from synth.controller.open_loop import Controlled, LoopModel
+from synth.controller.open_loop import LoopModel, OpenLoop
 from synth.plant.discrete import held_inputs
 
 LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
@@ -89,13 +89,15 @@ def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
 
 
 def _most_asked(law: LinearLaw, fastest: float) -> Array:
-    """Returns a law's largest gain on each measurement, at any rate up to twice that of the vehicle [rad/s], shape (m, q)."""
+    """Returns a law's largest gain on each measurement, at rates up to twice that of the vehicle [rad/s], shape (m, q).
+
+    The lowest is a wave of minutes, longer than a run: what an integrator would come to by then is no gain of a run.
+    """
     if not law.states:
         return np.abs(law.D)
-    s = 1j * np.concatenate([[0.0], np.geomspace(1e-4, 2.0, RATES) * fastest])[:, None, None]
-    steady = np.linalg.lstsq(-law.A, law.B)[0][None]  # an integrator has an output at rest
-    moving = np.linalg.solve(s[1:] * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
-    return np.abs(law.C @ np.concatenate([steady, moving]) + law.D).max(axis=0)
+    s = 1j * np.geomspace(1e-4, 2.0, RATES)[:, None, None] * fastest
+    moving = np.linalg.solve(s * np.eye(law.states) - law.A, np.broadcast_to(law.B.astype(complex), (RATES, *law.B.shape)))
+    return np.abs(law.C @ moving + law.D).max(axis=0)
 
 
 SLOWEST_RATE = 1e-12  # rad/s; a slower mode does not move within any run, and the step for it would overflow
@@ -212,7 +214,7 @@ def _with_kept(response: Response, kept: Array) -> Response:
     return response.beside(kept_signals(range(1, kept.shape[-1] + 1)), kept)
 
 
-def readings_of_loads(cut: Controlled, controller: Controller) -> Array:
+def readings_of_loads(cut: OpenLoop, controller: Controller) -> Array:
     """Returns the effect of loads on all inputs by measured accelerations, shape (m + k, l), before forces add to the laws'
     rates.
     """
@@ -263,13 +265,24 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
 
 
 def recursion(Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing."""
-    states = np.zeros_like(forcing)
-    x, transposed = states[..., 0, :], np.ascontiguousarray(Phi.T)
+    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
+
+    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
+    stretches from rest come first, side by side, and then what each adds to those behind it.
+    """
+    *runs, samples, n = forcing.shape
+    length = math.isqrt(samples) + 1
+    stretches = -(-samples // length)
+    padded = np.zeros((*runs, stretches * length, n))
+    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
+    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
-        for k in range(forcing.shape[-2] - 1):
-            x = states[..., k + 1, :] = x @ transposed + forcing[..., k, :]
-    return states
+        for k in range(1, length):
+            states[..., k, :] += states[..., k - 1, :] @ transposed
+        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
+        for i in range(1, stretches):
+            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
+    return padded[..., :samples, :]
 
 
 def response_of(

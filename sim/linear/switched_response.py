@@ -77,15 +77,21 @@ class Decisions:
         self.forces, self._near = vehicle.linear_model.inputs, near
         self.of = range_of([vehicle.adjustable], self.forces)
         self._law = controller.law.sampled(period) if isinstance(controller, Controller) else controller.law
-        states = self._law.states if isinstance(self._law, LinearLaw) else 0
+        states, self._anti_windup = 0, None
+        if isinstance(self._law, LinearLaw):
+            states = self._law.states
+            if self._law.anti_windup is not None:
+                from models.laws.anti_windup import anti_windup_gain
+
+                self._anti_windup = anti_windup_gain(self._law)
         self._nominal = np.array([adjustable.nominal for adjustable in vehicle.adjustable])
-        self._numbers = numbers_of(self._law, [vehicle]) if isinstance(self._law, SemiActiveLaw) else None
+        self._numbers = numbers_of([self._law], [vehicle]) if isinstance(self._law, SemiActiveLaw) else None
         self.kept, self._next = np.zeros(states), np.zeros(states)
         self._scales = np.array([peaks(name) for name in controller.measured] + [peaks(VELOCITY)] * len(self.forces))
         self._largest = np.zeros(states)
 
     def __call__(self, y: Array, velocity: Array) -> Array:
-        """Returns the commands (see `Range.commands`) at the next sample, shape (2 m,).
+        """Returns the commands (see `CoefficientRange.commands`) at the next sample, shape (2 m,).
 
         Args:
             y: measurements, shape (q,).
@@ -94,6 +100,9 @@ class Decisions:
         self.kept = self._next
         if isinstance(self._law, LinearLaw):
             self._next = self._law.A @ self.kept + self._law.B @ y
+            if self._anti_windup is not None:
+                asked = (self._law.D @ y + self._law.C @ self.kept)[None]
+                self._next += self._anti_windup @ self.of.clipped_off(asked, self._closing(velocity[None]))[0]
         self._largest = np.maximum(self._largest, np.abs(self.kept))
         return self._decided(np.concatenate([y, velocity])[None], self.kept[None])[0]
 
@@ -121,7 +130,7 @@ class Decisions:
     def _decided(self, seen: Array, kept: Array) -> Array:
         """Returns the commands from measurements and velocities, shape (P, q + m), and states, shape (P, k)."""
         m, which = len(self.forces), np.zeros(len(seen), dtype=int)
-        closing = np.where(self.of.adjustable, -seen[:, -m:], 0.0) + self.of.at_rest
+        closing = self._closing(seen[:, -m:])
         if not isinstance(self._law, LinearLaw):
             assert self._numbers is not None, "of a semi-active law"
             numbers = numbers_at(self._numbers.some(which), self.of, closing, which)
@@ -129,6 +138,10 @@ class Decisions:
             return self.of.set_to(requested, closing, which)
         requested = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
         return self.of.commands(np.concatenate([requested, closing], axis=-1), which)
+
+    def _closing(self, velocity: Array) -> Array:
+        """Returns the closing velocities of `CoefficientRange.commands` from the suspensions' velocities, shape (P, m)."""
+        return np.where(self.of.adjustable, -velocity, 0.0) + self.of.at_rest
 
 
 MOST_KEPT = 256  # cached matrices of steps, one per set of coefficients; a law that switches has few
@@ -169,7 +182,7 @@ def switched(
 
     Args:
         decisions: those of its controller, or None if the commands are known.
-        commands: known commands, shape (T, 2 m), see `Range.commands`; with decisions, those of physics.
+        commands: known commands, shape (T, 2 m), see `CoefficientRange.commands`; with decisions, those of physics.
         as_rk4: True for RK4's own arithmetic.
     """
     vehicle, time, h = road.vehicle, road.time, road.timestep

@@ -12,12 +12,12 @@ from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.physics.sensor_readout import Laws, Readout
+from sim.physics.sensor_readout import AntiWindup, Laws, LinearLaws, Readout
 from synth.controller.controller import Driver
 
 if TYPE_CHECKING:
     from models.laws.python_runtime import OwnLaw
-    from models.suspension.damper_range import Range
+    from models.suspension.damper_range import CoefficientRange
 
 
 WILD = 1e8  # of any measurement, in SI units: beyond it the run has diverged, and its law is called no more
@@ -213,7 +213,7 @@ class Dampers:
     """
 
     vehicles: Sequence[Vehicle]
-    of: "Range"
+    of: "CoefficientRange"
     closing: Array
     lagging: Array
 
@@ -263,7 +263,7 @@ class Dampers:
 
         Args:
             values: the signals.
-            commands: see `Range.commands`, shape (B, N, 2 m).
+            commands: see `CoefficientRange.commands`, shape (B, N, 2 m).
             acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
         vehicle, m = self.vehicles[0], len(self.closing)
@@ -294,10 +294,20 @@ def dampers_of(vehicles: Sequence[Vehicle], readout: Readout) -> Dampers | None:
     return Dampers(vehicles, of, closing, readout.lagging)
 
 
+def anti_windup_of(vehicles: Sequence[Vehicle], gain: Array | None) -> AntiWindup | None:
+    """Returns the anti-windup of laws of N vehicles with these gains, shape (N, k, m), or None without gains."""
+    if gain is None:
+        return None
+    from models.suspension.damper_range import range_of
+
+    most = [vehicle.limits.actuator_force for vehicle in vehicles]
+    return AntiWindup(gain, range_of([vehicle.adjustable for vehicle in vehicles], vehicles[0].linear_model.inputs, most))
+
+
 class Damped:
     """Laws whose forces become commands of adjustable dampers."""
 
-    def __init__(self, laws: Laws, of: "Range") -> None:
+    def __init__(self, laws: Laws, of: "CoefficientRange") -> None:
         """Wraps laws, whose signals are followed by the suspensions' closing velocities.
 
         Args:
@@ -313,20 +323,41 @@ class Damped:
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """See `Laws`."""
         m = self.laws.forces
-        requested = self.laws(due, which, k, seen[:, :-m])
-        return self.of.commands(np.concatenate([requested, seen[:, -m:]], axis=-1), due)
+        requested = np.concatenate([self.laws(due, which, k, seen[:, :-m]), seen[:, -m:]], axis=-1)
+        if isinstance(self.laws, LinearLaws):
+            self.laws.follow(due, requested)
+        return self.of.commands(requested, due)
+
+
+class Limited:
+    """Linear laws whose forces the actuators limit, and whose states follow what is left of them."""
+
+    def __init__(self, laws: LinearLaws) -> None:
+        """Wraps N laws."""
+        self.laws, self.forces = laws, laws.forces
+
+    @property
+    def used(self) -> Array:
+        """See `Laws`."""
+        return self.laws.used
+
+    def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
+        """See `Laws`."""
+        requested = self.laws(due, which, k, seen)
+        self.laws.follow(due, requested)
+        return requested
 
 
 class Clipped:
     """Sets the adjustable dampers of N runs to the forces of linear laws; see `sim.physics.stepping.Setting`."""
 
-    def __init__(self, of: "Range") -> None:
+    def __init__(self, of: "CoefficientRange") -> None:
         """Prepares dampers of this range."""
         self.of, self.actuators = of, of.low.shape[1]
         self._turned = np.empty_like(of.low)
 
     def set(self, seen: Array, acting: Array) -> None:
-        """See `sim.physics.stepping.Setting`; as `Range.commands`, without the missing forces."""
+        """See `sim.physics.stepping.Setting`; as `CoefficientRange.commands`, without the missing forces."""
         closing = seen[:, self.actuators :]
         np.divide(seen[:, : self.actuators], closing if self.of.bent is None else self.of.felt(closing), self._turned)
         np.maximum(self._turned, self.of.low, out=self._turned)
@@ -358,10 +389,11 @@ class SemiActiveLaws:
         self.forces = 2 * self.actuators
         self._nominal = np.array([[adjustable.nominal for adjustable in vehicle.adjustable] for vehicle in dampers.vehicles])
         self._groups = []
-        for law in dict.fromkeys(controller.law for controller in controllers):
-            mine = np.array([controller.law == law for controller in controllers])
+        for law in {(one.law.name, one.law.measured): one.law for one in controllers}.values():
+            mine = np.array([(one.law.name, one.law.measured) == (law.name, law.measured) for one in controllers])
+            laws = [one.law if own else law for one, own in zip(controllers, mine, strict=True)]
             places = list(range(len(law.measured))) if names is None else [names.index(name) for name in law.measured]
-            self._groups.append((law, mine, numbers_of(law, dampers.vehicles), places))
+            self._groups.append((law, mine, numbers_of(laws, dampers.vehicles), places))
         self._alone: tuple[Callable[[Sequence[float]], list[float]], list[float], list[tuple[float, float]]] | None = None
         if len(controllers) == 1 and self.of.bent is None:
             law, _, numbers, places = self._groups[0]

@@ -23,18 +23,22 @@ from sim.physics.drivers import (
     Damped,
     Dampers,
     Failure,
+    Limited,
     PythonLaws,
     RecordedForces,
     RepeatedForces,
     RunDriver,
     SemiActiveLaws,
+    anti_windup_of,
     dampers_of,
 )
 from sim.physics.sensor_readout import (
+    AntiWindup,
     Laws,
     LinearLaws,
     Readout,
     Sampler,
+    anti_windup_on,
     force_from_road,
     laws_on,
     measured_by,
@@ -60,9 +64,10 @@ class Block:
         values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
         qpos: generalized positions, shape (B, N, nq).
         qvel: generalized velocities, shape (B, N, nv).
-        largest: largest magnitude of any signal, and of any requested force, shape (B, N).
+        largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
+        overflowed: True where a requested force or a state of the law is no finite number, shape (B, N).
         asked: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
-            (B, N, 2 m), see `models.suspension.damper_range.Range.commands`.
+            (B, N, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`.
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
     """
 
@@ -71,6 +76,7 @@ class Block:
     qpos: Array
     qvel: Array
     largest: Array
+    overflowed: Array
     asked: Array
     kept: Array
 
@@ -78,13 +84,30 @@ class Block:
         """Returns the time at which each run first diverged in the block [s], shape (N,), or infinity; from all the samples'
         times.
         """
-        wild = ~(self.largest < DIVERGED)  # NaN compares as wild
+        wild = self._wild
         return np.where(wild.any(axis=0), time[self.start + wild.argmax(axis=0)], np.inf)
 
-    def clip(self) -> None:
-        """Replaces non-finite values of diverged runs by 0, and clips all to `DIVERGED`, in place."""
-        np.nan_to_num(self.values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        np.clip(self.values, -DIVERGED, DIVERGED, out=self.values)
+    @property
+    def ran_away(self) -> Array:
+        """Returns True for each run that first diverged in the block by the states of its law alone, shape (N,): they overflowed,
+        and every physical signal was still within `DIVERGED`.
+        """
+        wild, runs = self._wild, np.arange(self.largest.shape[1])
+        return wild.any(axis=0) & (self.largest[wild.argmax(axis=0), runs] < DIVERGED)
+
+    @property
+    def _wild(self) -> Array:
+        """Returns True at the samples that a run does not go beyond, shape (B, N)."""
+        return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
+
+    def clip(self, runs: Array) -> None:
+        """Replaces non-finite values of some runs by 0, and clips theirs to `DIVERGED`, in place.
+
+        Args:
+            runs: True for each of them, shape (N,).
+        """
+        values = np.nan_to_num(self.values[..., runs], nan=0.0, posinf=0.0, neginf=0.0)
+        self.values[..., runs] = np.clip(values, -DIVERGED, DIVERGED)
 
 
 def runs_at_once(samples: int, wheels: int) -> int:
@@ -192,6 +215,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
     dampers = dampers_of(vehicles, readout)
+    follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
     reads = (gain, memory, offset)
     if dampers is not None:
         reads = dampers.beside(gain, memory, offset)
@@ -202,6 +226,8 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     signals = vehicle.kind.signals
     place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
     names = [signal.name for signal in signals]
+    acting = [i for i, name in enumerate(names) if name not in {one.missing for one in vehicle.adjustable}]
+    unclipped = np.array([_unclipped(one) for one in vehicles])
     heights = [names.index(wheel.road_displacement) for wheel in vehicle.kind.wheels]
     inside, felt = readout.stage > stage, readout.felt or fresh
 
@@ -215,10 +241,11 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             if models:
                 batch.set_models(driving)
         law, mine = None, dampers_of(vehicles[runs], readout)
+        anti_windup = anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
         setting = None if mine is None else SemiActiveLaws(semi_active[runs], mine) if semi_active else Clipped(mine.of)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
-            laws = _laws_of(course, runs, readout.names, K, memory, mine)
+            laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)
             seen = readout.names if mine is None else (*readout.names, *("" for _ in mine.closing))
             samplers = [Sampler(how, laws, seen, timestep, len(now))]
             if undelayed is not None:
@@ -237,6 +264,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             lagging=mine is not None and mine.lags,
             held=max(held) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
+            anti_windup=anti_windup,
         )
         push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
@@ -252,17 +280,31 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
             if mine is not None:
                 mine.record(recorded, asked, acts)
-            # MuJoCo replaces a force beyond 1e10 by 0 and runs on: the requested force counts, not only the actual one.
-            largest = np.maximum(recorded.max(axis=1), -recorded.min(axis=1))
-            for force in np.moveaxis(asked, 2, 0):
-                largest = np.maximum(largest, np.abs(force))
-            yield Block(start, recorded, qpos, qvel, largest, asked, kept)
+            physical = recorded[:, acting] if mine is not None else recorded
+            largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
+            overflowed = np.asarray(~(np.isfinite(asked).all(axis=2) & np.isfinite(kept).all(axis=2)))
+            # MuJoCo replaces a force beyond 1e10 by 0 and runs on: the requested force counts, unless it is clipped before.
+            for force, given in zip(np.moveaxis(asked, 2, 0), unclipped[runs].T, strict=False):
+                largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
+            yield Block(start, recorded, qpos, qvel, largest, overflowed, asked, kept)
 
     def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
+        blocks = of(runs, stopped)
         with quiet():
-            yield from of(runs, stopped)
+            while True:
+                with np.errstate(over="ignore", invalid="ignore"):  # a law may overflow; its block says so
+                    block = next(blocks, None)
+                if block is None:
+                    return
+                yield block
 
     return [functools.partial(quietly, runs) for runs in shares]
+
+
+def _unclipped(vehicle: Vehicle) -> list[bool]:
+    """Returns True for every input whose requested force acts whole, however large it is."""
+    most = vehicle.limits.actuator_force
+    return [force not in vehicle.dampers and (most is None or most >= DIVERGED) for force in vehicle.linear_model.inputs]
 
 
 def _span(of_sensors: Array) -> slice:
@@ -277,11 +319,20 @@ def _of_reading(readout: Readout, sensors: slice) -> Array:
     return np.concatenate([of_state, np.where(readout.linear[:, None], 0.0, readout.of_sensors[:, sensors])], axis=-1)
 
 
-def _laws_of(course: BatchInputs, runs: slice, names: Sequence[str], gain: Array, memory: Array, dampers: Dampers | None) -> Laws:
+def _laws_of(
+    course: BatchInputs,
+    runs: slice,
+    names: Sequence[str],
+    gain: Array,
+    memory: Array,
+    dampers: Dampers | None,
+    anti_windup: AntiWindup | None,
+) -> Laws:
     """Returns the laws of some of the runs, on signals of these names.
 
     Args:
         dampers: of those runs, or None; the laws then return their commands.
+        anti_windup: of those runs, or None.
     """
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
     if semi_active:
@@ -289,8 +340,10 @@ def _laws_of(course: BatchInputs, runs: slice, names: Sequence[str], gain: Array
         return SemiActiveLaws(semi_active, dampers, names)
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
-        linear = LinearLaws(gain[runs], memory[runs])
-        return linear if dampers is None else Damped(linear, dampers.of)
+        linear = LinearLaws(gain[runs], memory[runs], anti_windup)
+        if dampers is not None:
+            return Damped(linear, dampers.of)
+        return linear if anti_windup is None else Limited(linear)
     ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
     numbers = range(len(course.vehicles))[runs]
     laws = PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)

@@ -3,16 +3,20 @@
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 
 from models.common.arrays import Array
+from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
+
+if TYPE_CHECKING:
+    from models.suspension.damper_range import CoefficientRange
 
 
 class Laws(Protocol):
@@ -39,12 +43,36 @@ class Laws(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class AntiWindup:
+    """Anti-windup of N linear laws, see `models.laws.anti_windup`.
+
+    Attributes:
+        gain: L of each, shape (N, k, m).
+        of: range of their actuators.
+    """
+
+    gain: Array
+    of: "CoefficientRange"
+
+    def __call__(self, asked: Array, which: Array | slice = slice(None)) -> Array:
+        """Returns what is added to the next states, shape (d, k).
+
+        Args:
+            asked: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or (d, 2 m).
+            which: of the N.
+        """
+        m = self.gain.shape[2]
+        closing = asked[:, m:] if asked.shape[1] > m else None
+        return np.matvec(self.gain[which], self.of.clipped_off(asked[:, :m], closing, which))
+
+
 class LinearLaws:
     """N linear laws."""
 
-    def __init__(self, gain: Array, memory: Array) -> None:
+    def __init__(self, gain: Array, memory: Array, anti_windup: "AntiWindup | None" = None) -> None:
         """Takes the gains from the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
-        self.gain, self.memory = gain, memory if memory.shape[2] else None
+        self.gain, self.memory, self.anti_windup = gain, memory if memory.shape[2] else None, anti_windup
         self.forces = gain.shape[1] - memory.shape[2]
         self.kept, self.used = (np.zeros((len(gain), memory.shape[2])) for _ in range(2))
 
@@ -57,6 +85,11 @@ class LinearLaws:
             self.kept[due] = computed[:, self.forces :]
             computed = computed[:, : self.forces]
         return computed
+
+    def follow(self, due: Array | slice, asked: Array) -> None:
+        """Has the states of the due laws follow the forces that are given; `asked` as for `AntiWindup`."""
+        if self.anti_windup is not None:
+            self.kept[due] += self.anti_windup(asked, due)
 
 
 class Sampler:
@@ -249,21 +282,46 @@ def laws_on(
     Returns:
         From the signals, shape (N, m + k, S), and from x_c, shape (N, m + k, k), with the largest k of any.
     """
+    once, which = _as_run(vehicles, controllers, timestep)
+    m, k = len(vehicles[0].linear_model.inputs), max((law.states for _, law in once if law is not None), default=0)
+    of_signals, of_states = np.zeros((len(once), m + k, len(signals))), np.zeros((len(once), m + k, k))
+    for i, (one, law) in enumerate(once):
+        if one is not None and law is not None:
+            seen, end = [signals.index(name) for name in one.measured], m + law.states
+            of_signals[i, :m, seen], of_signals[i, m:end, seen] = law.D.T, law.B.T
+            of_states[i, :m, : law.states], of_states[i, m:end, : law.states] = law.C, law.A
+    return of_signals[which], of_states[which]
+
+
+def anti_windup_on(vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float) -> Array | None:
+    """Returns the anti-windup gains of N controllers as they are run, see `laws_on`, shape (N, k, m); None if none has any.
+
+    Raises:
+        InputError: a law has a slow state that shows in no force.
+    """
+    if all(one is None or one.law.anti_windup is None for one in controllers):
+        return None
+    from models.laws.anti_windup import anti_windup_gain
+
+    once, which = _as_run(vehicles, controllers, timestep)
+    gains = [np.zeros((0, 0)) if law is None else anti_windup_gain(law) for _, law in once]
+    most = np.zeros((len(once), max(map(len, gains)), len(vehicles[0].linear_model.inputs)))
+    for rows, gain in zip(most, gains, strict=True):
+        rows[: len(gain)] = gain
+    return most[which]
+
+
+def _as_run(
+    vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float
+) -> tuple[list[tuple[Controller | None, LinearLaw | None]], list[int]]:
+    """Returns each controller that is run with its sampled law, once, and which of these each of the N is."""
     of_vehicle = {id(vehicle): steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles}
     pairs = [(id(controller), of_vehicle[id(vehicle)]) for controller, vehicle in zip(controllers, vehicles, strict=True)]
     places = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
     by_id = {id(one): one for one in controllers}
     once = [(by_id[one], period) for one, period in places]
-    laws = [None if one is None else one.law.sampled(period) for one, period in once]
-    m, k = len(vehicles[0].linear_model.inputs), max((law.states for law in laws if law is not None), default=0)
-    of_signals, of_states = np.zeros((len(once), m + k, len(signals))), np.zeros((len(once), m + k, k))
-    for i, ((one, _), law) in enumerate(zip(once, laws, strict=True)):
-        if one is not None and law is not None:
-            seen, end = [signals.index(name) for name in one.measured], m + law.states
-            of_signals[i, :m, seen], of_signals[i, m:end, seen] = law.D.T, law.B.T
-            of_states[i, :m, : law.states], of_states[i, m:end, : law.states] = law.C, law.A
-    which = [places[pair] for pair in pairs]
-    return of_signals[which], of_states[which]
+    laws = [(one, None if one is None else one.law.sampled(period)) for one, period in once]
+    return laws, [places[pair] for pair in pairs]
 
 
 def measured_by(signals: Sequence[str], measured: Sequence[Sequence[str]]) -> tuple[Array, Array]:

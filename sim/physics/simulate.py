@@ -41,8 +41,10 @@ class PhysicsRuns:
         qpos: generalized positions, shape (N, T, nq), to draw a run.
         qvel: generalized velocities, shape (N, T, nv).
         diverged: time at which each run diverged [s], shape (N,), or infinity.
+        ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
         asked: requested forces at every sample [N], shape (N, T, m).
-        kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any.
+        kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
+            infinite where they ran away, else NaN.
         states: the signals of each controller's states.
     """
 
@@ -50,6 +52,7 @@ class PhysicsRuns:
     qpos: Array
     qvel: Array
     diverged: Array
+    ran_away: Array
     asked: Array
     kept: Array
     states: Sequence[tuple[Signal, ...]]
@@ -103,7 +106,8 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
     kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
     kept[time >= diverged[:, None]] = np.nan
-    return PhysicsRuns(response, qpos, qvel, diverged, asked, kept, states)
+    kept[(time >= diverged[:, None]) & block.ran_away[:, None]] = np.inf
+    return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, asked, kept, states)
 
 
 def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
@@ -129,13 +133,13 @@ def _by_kind(
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in parts])[order]
     response = Response(met[0].time, parts[0].response.signals, values)
-    qpos, qvel, diverged, asked = (
-        np.concatenate([getattr(one, name) for one in parts])[order] for name in ("qpos", "qvel", "diverged", "asked")
+    qpos, qvel, diverged, ran_away, asked = (
+        np.concatenate([getattr(one, name) for one in parts])[order] for name in ("qpos", "qvel", "diverged", "ran_away", "asked")
     )
     most = max(one.kept.shape[2] for one in parts)
     kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
     states = [signals for one in parts for signals in one.states]
-    return PhysicsRuns(response, qpos, qvel, diverged, asked, kept, [states[i] for i in order])
+    return PhysicsRuns(response, qpos, qvel, diverged, ran_away, asked, kept, [states[i] for i in order])
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -153,7 +157,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    names = ("qpos", "qvel", "largest", "asked", "kept")
+    names = ("qpos", "qvel", "largest", "overflowed", "asked", "kept")
     return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 
@@ -182,6 +186,7 @@ class MonitoredBatch:
         beyond: heights of the roads at the samples after the last, as far as laws in Python preview them.
         failures: by run, the laws in Python that have failed; such a run goes on without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
+        ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
     """
 
     def __init__(self, controllers: Sequence[RunDriver], met: Sequence[RoadInput]) -> None:
@@ -197,6 +202,7 @@ class MonitoredBatch:
         self.loads = loads_on(met)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
+        self.ran_away = np.zeros(len(vehicles), dtype=bool)
 
     @property
     def timestep(self) -> float:
@@ -209,7 +215,7 @@ class MonitoredBatch:
         return np.minimum(self.ends.first, self.diverged)
 
     def blocks(self) -> Iterator[Block]:
-        """Yields every block in its turn; after a run has diverged, its values are clipped."""
+        """Yields every block in its turn; the values of runs that have diverged are clipped."""
         edges = [*range(0, len(self.time), BLOCK), len(self.time)]
         course = BatchInputs(
             self.vehicles,
@@ -223,8 +229,9 @@ class MonitoredBatch:
             loads=self.loads,
         )
         for block in in_blocks(course):
+            self.ran_away |= block.ran_away & np.isinf(self.diverged)
             self.diverged = np.minimum(self.diverged, block.diverged(self.time))
             if np.isfinite(self.diverged).any():
-                block.clip()
+                block.clip(np.isfinite(self.diverged))
             self.ends.update(block.start, block.values)
             yield block

@@ -44,11 +44,18 @@ class Alone:
         for compute in _STAGES[stage]:
             compute(self.model, self._data)
 
-    def step(self, ids: Array | None = None, stage: int = int(mjtStage.mjSTAGE_NONE)) -> None:
-        """Makes a step, then computes the stages up to one at the new state."""
-        mj_step(self.model, self._data)
-        for compute in _STAGES[stage]:
-            compute(self.model, self._data)
+    def stepper(self, stage: int) -> Callable[[], None]:
+        """Returns a function that makes a step, then computes the stages up to one at the new state."""
+        step, computed = functools.partial(mj_step, self.model, self._data), _STAGES[stage]
+        if not computed:
+            return step  # a function around it would cost a twentieth of a step
+
+        def steps() -> None:
+            step()
+            for compute in computed:
+                compute(self.model, self._data)
+
+        return steps
 
 
 # pyright: reportAttributeAccessIssue=false
@@ -69,9 +76,7 @@ class Setting(Protocol):
         ...
 
     def commands(self, seen: Array) -> Array:
-        """Returns the commands of some samples with the missing forces, see `Range.commands`: shape (B, N, 2 m) from (B, N,
-        d).
-        """
+        """Returns commands and missing forces of some samples, see `CoefficientRange.commands`: (B, N, 2 m) from (B, N, d)."""
         ...
 
 
@@ -92,6 +97,7 @@ class Reading:
         lagging: True to record the activations.
         held: number of steps for which commands are held, if there is no law beside the gains.
         ramps: input of every actuator that makes ramps of dampers' curves, shape (k,); these actuators are the last ones.
+        anti_windup: returns what is added to the controllers' next states, shape (N, k), from their commands; None for nothing.
     """
 
     gain: Array
@@ -105,6 +111,7 @@ class Reading:
     lagging: bool = False
     held: int = 1
     ramps: Array | None = None
+    anti_windup: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +202,8 @@ def step_batch(
     for start, end in itertools.pairwise(edges):
         block, length = slice(start, end), end - start
         some = None if going is None or going.all() else np.flatnonzero(going)
+        after = 0 if fresh else stage
+        step = batch.stepper(after) if isinstance(batch, Alone) else functools.partial(batch.step, some, stage=after)
         seen = np.empty((length, count, width + beside))
         if not kept:
             seen[..., width:] = offset[block]
@@ -229,6 +238,8 @@ def step_batch(
                 ask(all_seen, asks)
                 asks += offset[k]
                 forces[...], states = asks[:, :commands], asks[:, commands:]
+                if reading.anti_windup is not None:
+                    states = states + reading.anti_windup(forces)
                 last, used = forces, all_seen[:, width:]
             else:
                 forces[...] = law(k, all_seen[:, :width])
@@ -250,7 +261,7 @@ def step_batch(
                     batch.forward(some)
                 result[...] = sensed_now
             heights[...] = road
-            batch.step(some, stage=0 if fresh else stage)
+            step()
             if at_samples is None:
                 result[...] = sensed_now
         if stage and at_samples is None:

@@ -1,1 +1,1 @@
-"""A run written down: MCAP, Foxglove, Rerun, their layouts and the viewer."""
+"""Recording of runs: MCAP and Rerun files, and their layouts for viewers."""

@@ -1,63 +1,79 @@
-"""Recordings on disk: MCAP, its layout and Rerun side by side, complete or absent, never over somebody's older ones."""
+"""Recordings on disk: an MCAP file, its layout and a Rerun file, all complete or none. Existing files are never overwritten."""
 
 import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
-from models.common import interrupt
+from models.common import interrupt, memory
+from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError
 from models.common.files import made_folder
 from models.common.printed import Whole, pasted_path
 from sim.recording.foxglove_layout import foxglove_layout
 from sim.recording.mcap_writer import write_mcap
-from sim.recording.rerun_writer import write_rrd
 from sim.recording.run_log import RunLog
 
 SUFFIXES = {"mcap": "mcap", "layout": "layout.json", "rerun": "rrd"}
+Stem = Annotated[
+    str,
+    Must(
+        "a file name without folder and suffix, at most 120 characters",
+        lambda value: 0 < len(value) <= 120 and value.isprintable() and not {"/", "\\"} & {*value},
+    ),
+]
+ROOM_OF_RERUN = 2**30  # bytes of address space; Rerun ends the process where it finds too little, and no one could say why
+
+
+def rerun_fits() -> bool:
+    """Returns True if a limit of the address space leaves room for Rerun."""
+    return memory.room() >= ROOM_OF_RERUN
 
 
 def record(
     folder: Path,
-    stem: str,
-    runs: Sequence[RunLog],
+    stem: Stem,
+    runs: Annotated[Sequence[RunLog], AT_LEAST_ONE],
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]],
 ) -> dict[str, Path]:
-    """Writes runs as `<stem>.mcap`, `<stem>.layout.json` and `<stem>.rrd`; the layout is the MCAP's in Foxglove and Lichtblick.
+    """Writes runs as `<stem>.mcap`, `<stem>.layout.json` (for the MCAP file in Foxglove and Lichtblick) and `<stem>.rrd`.
 
-    Where one of them exists already, it is `<stem>-2`, `-3`, ... All are written in full under another name first. An error or
-    an interruption leaves nothing behind.
+    If one of these files exists, the stem becomes `<stem>-2`, `-3`, ... An error or an interruption leaves nothing behind.
 
     Args:
-        folder: where the files go; made if it is not there.
-        stem: the files' common name, without suffix.
-        runs: what to write, by distinct names.
-        metadata: what all runs share.
-        attachments: (media type, content) by name; in the MCAP file only, as Rerun has no place for them.
+        folder: of the files; made if it does not exist.
+        stem: common name of the files, without suffix.
+        runs: with distinct names.
+        metadata: of all runs.
+        attachments: (media type, content) by name; only in the MCAP file, as Rerun files have no attachments.
 
     Returns:
-        The files' paths: `mcap`, `layout` and `rerun`.
+        Paths of the files: `mcap`, `layout` and, unless a limit of the address space leaves too little room for it, `rerun`.
 
     Raises:
-        InputError: the folder cannot be made, or not written.
-        ValueError: two runs have the same name.
+        InputError: the folder cannot be made, files cannot be written in it, or two runs have the same name.
 
     Example:
-        See `sim.run_log`, which makes what is recorded:
+        See `sim.run_log`, which makes the runs to record:
 
         >>> from sim import record, run_log
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
-        raise ValueError(f"runs are told apart by their names, and these are not distinct: {', '.join(names)}")
+        raise InputError(f"runs have the names {', '.join(names)}; give each another one")
     try:
-        # Within the folder, so that giving the final name moves no data, and fails or succeeds at once.
+        # In the same folder, so that the final renames move no data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
-            written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
+            kinds = SUFFIXES if rerun_fits() else ("mcap", "layout")
+            written = {kind: Path(temporary, f"run.{SUFFIXES[kind]}") for kind in kinds}
             write_mcap(written["mcap"], runs, metadata, attachments)
             written["layout"].write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
-            write_rrd(written["rerun"], runs, metadata)
+            if "rerun" in written:
+                from sim.recording.rerun_writer import write_rrd
+
+                write_rrd(written["rerun"], runs, metadata)
             with interrupt.finishing():
                 return _published(written, folder, stem)
     except OSError as error:
@@ -66,22 +82,22 @@ def record(
 
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """Returns the commands that open each file of a recording."""
+    left_out = f"  no .rrd file, as {memory.words()}, which Rerun does not bear; raise the limit to have one"
     return [
-        Whole(f"  rerun {pasted_path(paths['rerun'])}"),
+        Whole(f"  rerun {pasted_path(paths['rerun'])}") if "rerun" in paths else left_out,
         "  for Foxglove and Lichtblick, with the layout beside it",
         *(Whole(f"    {pasted_path(paths[kind])}") for kind in ("mcap", "layout")),
     ]
 
 
 def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
-    """Gives finished files the first name that is free for all of them; returns their final paths."""
+    """Renames complete files to the first name that is free for all of them; returns the final paths."""
     for number in itertools.count(1):
         name = stem if number == 1 else f"{stem}-{number}"
         final = {kind: folder / f"{name}.{SUFFIXES[kind]}" for kind in written}
         ours: list[Path] = []
         try:
-            # A rename would overwrite silently. An empty file, made only where there is none, reserves the name
-            # even against another process that records at the same time.
+            # A rename would overwrite silently. A new empty file reserves the name, also against other processes.
             for path in final.values():
                 path.touch(exist_ok=False)
                 ours.append(path)
@@ -98,6 +114,6 @@ def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str
 
 def _not_writable(folder: Path, error: OSError) -> InputError:
     return InputError(
-        f"cannot write recordings in {folder}: {error.strerror or error}. It must be a folder with free space in "
-        "which files can be made: name another one, or mend this one"
+        f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
+        "give another one, or mend this one"
     )

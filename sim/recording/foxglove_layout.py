@@ -1,7 +1,7 @@
-"""A layout for Foxglove and Lichtblick that opens a log: the car in 3D, MuJoCo over sampled for every signal, the differences.
+"""Layouts for Foxglove and Lichtblick: the car in 3D, MuJoCo and sampled responses of every signal, and their differences.
 
-Both import it as "Import from file..." in their list of layouts. Format: a panel's settings by `TYPE!NAME`, and a tree of
-rows and columns; https://docs.foxglove.dev/docs/visualization/layouts.
+In both programs: "Import from file..." in the list of layouts. Format: settings of panels by `TYPE!NAME`, and a tree of rows and
+columns; https://docs.foxglove.dev/docs/visualization/layouts.
 """
 
 import json
@@ -19,7 +19,7 @@ from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, co
 
 
 def foxglove_layout(runs: Sequence[RunLog]) -> str:
-    """The layout of a log's MCAP file, as JSON. Several runs: all of them first, then a tab each."""
+    """Returns the layout of an MCAP file as JSON: for several runs first a tab with all of them, then one for each."""
     panels: dict[str, Any] = {}
     pages = [(run.name, _page(panels, runs, run)) for run in runs]
     root = pages[0][1]
@@ -32,9 +32,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 
 def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
-    """Adds the panels of one run: the car and its events on the left, every signal's responses and the differences on the
-    right.
-    """
+    """Adds the panels of one run: on the left the car and its events, on the right the responses and the differences."""
     color = styles(tuple(other.name for other in runs))[run.name][0]
     car, log = f"3D!{_id(run.name)}", f"RosOut!{_id(run.name)}"
     panels[car] = _scene(runs, [run])
@@ -79,7 +77,7 @@ def _acting(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, color: 
 
 
 def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, group: str, signals: Sequence[Signal]) -> list[str]:
-    """A plot of MuJoCo minus sampled, where there are both."""
+    """Adds a plot of MuJoCo minus sampled, if both exist; returns its id in a list."""
     names = [signal.name for signal in signals if run.gap is not None and signal.name in run.gap.names]
     paths = [
         _path(topic(runs, run, "difference"), name, name.replace("_", " "), PALETTE[i % len(PALETTE)], 1.5)
@@ -90,7 +88,7 @@ def _difference(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog, gro
 
 
 def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
-    """All cars in a row above every signal of all of them."""
+    """Adds the panels for all runs: the cars in a row, above plots of every signal."""
     panels["3D!all"] = _scene(runs, runs)
     colours = styles(tuple(run.name for run in runs))
     pages = []
@@ -108,7 +106,7 @@ def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
 
 
 def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
-    """A 3D panel from the left-hand side, a bit in front and above; one run alone is followed where it stands."""
+    """Returns a 3D panel, seen from the left, slightly from the front and above; a single car is followed."""
     low, high = np.array([run.scene.finite().extent() for run in seen]).swapaxes(0, 1)
     size = (high - low).max(axis=0)
     length = 1.15 * size[0] * len(seen)
@@ -137,7 +135,7 @@ def _scene(runs: Sequence[RunLog], seen: Sequence[RunLog]) -> dict[str, Any]:
 
 
 def _plot(panels: dict[str, Any], name: str, title: str, paths: list[dict[str, Any]], over: str = "") -> str:
-    """Adds a plot over the time since the start, or over a field; returns its id. Those over time zoom together."""
+    """Adds a plot over time, or over a field; returns its id. Plots over time zoom together."""
     panel = f"Plot!{_id(name)}"
     panels[panel] = {
         "title": title,
@@ -168,7 +166,7 @@ def _path(topic: str, field: str, label: str, color: str, width: float) -> dict[
 
 
 def _field(topic: str, field: str) -> str:
-    """A field of a topic, whose name is quoted unless it is plain."""
+    """Returns the path of a field of a topic; special characters are quoted."""
     plain = re.fullmatch(r"[A-Za-z0-9_/-]+", topic)
     return f"{topic if plain else json.dumps(topic, ensure_ascii=False)}.{field}"
 
@@ -178,7 +176,7 @@ def _title(signal: Signal) -> str:
 
 
 def _paged(panels: dict[str, Any], name: str, pages: list[tuple[str, Any]]) -> Any:
-    """Returns a single page as it is, several as tabs."""
+    """Returns a single page, or a tab panel with several pages."""
     if len(pages) == 1:
         return pages[0][1]
     panel = f"Tab!{_id(name)}"
@@ -196,7 +194,7 @@ def _grid(panels: list[str], columns: int) -> Any:
 
 
 def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -> Any:
-    """Parts beside or below each other, as the tree of halves that both viewers have."""
+    """Returns parts in a row or column, as the binary tree of both viewers."""
     shares = [*shares, *[1.0] * len(parts)][: len(parts)]
     if len(parts) == 1:
         return parts[0]
@@ -209,5 +207,5 @@ def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -
 
 
 def _id(name: str) -> str:
-    """A name as a panel's id may have it: distinct names stay distinct."""
+    """Returns a name with special characters encoded, for a panel's id."""
     return re.sub(r"[^A-Za-z0-9]", lambda found: f"_{ord(found.group()):x}", name)

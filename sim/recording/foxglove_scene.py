@@ -1,7 +1,7 @@
-"""A run's scene and events in Foxglove's published messages, https://docs.foxglove.dev/docs/sdk/schemas.
+"""A run's scene and events as messages of Foxglove's published schemas, https://docs.foxglove.dev/docs/sdk/schemas.
 
-Players that jump to a time look up the last message of each topic. So `/shapes`, which is written once, has a topic of its own,
-and every message of `/scene` and `/transforms` is complete.
+After a jump in time, players read the last message of each topic. So every message of `/scene` and `/transforms` is complete, and
+the shapes, written once, have their own topic `/shapes`.
 """
 
 from collections.abc import Iterator
@@ -33,15 +33,15 @@ from sim.recording.run_log import RunLog
 from sim.recording.scene import BESIDE, FORCE, LIFTED, LINES, LONGEST, Scene, Shape, strut_lines, tyre_surface
 
 WORLD = "world"
-NEAR = 1e-5  # m; how far another machine may draw something from here
+NEAR = 1e-5  # allowed difference of positions from another machine [m]
 POINT = np.dtype([("head", "u1", 2), *((f"{kind}{axis}", how) for axis in "xyz" for kind, how in (("tag_", "u1"), ("", "<f8")))])
-GRID = 2.0**-12  # m, a quarter of a millimetre: what moves in the scene is drawn to it, and so takes a third of the room
+GRID = 2.0**-12  # grid to which moving points are rounded [m], 0.25 mm: compressed, they take a third of the space
 
 Messages = Iterator[Any]
 
 
 def frame(run: RunLog, body: str = "") -> str:
-    """The coordinate frame of a run's body, or of the run itself: where its car stands."""
+    """Returns the name of the coordinate frame of a run's body, or of the whole car."""
     return f"{run.name}/{body}" if body else run.name
 
 
@@ -55,11 +55,11 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     """Yields the poses of every body, and of the car as a whole.
 
     Args:
-        run: its frames are finite.
+        run: with finite frames.
         times: of its frames [ns].
         stand: position of its car in the world [m], shape (3,).
     """
-    own = FrameTransform(
+    car = FrameTransform(
         parent_frame_id=WORLD,
         child_frame_id=frame(run),
         translation=_vector(stand),
@@ -67,8 +67,8 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     )
     for index, time in enumerate(times):
         stamp = _stamp(time)
-        own.timestamp.CopyFrom(stamp)
-        moved = [
+        car.timestamp.CopyFrom(stamp)
+        bodies = [
             FrameTransform(
                 timestamp=stamp,
                 parent_frame_id=frame(run),
@@ -78,11 +78,11 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
             )
             for body, motion in run.scene.bodies.items()
         ]
-        yield FrameTransforms(transforms=[own, *moved])
+        yield FrameTransforms(transforms=[car, *bodies])
 
 
 def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
-    """The solids, each fixed to its body, and the run's name above the car in its colour."""
+    """Yields the message with the solids, fixed to their bodies, and the run's name above the car, in its colour."""
     entities = []
     for body in run.scene.bodies:
         entity = _entity(time, frame(run, body), body)
@@ -98,7 +98,7 @@ def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
 
 
 def moving(run: RunLog, times: list[int], largest: float) -> Messages:
-    """Yields the deforming parts: struts, tyres, and the control forces, of which `largest` [N] has the longest arrow."""
+    """Yields struts, tyres and arrows of control forces; a force of `largest` [N] has the longest arrow."""
     scene = run.scene
     struts = [_packed(line, LinePrimitive.POINTS_FIELD_NUMBER) for ends in scene.springs.values() for line in strut_lines(ends)]
     looks = [
@@ -123,20 +123,20 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
 
 
 def alike(kind: type, first: bytes, second: bytes) -> bool:
-    """Returns True if two messages show the same, with numbers equal to `NEAR`, or to one step of the grid they lie on."""
+    """Returns True if two messages are equal, with numbers equal within `NEAR`, or within one step of `GRID` for points on it."""
     try:
-        now, said = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue] - generated
+        one, other = (kind.FromString(data) for data in (first, second))  # pyright: ignore[reportAttributeAccessIssue]
     except DecodeError:
         return False
-    said.DiscardUnknownFields()
-    return said.SerializeToString() == second and _alike(now, said)  # no field occurs twice, and none is unknown
+    other.DiscardUnknownFields()
+    return other.SerializeToString() == second and _alike(one, other)  # no field is repeated or unknown
 
 
 def _alike(first: Any, second: Any) -> bool:
-    """The same, of any part of a message."""
+    """Returns the same for any part of a message."""
     if isinstance(first, float):
-        far = abs(first - second)
-        return far <= NEAR or (far <= GRID and first % GRID == second % GRID == 0)
+        distance = abs(first - second)
+        return distance <= NEAR or (distance <= GRID and first % GRID == second % GRID == 0)
     if isinstance(first, Message):
         if isinstance(first, Timestamp):
             return first == second
@@ -148,20 +148,20 @@ def _alike(first: Any, second: Any) -> bool:
 
 
 def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEntity:
-    """Something that moves with its frame and stays until another one of its name replaces it."""
+    """Returns an entity that moves with its frame, and stays until another one of the same name replaces it."""
     stamp, forever = _stamp(time), Duration()
     return SceneEntity(timestamp=stamp, frame_id=frame_id, id=name, lifetime=forever, frame_locked=True, **primitives)
 
 
 def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:
-    """Yields an arrow beside each strut for its force on the body, unless the force is too small."""
+    """Yields an arrow for the force of each strut on the body, unless the force is tiny."""
     for name, force in scene.forces.items():
         bottom, top = scene.springs[name][index]
         length = LONGEST * float(force[index]) / (largest or 1.0)
         if abs(length) < 1e-3:
             continue
         direction = np.copysign(1.0, length) * (top - bottom) / np.linalg.norm(top - bottom)
-        # From +x to the direction: half of the turn is the mean of the two.
+        # The unnormalised quaternion of the rotation from +x to the direction.
         turn = np.array([1.0 + direction[0], 0.0, -direction[2], direction[1]])
         yield ArrowPrimitive(
             pose=_pose((bottom + top) / 2 + BESIDE, turn / np.linalg.norm(turn)),
@@ -192,9 +192,9 @@ def _add_solid(entity: SceneEntity, shape: Shape) -> None:
 
 
 def _packed(points: Array, field: int) -> Array:
-    """Points to the nearest `GRID`, each as in a repeated field below 16 on the wire: a tag and a length, then three doubles.
+    """Returns points, rounded to `GRID`, as entries of a repeated field: tag, length, three doubles; (..., P, 3) to (..., P).
 
-    Zeros are written, too; they are left out when the message is. Shape (..., P, 3) gives (..., P).
+    Serialization of the message later leaves out zeros. The field's number must be below 16.
     """
     packed = np.empty(points.shape[:-1], POINT)
     packed["head"] = field << 3 | 2, POINT.itemsize - 2
@@ -205,7 +205,7 @@ def _packed(points: Array, field: int) -> Array:
 
 
 def _with_points(primitive: Any, packed: Array) -> Any:
-    """A copy of a primitive with points that are packed."""
+    """Returns a copy of a primitive, with packed points added."""
     copy = type(primitive)()
     copy.CopyFrom(primitive)
     copy.MergeFromString(packed.tobytes())
@@ -236,6 +236,6 @@ def _pose(position: Array = ORIGIN, quaternion: Array = UNTURNED) -> Pose:
 
 
 def _color(rgb: Array | tuple[int, int, int], alpha: float = 1.0) -> Color:
-    """A colour whose parts go from 0 to 255."""
+    """Returns a colour, given by numbers from 0 to 255."""
     r, g, b = (float(part) / 255 for part in rgb)
     return Color(r=r, g=g, b=b, a=alpha)

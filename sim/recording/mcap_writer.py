@@ -1,7 +1,7 @@
-"""Runs as an MCAP file, https://mcap.dev/spec: protobuf messages that Rerun and Foxglove plot without any schema installed.
+"""Runs as an MCAP file, https://mcap.dev/spec: protobuf messages with their schemas, which Rerun and Foxglove can plot.
 
-Messages are as in https://protobuf.dev/programming-guides/encoding. The descriptors are built here, at
-run time, from the responses' signals: a signal's name is its field's name, and there is no generated code.
+Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are built at run time from the signals of the
+responses, without generated code; a field has the name of its signal.
 """
 
 import itertools
@@ -48,25 +48,25 @@ from sim.recording.scene import largest_force
 from sim.response.response import Response
 
 MAGIC = b"\x89MCAP0\r\n"
-CHUNK = 1024 * 1024  # bytes of a chunk before it is compressed; the message that passes it is its last
+CHUNK = 1024 * 1024  # uncompressed bytes after which a chunk ends
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time; the content follows
-INDEX = struct.Struct("<BQHI")  # opcode, length, channel, length of the entries; they follow, each a time and a place
-BESIDE_CONTENT = MESSAGE.size - 9  # bytes of a message that its length counts
+INDEX = struct.Struct("<BQHI")  # opcode, length, channel, length of the entries; these follow, each a time and an offset
+HEADER = MESSAGE.size - 9  # bytes of a message's length besides its content: without opcode and length
 
 Message = tuple[int, int, bytes]  # log time [ns], channel, content
 
 
 class McapFile:
-    """An MCAP file that is written: metadata and attachments first, then schemas, channels and all messages, then its end."""
+    """Writer of an MCAP file: first metadata and attachments, then schemas, channels and all messages, then `finish`."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._at, self._crc = 0, 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._before = b""  # the first message: schemas and channels
+        self._before = b""  # schemas and channels, which precede the first message
         self._counts: Counter[int] = Counter()
-        self._times: list[int] = []  # of the first and of the last message
+        self._times: list[int] = []  # of the first and the last message of each chunk
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -79,7 +79,7 @@ class McapFile:
         self._metadata.append(MetadataIndex(start, length, name))
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Adds an attachment of no date."""
+        """Adds an attachment without a date."""
         start, length = self._write(_written(Attachment(0, 0, name, media_type, data)))
         self._attachments.append(AttachmentIndex(start, length, 0, 0, len(data), name, media_type))
 
@@ -96,14 +96,14 @@ class McapFile:
         return len(self._channels)
 
     def add_messages(self, messages: Iterable[Message]) -> None:
-        """Adds all messages, in the order of time, in chunks."""
+        """Adds all messages, sorted by time, in chunks."""
         parts, size, first, last = [self._before], len(self._before), 0, 0
-        places: dict[int, list[int]] = {}  # by channel: time and place of each of its messages in the chunk, in turn
+        places: dict[int, list[int]] = {}  # by channel: time and offset in the chunk of each message, alternating
         for time, channel, content in messages:
             if not places:
                 first = time
             places.setdefault(channel, []).extend((time, size))
-            parts += (MESSAGE.pack(Opcode.MESSAGE, BESIDE_CONTENT + len(content), channel, 0, time, time), content)
+            parts += (MESSAGE.pack(Opcode.MESSAGE, HEADER + len(content), channel, 0, time, time), content)
             size += MESSAGE.size + len(content)
             last = time
             if size > CHUNK:
@@ -113,7 +113,7 @@ class McapFile:
             self._add_chunk(b"".join(parts), first, last, places)
 
     def finish(self) -> None:
-        """Writes what ends a file: checksums, and a summary that says where everything is."""
+        """Writes the end of the file: checksums, and the summary with the positions of all records."""
         self._write(_written(DataEnd(self._crc)))
         first, last = (self._times[0], self._times[-1]) if self._times else (0, 0)
         statistics = Statistics(
@@ -142,11 +142,11 @@ class McapFile:
             summary += group
         footer = _written(Footer(start, start + len(summary), 0))
         self._write(summary + offsets)
-        crc = zlib.crc32(summary + offsets + footer[:-4])  # it is the footer's last field, and of all before it
+        crc = zlib.crc32(summary + offsets + footer[:-4])  # the last field of the footer: of all bytes before it
         self._write(footer[:-4] + struct.pack("<I", crc) + MAGIC)
 
     def _add_chunk(self, content: bytes, first: int, last: int, places: Mapping[int, list[int]]) -> None:
-        """Adds messages, compressed, and where each of them is."""
+        """Writes a compressed chunk of messages, and the index of their positions."""
         data = zstandard.compress(content)
         start, length = self._write(_written(Chunk("zstd", data, last, first, zlib.crc32(content), len(content))))
         offsets, indexes, at = {}, [], self._at
@@ -162,7 +162,7 @@ class McapFile:
         self._chunks.append(ChunkIndex(length, start, "zstd", len(data), last, at - start - length, offsets, first, len(content)))
 
     def _write(self, data: bytes) -> tuple[int, int]:
-        """Writes; returns where and how much, in bytes."""
+        """Writes data; returns its position and length in bytes."""
         start = self._at
         self._crc = zlib.crc32(data, self._crc)  # metadata has no checksum of its own
         self._stream.write(data)
@@ -178,20 +178,20 @@ def _written(record: McapRecord) -> bytes:
 
 
 PACKAGE = "roadproof"
-SAME = 1e-9  # relative, and absolute in N and N m: what acted is computed again, not read back
+SAME = 1e-9  # allowed difference of recomputed forces: relative, and absolute in N and N m
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedChannel:
-    """A channel as a log has it.
+    """A channel of a log.
 
     Attributes:
         topic: its name.
         schema: of its messages: name, encoding and data.
-        metadata: what is said of its fields.
+        metadata: descriptions of its fields.
         times: of its messages [ns], ascending.
-        contents: makes its messages, one for each time.
-        alike: whether two messages say the same, to what another machine may make of it.
+        contents: yields its messages, one for each time.
+        alike: returns True if two messages are equal to the rounding of another machine.
     """
 
     topic: str
@@ -203,7 +203,7 @@ class LoggedChannel:
 
 
 def records(runs: Sequence[RunLog], metadata: Mapping[str, str]) -> dict[str, Mapping[str, str]]:
-    """The metadata records of a log, by name: what all runs share, and what is claimed of each."""
+    """Returns the metadata records of a log, by name: one for all runs, and one for each."""
     return {PACKAGE: metadata, **{f"run/{run.name}": run.metadata for run in runs}}
 
 
@@ -215,12 +215,12 @@ def write_mcap(
 ) -> None:
     """Writes runs to an MCAP file.
 
-    The records are those of `records`, and the channels those of `channels`.
+    Its metadata are `records`, and its channels `channels`.
 
     Args:
         path: the file; overwritten if it exists.
-        runs: what to write, by distinct names; times [s] are not negative.
-        metadata: what all runs share.
+        runs: with distinct names; times [s] are not negative.
+        metadata: of all runs.
         attachments: (media type, content) by name.
 
     Raises:
@@ -241,21 +241,20 @@ def write_mcap(
             number = file.add_channel(channel.topic, MessageEncoding.Protobuf, schemas[channel.schema], channel.metadata)
             messages += zip(channel.times, itertools.repeat(number, len(channel.times)), channel.contents(), strict=True)
 
-        # Players stream a file from front to back: all topics together, in the order of time.
+        # Players stream a file from front to back, so messages of all topics are sorted by time.
         messages.sort(key=operator.itemgetter(0))
         file.add_messages(messages)
         file.finish()
 
 
 def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
-    """Every channel of a log, in its order. What is written, and what a log is held to, is this.
+    """Yields every channel of a log, in order. Logs are written by it, and checked against it.
 
-    One topic per response, `/mujoco` for a single run and `/I/mujoco` among several: a message per sample, a double per
-    signal, log_time = publish_time = t in ns. The channel's metadata holds unit, symbol and meaning of every signal, as
-    JSON by the signal's name; the schema has them as comments. `/difference` is MuJoCo minus sampled, of each signal's peak, in
-    single precision; what acted beside is on `/loads` and `/dampers`. Events are `foxglove.Log` on `/events`, and the moving car
-    is on `/transforms`, `/shapes` and `/scene` in Foxglove's published schemas.
-    A channel without messages is left out.
+    Each response has a topic, `/mujoco` for a single run and `/I/mujoco` for one of several: a message per sample, a double per
+    signal, log_time = publish_time = t in ns. The channel's metadata has unit, symbol and meaning of every signal as JSON, by its
+    name; the schema has them as comments. `/difference` is MuJoCo minus sampled, over each signal's peak, in single precision.
+    Other forces are on `/loads` and `/dampers`. Events are `foxglove.Log` on `/events`. The moving car is on `/transforms`,
+    `/shapes` and `/scene` in Foxglove's published schemas. A channel without messages is left out.
     """
     numbers: dict[tuple[Signal, ...], int] = {}
     for run in runs:
@@ -287,13 +286,13 @@ def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
 
 
 def _nearly_equal(message: bytes, other: bytes) -> bool:
-    """Returns True if two messages of doubles are equal up to the rounding of another machine."""
+    """Returns True if two messages of doubles are equal to the rounding of another machine."""
     (tags, numbers), (others, numbers_of_other) = _fields(message), _fields(other)
     return tags == others and np.allclose(numbers, numbers_of_other, rtol=SAME, atol=SAME, equal_nan=True)
 
 
 def _fields(message: bytes) -> tuple[bytes, Array]:
-    """The tags and the numbers of a message as `_encoded` makes it; what is no such has other tags, or fewer."""
+    """Returns tags and numbers of a message of `_encoded`; any other message has other tags, or fewer."""
     tags, numbers, at = b"", [], 0
     while at < len(message):
         value = at + (2 if message[at] >= 0x80 else 1)
@@ -304,22 +303,22 @@ def _fields(message: bytes) -> tuple[bytes, Array]:
 
 
 def topic(runs: Sequence[RunLog], run: RunLog, name: str) -> str:
-    """The topic of something of a run: with the run's name where there are several."""
+    """Returns the name of a topic, which includes the run's name if there are several runs."""
     return f"/{run.name}/{name}" if len(runs) > 1 else f"/{name}"
 
 
 def _nanoseconds(time: Array) -> list[int]:
-    """Times [s] as MCAP counts them."""
+    """Returns times [s] in nanoseconds."""
     return np.round(time * 1e9).astype(np.int64).tolist()
 
 
 def _described(signal: Signal) -> str:
-    """Returns the description of a signal for readers, as JSON."""
+    """Returns the description of a signal as JSON."""
     return json.dumps({"unit": signal.unit, "symbol": signal.symbol, "meaning": signal.meaning})
 
 
 def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> tuple[str, str, bytes]:
-    """The schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
+    """Returns the schema of a flat message of doubles or floats, numbered because responses may differ in their signals."""
     message = DescriptorProto(name=f"Signals{number}")
     file = FileDescriptorProto(name=f"{PACKAGE}/signals{number}.proto", package=PACKAGE, syntax="proto3")
     for index, signal in enumerate(signals):
@@ -329,7 +328,7 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> tupl
             type=FieldDescriptorProto.TYPE_DOUBLE if kind == "<f8" else FieldDescriptorProto.TYPE_FLOAT,
             label=FieldDescriptorProto.LABEL_OPTIONAL,
         )
-        # The path of message 0 (file field 4), field `index` (message field 2): a comment above it in the .proto.
+        # Path of message 0 (field 4 of a file), field `index` (field 2 of a message): a comment above it in the .proto.
         file.source_code_info.location.add(
             path=(4, 0, 2, index),
             span=(index, 0, 0),
@@ -341,11 +340,11 @@ def _signals_schema(signals: tuple[Signal, ...], number: int, kind: str) -> tupl
 
 @np.errstate(over="ignore")  # a difference that single precision cannot hold is infinite
 def _encoded(response: Response, kind: str) -> Iterator[bytes]:
-    """Every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
+    """Yields every sample as a protobuf message of doubles, `<f8`, or floats, `<f4`.
 
-    On the wire a double is its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. A flat message
-    of them thus has the same layout at every sample, and all samples are one array of bytes. Protobuf's own writer
-    leaves zeros out; writing them is as valid, reads the same, and keeps the layout. It also keeps -0.0 and NaN.
+    A double is encoded as its tag, (number << 3) | 1 as a varint, and 8 little-endian bytes; a float has 5 and 4. So a flat
+    message has the same layout at every sample, and all samples form one array of bytes. Protobuf's own writer leaves out zeros;
+    writing them is valid, too, and keeps the layout. -0.0 and NaN are kept as well.
     """
     count, size = len(response.time), np.dtype(kind).itemsize
     columns = []
@@ -359,7 +358,7 @@ def _encoded(response: Response, kind: str) -> Iterator[bytes]:
 
 
 def _varint(value: int) -> bytes:
-    """Seven bits a byte, lowest first; the high bit says that more follow."""
+    """Returns a varint: seven bits per byte, lowest first; the high bit is set if more follow."""
     low, rest = value & 0x7F, value >> 7
     return bytes([low | 0x80]) + _varint(rest) if rest else bytes([low])
 
@@ -387,8 +386,8 @@ def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
             ),
             ("scene", scene.SceneUpdate, times, partial(scene.moving, run, times, largest)),
         ):
-            made, alike = partial(_serialized, messages), partial(scene.alike, kind)
-            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, made, alike)
+            contents, alike = partial(_serialized, messages), partial(scene.alike, kind)
+            yield LoggedChannel(topic(runs, run, name), _published_schema(kind), {}, when, contents, alike)
         low, high = run.scene.extent()
         stand = stand + [1.15 * (high[0] - low[0]), 0.0, 0.0]  # in a row
 
@@ -398,7 +397,7 @@ def _serialized(messages: Callable[[], Iterator[Any]]) -> Iterator[bytes]:
 
 
 def _published_schema(kind: type) -> tuple[str, str, bytes]:
-    """A message type's schema, with those that it is made of."""
+    """Returns the schema of a message type, including those of its fields."""
     from mcap_protobuf.schema import build_file_descriptor_set
 
     data = build_file_descriptor_set(kind).SerializeToString()

@@ -1,4 +1,4 @@
-"""A run in Rerun: its scene, its curves with what happened marked on them, differences, and texts."""
+"""Entities of a run in Rerun: scene, curves with events marked, differences, and texts."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -35,37 +35,37 @@ if TYPE_CHECKING:
 
 TIMELINE = "time"
 
-ROOM = 1.15  # of a diagram, times what was reached
+ROOM = 1.15  # half width of a diagram over the largest value
 ANY_RESPONSE = (0.3, 2.0)
-READ = 4000  # characters of a claim that a page shows: more than a gain of 45 states has, less than a load from a file
+READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
-# What happens, by its text: (shape, colour that no curve has). Anything else is a cross.
+# Markers of events by text: (shape, colour that no curve has). Other events are crosses.
 MARKERS = {end.event: end.marker for end in REGIME_ENDS} | {"landing": ("Down", (255, 255, 255))}
 ANY_MARKER = ("Cross", (20, 20, 20))
 
 
 def entity(*parts: str) -> str:
-    """An entity path; a name may hold any character."""
+    """Returns an entity path, with special characters escaped."""
     return "/" + rr.new_entity_path(list(parts))
 
 
 def time_index(time: Array) -> list[rr.TimeColumn]:
-    """Times [s] to the nearest nanosecond, as in the MCAP file; of seconds, Rerun would cut off the rest."""
+    """Returns times [s], rounded to nanoseconds as in the MCAP file; Rerun would truncate seconds given as floats."""
     return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
 def colours(runs: Sequence[RunLog]) -> list[str]:
-    """The report's colour of each run."""
+    """Returns the report's colour of each run."""
     return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
 
 
 def line(label: str, color: str, width: float) -> rr.SeriesLines:
-    """A curve that keeps its peaks: Rerun's default averages over the samples of a pixel."""
+    """Returns the style of a curve whose peaks stay visible: Rerun by default averages the samples within a pixel."""
     return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
 
 
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Every response of a run, at `signals/<signal>/<response>`, in tints of its colour."""
+    """Logs every response of a run at `signals/<signal>/<response>`, in tints of its colour."""
     for name, response in run.responses.items():
         index = time_index(response.time)
         label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
@@ -78,7 +78,7 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 
 def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
-    """MuJoCo minus sampled, of each signal's peak, at `difference/<group>`: one series for each signal of a group."""
+    """Logs MuJoCo minus sampled, over each signal's peak, at `difference/<group>`: a series for each signal of the group."""
     gap = run.gap
     if gap is None:
         return
@@ -100,7 +100,7 @@ def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
 
 
 def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Loads over time at `acting/loads/<load>`; every diagram, as a drawing, at `acting/diagrams/<force>`."""
+    """Logs loads over time at `acting/loads/<load>`, and drawings of the diagrams at `acting/diagrams/<force>`."""
     if LOADS in run.acting:
         loads = run.acting[LOADS]
         for signal in loads.signals:
@@ -116,7 +116,7 @@ def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
-    """A force over its argument: Rerun has no such plot, so it is drawn, 2 by 2, in a 2D view, whose y points down."""
+    """Logs a force over its argument as a 2D drawing of 2 by 2 units, y down, as Rerun plots only over time."""
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
 
@@ -154,7 +154,7 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
         return
     texts = [text for _, text in run.events]
     index = time_index(np.array([time for time, _ in run.events]))
-    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view cuts the column of times off
+    lines = [f"{time:.4g} s   {text}" for time, text in run.events]  # a narrow view hides the column of times
     recording.send_columns(entity(run.name, "events"), index, rr.TextLog.columns(text=lines, level=["INFO"] * len(lines)))
     response = run.responses[shown(run)]
     for text in dict.fromkeys(texts):
@@ -171,18 +171,18 @@ def log_events(recording: rr.RecordingStream, run: RunLog) -> None:
 
 
 def log_properties(recording: rr.RecordingStream, name: str, metadata: Mapping[str, str]) -> None:
-    """Metadata where programs look for it; people read it in the documents."""
+    """Logs metadata as properties, for programs; documents show it to people."""
     if metadata:
         recording.send_property(name, rr.AnyValues(drop_untyped_nones=True, **metadata))
 
 
 def log_text(recording: rr.RecordingStream, path: str, text: str) -> None:
-    """A page of Markdown."""
+    """Logs a text in Markdown."""
     recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def listed(metadata: Mapping[str, str]) -> str:
-    """Metadata as Markdown: a table of what fits on a line, then the rest; what no one would scroll through is cut."""
+    """Returns metadata as Markdown: a table of short values, then the long ones, cut after `READ` characters."""
     short = {key: value for key, value in metadata.items() if len(value) <= 80 and "\n" not in value}
     rows = [f"| {key} | {_cell(value)} |" for key, value in short.items()]
     table = ["| key | value |", "|---|---|", *rows] if rows else []
@@ -197,7 +197,7 @@ def _cut(text: str) -> str:
 
 
 def certificates(runs: Sequence[RunLog]) -> str:
-    """Returns a narrow table of every run's proved claims, and its results as sentences, in Markdown."""
+    """Returns a table of every run's certificate, and its results as sentences, in Markdown."""
     keys = ("bound", "norm", "stable")
     rows, results = ["| controller | " + " | ".join(keys) + " |", "|---" * (len(keys) + 1) + "|"], []
     for run in runs:
@@ -209,7 +209,7 @@ def certificates(runs: Sequence[RunLog]) -> str:
 
 
 def _number(text: str) -> str:
-    """A claim as people write it."""
+    """Returns a value of the metadata, formatted for people."""
     words = {"true": "yes", "false": "NO", "null": "-"}
     try:
         return f"{float(text):.6g}"
@@ -222,12 +222,12 @@ def _cell(text: str) -> str:
 
 
 def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> None:
-    """The moving car, at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`, and its road.
+    """Logs the moving car at `world/<body>/<shape>`, `world/springs/<spring>` and `world/forces/<spring>`, and its road.
 
-    The road is at `world/profile/<track>`, in place of the pieces under the wheels that stand for it in other viewers.
+    The road is a profile at `world/profile/<track>`; other viewers have pieces of road under the wheels instead.
 
     Args:
-        run: what to log; frames that are not finite are left out.
+        run: frames that are not finite are left out.
         largest: force whose arrow has the full length [N].
     """
     scene = run.scene.finite()
@@ -253,7 +253,7 @@ def log_scene(recording: rr.RecordingStream, run: RunLog, largest: float) -> Non
 
 
 def _log_track(recording: rr.RecordingStream, path: str, time: Array, track: Track) -> None:
-    """The road is written once, and moves as a whole: that of a long run takes no more than its points."""
+    """Logs the road once, as a surface that moves as a whole."""
     vertices, colours, triangles = road_surface(track)
     surface = rr.Mesh3D(
         vertex_positions=vertices.astype(np.float32), vertex_colors=colours.astype(np.uint8), triangle_indices=triangles
@@ -279,7 +279,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
     looks = rr.LineStrips3D.from_fields(colors=[colour for _, colour in LINES], radii=[radius for radius, _ in LINES])
     recording.log(path, looks, static=True)
     lines = strut_lines(ends)
-    # In one array, as Rerun would make it of all strips, one by one.
+    # One array for all strips, which Rerun would convert one by one.
     points = rr.encodings.Vec3DBatch(np.concatenate(lines, axis=1).reshape(-1, 3).astype(np.float32)).as_arrow_array()
     ends_at = np.cumsum([0, *[line.shape[1] for line in lines] * len(time)])
     strips = pa.ListArray.from_arrays(ends_at, points, type=rr.components.LineStrip3DBatch([]).as_arrow_array().type)
@@ -288,7 +288,7 @@ def _log_strut(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 
 
 def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Array, force: Array, largest: float) -> None:
-    """Logs a force on the body as an arrow beside the strut."""
+    """Logs a force on the body as an arrow next to the strut."""
     axis = ends[:, 1] - ends[:, 0]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     recording.log(path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.018]), static=True)
@@ -300,7 +300,7 @@ def _log_force(recording: rr.RecordingStream, path: str, time: Array, ends: Arra
 
 
 def _solid(shape: Shape) -> rr.AsComponents:
-    """A shape as Rerun draws it."""
+    """Returns a solid as Rerun's primitive."""
     looks: dict[str, Any] = {
         "quaternions": [np.roll(shape.quaternion, -1)],  # Rerun writes w last
         "colors": [(255 * shape.rgba).round().astype(np.uint8)],
@@ -313,7 +313,7 @@ def _solid(shape: Shape) -> rr.AsComponents:
         case "cylinder":
             return rr.Cylinders3D(radii=[radius], lengths=[2 * half_length], centers=[shape.position], **looks)
         case "capsule":
-            # Rerun's runs from its origin along z, ours is centred.
+            # Rerun's capsule starts at its origin along z, ours is centred.
             start = shape.position - half_length * shape.rotation[:, 2]
             return rr.Capsules3D(radii=[radius], lengths=[2 * half_length], translations=[start], **looks)
         case "sphere":

@@ -1,6 +1,6 @@
-"""Runs as a Rerun file: the moving car beside its curves, with the layout that it opens on stored inside.
+"""Runs as a Rerun file with its layout: the moving car next to its curves.
 
-Rerun takes half a second to import, so this is imported where a file is written; most commands write nothing.
+Rerun takes half a second to import, so this module is imported only when a file is written.
 """
 
 import hashlib
@@ -38,38 +38,38 @@ from sim.recording.run_log import title as page_title
 from sim.recording.scene import largest_force
 from sim.response.response import Response
 
-# Cameras look from the left-hand side, where the struts are seen, a bit in front and above: x is forward, z is up.
+# Direction of view: from the left, where the struts are visible, slightly from the front and above; x is forward, z is up.
 SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
-SKY = (206, 214, 224)  # black tyres are seen before it
-PAPER = (178, 183, 192)  # the report's colours are made for light paper; the time cursor is white
-UNSEEN = 5e-3  # of a peak: about a pixel of a plot
-SEEN = 6  # plots of one page: more of them are too flat to be read
-CARS, TITLE = (1090, 326), 28  # room for cars side by side in a window of 1600 x 900, and height of a view's title [pixels]
-# An axis of values: Rerun labels powers of ten and their multiples, and leaves out those that come too close. So many a plot has
-# one label, 0, and an axis goes on to the next one where that is near; far, it would take the room that the curve is seen in.
-CLOSEST = 7  # steps between labels, from bottom to top; of more, Rerun labels only every tenth on a plot of 190 pixels
-LABELS = 2  # are needed to read a value
-FURTHEST = 1.3  # times the range: further an axis does not go on to a label
-MARGIN = 0.04  # of the range, or of a step, so that neither a peak nor a label is on the border
+SKY = (206, 214, 224)  # background that contrasts with black tyres
+PAPER = (178, 183, 192)  # background of plots, for the report's colours and a white time cursor
+UNSEEN = 5e-3  # relative to a peak: about a pixel of a plot
+SEEN = 6  # plots on one page; more would be too flat to read
+CARS, TITLE = (1090, 326), 28  # space for all cars in a window of 1600 x 900, and height of a view's title [pixels]
+# Rerun labels multiples of powers of ten on an axis of values, except those too close together. So many a plot has only the label
+# 0. Then the axis is extended to the next label, unless that would make the curve too small.
+CLOSEST = 7  # most steps between labels; with more, a plot of 190 pixels has only every tenth label
+LABELS = 2  # number of labels needed to read a value
+FURTHEST = 1.3  # longest extended axis, over the range
+MARGIN = 0.04  # of the range, or of a step, so that no peak or label is on the border
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
-    """Returns the page of a single run. For several runs a page that compares all comes first."""
+    """Returns the layout: a page for each run and, for several runs, first a comparison."""
     pages = [_page(run) for run in runs]
     root = pages[0] if len(pages) == 1 else rrb.Tabs(_comparison(runs), *pages, active_tab=0)
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # A bump is over in half a second: slowly, and again.
+        # Slow and repeated, as a bump takes half a second.
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="All", playback_speed=0.25),
         auto_views=False,
     )
 
 
 def _page(run: RunLog) -> rrb.Container:
-    """The car, what is proved of it and what happened on the left; every signal's responses and differences on the right."""
+    """Returns the page of a run: on the left the car, its certificate and events, on the right responses and differences."""
     texts = rrb.Tabs(
         rrb.TextDocumentView(origin=entity(run.name, "summary"), name="certificate and verdict"),
         rrb.TextDocumentView(origin=entity("metadata"), name="metadata"),
@@ -124,7 +124,7 @@ def _acting(run: RunLog) -> list[rrb.Container]:
 
 
 def _parts(name: str, group: Sequence[Signal]) -> list[tuple[str, Sequence[Signal]]]:
-    """A group's signals by page, each with its title: as many on one as on another, and never too many."""
+    """Returns a group's signals, divided evenly among pages of at most `SEEN`, with their titles."""
     count = -(-len(group) // SEEN)
     each = -(-len(group) // count)
     parts = [group[start : start + each] for start in range(0, len(group), each)]
@@ -132,7 +132,7 @@ def _parts(name: str, group: Sequence[Signal]) -> list[tuple[str, Sequence[Signa
 
 
 def _gap(run: RunLog, name: str, group: Sequence[Signal]) -> rrb.View:
-    """The differences of a group's signals, which the verdict is about; the largest in the title."""
+    """Returns the plot of the differences of a group's signals, with the largest in its title."""
     title, curves = "difference: MuJoCo - sampled, of each signal's peak", []
     if (gap := run.gap) is not None:
         curves = [gap[signal.name] for signal in group if signal.name in gap.names]
@@ -151,7 +151,7 @@ def _gap(run: RunLog, name: str, group: Sequence[Signal]) -> rrb.View:
 
 
 def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
-    """All cars side by side, what is proved of each, and every signal of all of them in one plot, a few plots to a page."""
+    """Returns the page of all runs: the cars, their certificates, and a plot of each signal with all runs."""
     columns = _columns(runs)
     wide, tall = _room(len(runs), columns)
     cars = rrb.Grid(*(_car(run, wide / tall) for run in runs), grid_columns=columns)
@@ -166,27 +166,27 @@ def _comparison(runs: Sequence[RunLog]) -> rrb.Container:
 
 
 def doubles(runs: Sequence[RunLog]) -> set[str]:
-    """Names of runs whose curves all lie on those of one before, as a printed gain's do on its design's: shown when asked."""
-    found: set[str] = set()
+    """Returns the names of runs whose curves all coincide with those of an earlier run, as for a printed gain and its design."""
+    doubled: set[str] = set()
     for i, run in enumerate(runs):
         mine = run.responses[shown(run)]
-        others = [one.responses[shown(one)] for one in runs[:i] if one.name not in found]
+        others = [one.responses[shown(one)] for one in runs[:i] if one.name not in doubled]
         if any(_same_curves(mine, other) for other in others):
-            found.add(run.name)
-    return found
+            doubled.add(run.name)
+    return doubled
 
 
-@np.errstate(invalid="ignore", over="ignore")  # what is no number is like nothing
+@np.errstate(invalid="ignore", over="ignore")  # NaN differs from everything
 def _same_curves(one: Response, other: Response) -> bool:
-    """Returns True if no curve of one response can be told from that of the other."""
+    """Returns True if the curves of two responses cannot be distinguished in a plot."""
     if one.signals != other.signals or not np.array_equal(one.time, other.time):
         return False
-    apart = np.abs(one.values - other.values).max(axis=0)
-    return bool(np.all(apart <= UNSEEN * np.abs(other.values).max(axis=0)))
+    distance = np.abs(one.values - other.values).max(axis=0)
+    return bool(np.all(distance <= UNSEEN * np.abs(other.values).max(axis=0)))
 
 
 def _columns(runs: Sequence[RunLog]) -> int:
-    """In how many columns cars side by side are seen largest."""
+    """Returns the number of columns in which the views of the cars are largest."""
     low, high = np.array([run.scene.finite().extent() for run in runs]).swapaxes(0, 1)
     length, _, height = (high - low).max(axis=0)
 
@@ -198,7 +198,7 @@ def _columns(runs: Sequence[RunLog]) -> int:
 
 
 def _room(count: int, columns: int) -> tuple[float, float]:
-    """Width and height of the view of each of several cars [pixels]."""
+    """Returns width and height of the view of each of several cars [pixels]."""
     return CARS[0] / columns, CARS[1] / -(-count // columns) - TITLE
 
 
@@ -208,13 +208,13 @@ def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
         run.name: color for run, color in zip(runs, colours(runs), strict=True) if signal.name in run.responses[shown(run)].names
     }
     paths = {entity(run.name, "signals", signal.name, shown(run)): run.name for run in runs if run.name in having}
-    # In the order in which the viewer draws, thinner and thinner, so that one curve behind another is still seen.
+    # Thinner in the order in which the viewer draws, so that a curve behind another stays visible.
     lines = {path: line(paths[path], having[paths[path]], min(1.5 + rank, 5.0)) for rank, path in enumerate(sorted(paths)[::-1])}
     hidden = {path: [looks, rrb.EntityBehavior(visible=False)] for path, looks in lines.items() if paths[path] in doubles(runs)}
     happened = [
         entity(run.name, "signals", signal.name, text) for run in runs for text in dict.fromkeys(t for _, t in run.events)
     ]
-    # The plot with the legend goes without: there are as many markers as controllers.
+    # The plot with the legend has no events, whose markers would need as many entries as the controllers.
     curves = [run.responses[shown(run)][signal.name] for run in runs if run.name in having]
     return _plot(signal, [*paths, *([] if legend else happened)], curves, legend, {**lines, **hidden})
 
@@ -222,9 +222,7 @@ def _compared(signal: Signal, runs: Sequence[RunLog], legend: bool) -> rrb.View:
 def _plot(
     signal: Signal, paths: Sequence[str], curves: Sequence[Array], legend: bool, lines: Mapping[Any, Any] | None = None
 ) -> rrb.View:
-    """Returns the plot of a signal; `lines` restyles the series by path. All plots zoom and pan together in time, with one
-    legend.
-    """
+    """Returns the plot of a signal; `lines` has styles of series by path. All plots zoom and pan together in time."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ {path}" for path in paths],
@@ -238,14 +236,14 @@ def _plot(
 
 
 def _car(run: RunLog, aspect: float) -> rrb.View:
-    """A run's car, seen whole by a view of this width by height."""
+    """Returns the view of a run's car, for this ratio of width to height."""
     world = entity(run.name, "world")
     low, high = run.scene.finite().extent()
     return _scene_view(world, run.name, (low, high), aspect)
 
 
 def _scene_view(origin: str, name: str, box: tuple[Array, Array], aspect: float) -> rrb.View:
-    """A 3D view whose camera looks along `SIGHT` and sees the whole of a box [m]."""
+    """Returns a 3D view whose camera looks along `SIGHT` and shows a whole box [m]."""
     sight = SIGHT / np.linalg.norm(SIGHT)
     right = np.cross(sight, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -265,33 +263,30 @@ def _scene_view(origin: str, name: str, box: tuple[Array, Array], aspect: float)
 
 
 def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis | None:
-    """An axis that shows the whole of every curve, each of any shape.
-
-    Values that are not finite are left out; where none is, there is no axis to give, and Rerun chooses.
-    """
-    found = extremes(curves)
-    if found is None:
+    """Returns an axis for all finite values of some curves, or None, which leaves it to Rerun, if they have none."""
+    ends = extremes(curves)
+    if ends is None:
         return None
-    low, high = labelled(*found)
+    low, high = labelled(*ends)
     return rrb.ScalarAxis(range=(low, high)) if math.isfinite(high - low) else None
 
 
 def extremes(curves: Iterable[Array]) -> tuple[float, float] | None:
-    """Returns the least and the greatest finite value of some curves, or None if there is no finite value."""
+    """Returns the smallest and the largest finite value of some curves, or None if they have no finite value."""
     finite = [curve[np.isfinite(curve)] for curve in curves]
     ends = [(float(part.min()), float(part.max())) for part in finite if part.size]
     return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
 
 def extremes_text(curves: Iterable[Array]) -> str:
-    """Describes the extremes in words; empty without any."""
+    """Returns the extremes as text; empty without finite values."""
     limits = extremes(curves)
     return "" if limits is None else " to ".join(dict.fromkeys(f"{value + 0.0:.3g}" for value in limits))
 
 
 def labelled(low: float, high: float) -> tuple[float, float]:
-    """The range and a margin; and more where fewer than two labels lie in it, and the next one on the nearer side is near."""
-    if high <= low:  # nothing happens: the curve in the middle
+    """Returns the range with a margin, extended to the nearest labels if it has fewer than `LABELS` and they are near."""
+    if high <= low:  # a constant curve, shown in the middle
         around = abs(low) or 1.0
         low, high = low - around, high + around
     margin = MARGIN * (high - low)
@@ -306,7 +301,7 @@ def labelled(low: float, high: float) -> tuple[float, float]:
 
 
 def spacing(span: float) -> float:
-    """Returns the distance of labels on an axis of this length, in the axis's own unit."""
+    """Returns the distance between labels on an axis of this length, in its unit."""
     return 10.0 ** math.ceil(math.log10(span) - math.log10(CLOSEST))
 
 
@@ -316,26 +311,25 @@ def count(low: float, high: float, step: float) -> int:
 
 
 def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -> None:
-    """Writes runs to a Rerun file that opens on a finished layout.
+    """Writes runs to a Rerun file with a layout.
 
-    Entities of a run, under its name: `signals/<signal>/<response>`, what happened on it at `signals/<signal>/<event>`,
-    `difference/<group>`, `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`,
-    `acting/loads/<load>`, `acting/diagrams/<force>`, `summary` and `events`; once, `metadata` and, of several runs,
-    `certificates`. The timeline is `time`, from the start of a run. The same content gets the same recording id, so that a run
-    opened twice is one recording; the bytes differ, as Rerun numbers rows by clock.
+    Entities of a run, below its name: `signals/<signal>/<response>`, events at `signals/<signal>/<event>`, `difference/<group>`,
+    `world/<body>/<shape>`, `world/springs/<spring>`, `world/forces/<spring>`, `world/profile/<track>`, `acting/loads/<load>`,
+    `acting/diagrams/<force>`, `summary` and `events`. All runs share `metadata` and, if they are several, `certificates`. The
+    timeline is `time`, from the start of a run. Equal contents get equal recording ids, so a file opened twice is one recording.
+    The bytes differ, as Rerun numbers rows by the clock.
 
     Args:
         path: the file; overwritten if it exists.
-        runs: what to write, by distinct names. Frames of a scene that are not finite (the run broke off) are left out:
-            the car stays where it was last.
-        metadata: what all runs share.
+        runs: with distinct names. Frames that are not finite, after a run broke off, are left out: the car stops.
+        metadata: of all runs.
 
     Raises:
         OSError: the file cannot be written.
         ValueError: Rerun cannot log something.
     """
-    # The viewer keeps one layout per application id: files with runs of the same names share it, others do not.
-    # Of characters outside this set it complains.
+    # The viewer keeps one layout per application id, so files share it if their runs have the same names.
+    # Rerun warns about other characters.
     application = re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(["roadproof", *(run.name for run in runs)]))
     recording = rr.RecordingStream(
         application,
@@ -343,7 +337,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
         send_properties=False,  # they hold the time of writing
     )
     strict = rr.strict_mode()
-    rr.set_strict_mode(True)  # or Rerun only warns of what it cannot log, and the file lacks it
+    rr.set_strict_mode(True)  # otherwise Rerun only warns of data that it cannot log
     try:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
@@ -373,7 +367,7 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
 
 def _check_complete(path: Path) -> None:
-    """Reads the table of contents, which Rerun writes last: it writes in a thread, and raises nothing on a full disk."""
+    """Checks a file by its table of contents, which Rerun writes last, in a thread, without an error on a full disk."""
     try:
         with warnings.catch_warnings(action="error"):
             rerun.chunk.RrdReader(path).store()
@@ -382,7 +376,7 @@ def _check_complete(path: Path) -> None:
 
 
 def _content_id(runs: Sequence[RunLog], metadata: Mapping[str, str]) -> str:
-    """A name for the content: of text and of every number in the responses."""
+    """Returns a hash of all texts and all numbers of the responses."""
     digest = hashlib.sha256()
     for part in (metadata, *((run.name, run.metadata, run.events, run.summary) for run in runs)):
         digest.update(repr(part).encode())

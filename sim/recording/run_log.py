@@ -1,14 +1,16 @@
 """Recorded data of one run: the contents of its log, and the signals that viewers show together.
 
-Together with the writers of a log (`records` and `channels` of `mcap_writer.py`, and `run_records.py`) this is the format.
-`sim.inspect` writes a log anew by the same functions and compares the two, so that missing, extra or changed parts show.
+This file, `records` and `channels` of `mcap_writer.py`, and `run_records.py` define the format. `sim.inspect` computes a log
+again by the same functions and compares the two, so that it finds missing, extra or changed parts.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from models.common.checks import Must
 from models.common.errors import InputError
 from models.figures.figure import OTHERS, STYLES
 from models.kinds.signals import Signal, is_kept
@@ -20,12 +22,14 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-# The responses of a run: its topics in an MCAP file, and names of entities in a Rerun file. The exact sampled response has been
-# called `linear` there, and in result.json, since there are logs; to people it is "sampled", as it is wherever no file is kept.
+NAME = re.compile(r"[\w-]{1,120}")  # of a run; a controller's, and what a command adds to it
+RunName = Annotated[str, Must("letters, digits, '_' and '-', at most 120", lambda value: NAME.fullmatch(value) is not None)]
+# Responses of a run: topics in an MCAP file, and entities in a Rerun file. In files and in result.json the exact sampled response
+# is called `linear`; everywhere else it is "sampled".
 MUJOCO, SAMPLED, CONTINUOUS = "mujoco", "linear", "continuous"
-LOADS, DAMPERS = "loads", "dampers"  # what acted beside: topics that older logs of this format have not
-SINCE = ("half_step",)  # claims of a run that came with the first format that has a number: no older log has them
-RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the keys of result.json
+LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of this format lack them
+SINCE = ("half_step",)  # claims of a run that logs without a format number lack
+RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
     "bump": ("runs", "road", "timestep"),
     "drive": ("runs", "road", "timestep", "measured_from", "definitions", "iri"),
     "sweep": ("sweeps", "amplitude", "timestep", "speed"),
@@ -44,22 +48,22 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # of the commands that record, the k
         "picture",
     ),
 }
-LATER = ("fragility", "iri", "loads")  # of these, what came when there were logs of this format: an older one lacks it
-WHOLE = ("bump", "drive")  # whose log holds every run that the result is of, so that all of it is computed again
+LATER = ("fragility", "iri", "loads")  # keys that older logs of this format lack
+WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 
 def check_keys(command: str, result: Mapping[str, Any]) -> None:
     """Checks that a result has the keys of its command.
 
     Raises:
-        InputError: a key is missing or unknown, or there is no such command.
+        InputError: a key is missing or unknown, or the command records nothing.
     """
     if command not in RESULTS:
-        raise InputError("it is of no command that records")
+        raise InputError(f"its command is not one that records; known: {', '.join(RESULTS)}")
     absent = [key for key in RESULTS[command] if key not in result and key not in LATER]
     extra = [key for key in result if key not in RESULTS[command]]
     if absent or extra:
-        what = f"lacks {absent[0]}" if absent else f"has {extra[0][:40]!r}, which is none of it"
+        what = f"lacks {absent[0]}" if absent else f"has the unknown key {extra[0][:40]!r}"
         raise InputError(f"the result of sim.{command} {what}")
 
 
@@ -69,16 +73,16 @@ class RunLog:
 
     Attributes:
         name: the controller's name.
-        responses: by topic, see `sim.recording.run_log`: the physics, its exact sampled counterpart, the paper's continuous loop.
+        responses: by topic: MuJoCo's, the exact sampled one, and that of the paper's continuous loop.
         metadata: claims about the run, as text by key; structured values as JSON.
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
         scene: its drawing.
         verdict: result of the comparison, in a few words; empty if nothing was compared.
-        files: attachments that its metadata names, (media type, content) by name: the points of a measured road.
-        acting: further forces by topic: loads on the body, and forces of dampers and springs.
+        files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
+        acting: other forces by topic: loads on the body, and forces of dampers and springs.
         diagrams: of damper and spring forces, each over its argument.
-        active: its controller's states by decreasing contribution to the force; viewers show the first of many.
+        active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
 
     name: str
@@ -95,44 +99,41 @@ class RunLog:
 
     @cached_property
     def gap(self) -> Response | None:
-        """Returns MuJoCo minus sampled, over each signal's peak, or None unless both responses exist."""
+        """MuJoCo minus sampled, over each signal's peak, or None unless both responses exist."""
         if not {MUJOCO, SAMPLED} <= set(self.responses):
             return None
         return difference(self.responses[MUJOCO], self.responses[SAMPLED])
 
 
-# Rerun draws in the order of names, so physics comes last: a thin line within broad ones. Where it leaves them, all are
-# seen. By response: (label, share of white in the run's colour, width).
+# By response: (label, share of white in the run's colour, width). Rerun draws in the order of names, so MuJoCo's comes last, as a
+# thin line within broad ones.
 RESPONSES = {CONTINUOUS: ("continuous", 0.78, 8.0), SAMPLED: ("sampled", 0.5, 4.5), MUJOCO: ("MuJoCo", 0.0, 1.5)}
 
-PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # of curves that stand for no run
+PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # colours of curves that do not belong to a run
 
-GROUPED = 8  # signals; more than a screen holds in one grid
-MOST_ACTIVE = 6  # states of a controller that have a plot; the others are in the log
-CONTROLLER = "controller"  # the page of its states
+GROUPED = 8  # signals that fit on one page
+MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log
+CONTROLLER = "controller"  # page of these states
 
 
 def signals_of(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
-    """Every signal that some response has, once, by name, in order of appearance."""
-    found = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
-    return tuple(found.values())
+    """Returns the signals of all responses, without duplicates, in order of appearance."""
+    signals = {signal.name: signal for run in runs for response in run.responses.values() for signal in response.signals}
+    return tuple(signals.values())
 
 
 def plotted(run: RunLog) -> tuple[Signal, ...]:
-    """The signals of a run that have a plot: of a controller's states those that do most, in the order of the log."""
+    """Returns the signals of a run to plot, in the order of the log; of a controller's states only the most active."""
     return tuple(signal for signal in signals_of([run]) if not is_kept(signal) or signal.name in run.active[:MOST_ACTIVE])
 
 
 def compared(runs: Sequence[RunLog]) -> tuple[Signal, ...]:
-    """The signals that are the same quantity in all runs: no controller's states, which every controller has its own of."""
+    """Returns the signals that are the same quantity in all runs: all except states of controllers."""
     return tuple(signal for signal in signals_of(runs) if not is_kept(signal))
 
 
 def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
-    """Signals as they share a page: all on one that is called `signals`, or, where they are many, by kind.
-
-    The states of a controller have a page of their own, the last.
-    """
+    """Returns signals by page: one page `signals` or, for many signals, one for each kind; controller states come last."""
     kept = tuple(signal for signal in signals if is_kept(signal))
     if kept:
         return {**groups([signal for signal in signals if not is_kept(signal)]), CONTROLLER: kept}
@@ -141,19 +142,19 @@ def groups(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
     kinds: dict[str, list[Signal]] = {}
     for signal in signals:
         kinds.setdefault(signal.name.split("_")[0], []).append(signal)
-    # What comes once or twice, as heave and pitch do, shares a page, which is seen first.
-    found = {"car": tuple(signal for kind in kinds.values() if len(kind) <= 2 for signal in kind)}
-    found |= {name: tuple(kind) for name, kind in kinds.items() if len(kind) > 2}
-    return {name: kind for name, kind in found.items() if kind}
+    # Kinds with one or two signals, as heave and pitch, share the first page.
+    grouped = {"car": tuple(signal for kind in kinds.values() if len(kind) <= 2 for signal in kind)}
+    grouped |= {name: tuple(kind) for name, kind in kinds.items() if len(kind) > 2}
+    return {name: kind for name, kind in grouped.items() if kind}
 
 
 def title(run: RunLog, group: str) -> str:
     """Returns the title of a run's page: its group and, if the controller has many states, the number shown."""
     if group != CONTROLLER or len(run.active) <= MOST_ACTIVE:
         return group
-    return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that ask for most"
+    return f"{group}: the {MOST_ACTIVE} of {len(run.active)} states that contribute most"
 
 
 def shown(run: RunLog) -> str:
-    """The response that stands for a run: its physics."""
+    """Returns the name of the response to show for a run: MuJoCo's, or the first one without MuJoCo."""
     return MUJOCO if MUJOCO in run.responses else next(iter(run.responses))

@@ -1,4 +1,4 @@
-"""A run as it is recorded: where it comes from (versions, command line, vehicle file, MJCF), what it came to, and its scene."""
+"""Conversion of a run to a `RunLog`: its provenance (versions, command line, vehicle file, MJCF), results and scene."""
 
 import datetime
 import hashlib
@@ -17,11 +17,11 @@ from models.common.arrays import Array
 from models.common.command import versions
 from models.kinds.signals import is_kept
 from models.laws.python_law import Programmed
-from models.roads.road import Road, delays, under_wheels
+from models.roads.road import Road, RoadInput, delays
 from models.vehicle.mjcf import FITTED, build_model, mjcf_text, mocap_indices
 from models.vehicle.vehicle import Vehicle
 from sim.physics.run_blocks import DIVERGED
-from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, check_keys
+from sim.recording.run_log import CONTINUOUS, DAMPERS, FORMAT, LOADS, MUJOCO, SAMPLED, RunLog, RunName, check_keys
 from sim.recording.scene import Motion, Scene, Shape, Track, Tyre
 from sim.response.response import Response
 from sim.runs.report import controller_object, energy_object, events, half_step_object, summary, verdict
@@ -45,29 +45,29 @@ FORMS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
 }
 
-FRAMES = 60  # a second
+FRAMES = 60  # per second
 
-BEHIND, AHEAD = 6.0, 12.0  # how much road is seen, from the last wheel at the start and from the first at the end [m]
-SPACING, MOST = 0.05, 20_000  # of a profile's points [m], and how many there are beside those that wheels stand on
+BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start and ahead of the first at the end [m]
+SPACING, MOST = 0.05, 20_000  # spacing of a profile's points [m], and their largest number, without those under wheels
 
 
-def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Scene:
-    """Returns a run as a scene of 60 frames a second.
+def scene_of(met: RoadInput, physics: Response, qpos: Array) -> Scene:
+    """Returns a run as a scene of 60 frames per second.
 
-    The names in the MJCF determine the drawing: a spring from every site `NAME_bottom` to its `NAME_top`, the force of an
-    actuator on the tendon NAME beside it, and a cylinder that has the name of a tendon as a tyre of that tendon's length.
+    Names in the MJCF determine the drawing: a spring from every site `NAME_bottom` to `NAME_top`, with the force of an actuator
+    on the tendon NAME, and a tyre for a cylinder with the name of a tendon, of that tendon's length.
 
     Args:
+        met: the vehicle and its road, at the samples of the response.
         physics: the response, at equidistant sample times from 0.
         qpos: generalized positions, shape (T, nq).
     """
-    time = physics.time
-    timestep = float(time[1] - time[0])
+    vehicle, road, time, timestep = met.vehicle, met.road, physics.time, met.timestep
     model = build_model(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
-    heights = under_wheels(road.displacement, road, vehicle, time[frames])
+    heights = met.heights[frames]  # not computed again, which is slow for a random road at uneven times
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
     springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]
@@ -98,16 +98,16 @@ def scene_of(vehicle: Vehicle, road: Road, physics: Response, qpos: Array) -> Sc
 
 
 def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: Array) -> tuple[Track, ...]:
-    """The road's profiles, one for all wheels that run in each other's track; none of a rig, whose posts are bodies.
+    """Returns the road's profiles, one for all wheels on a common track; none for a rig, whose posts are bodies.
 
     Args:
-        places: where its wheels stand, shape (r, 3) [m].
+        places: positions of the wheels, shape (r, 3) [m].
         time: of the frames [s], shape (F,).
         heights: of the road under the wheels at that time [m], shape (F, r).
     """
     if not len(time) or not road.laid:
         return ()
-    # To the micrometre: where the drawing has its wheels elsewhere than the parameters do, each has a profile of its own.
+    # Positions to the micrometre: wheels that the drawing has in other places than the parameters get their own profiles.
     wheels: dict[tuple[str, float, float], list[int]] = {}
     later = np.array(delays(road, vehicle))
     for i, wheel in enumerate(vehicle.kind.wheels):
@@ -116,10 +116,10 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
     first, last = -BEHIND / road.speed - later.max(), time[-1] + AHEAD / road.speed
     count = int(min(np.ceil((last - first) * road.speed / SPACING) + 1, MOST))
-    even = np.linspace(first, last, count)  # of evenly spaced times a random road is computed at once
+    even = np.linspace(first, last, count)  # a random road is fast at evenly spaced times
     tracks = []
     for (side, start, middle), members in wheels.items():
-        # At every frame a wheel stands on a point.
+        # Every wheel is at a point in every frame.
         t, once = np.unique(np.concatenate([even, *(time - later[i] for i in members)]), return_index=True)
         height = np.concatenate([road.displacement(even, side), *heights[:, members].T])[once]
         bodies = tuple(vehicle.kind.wheels[i].road_body for i in members)
@@ -128,15 +128,15 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
 
 def _actuators(model: mujoco.MjModel) -> dict[str, str]:
-    """The signal of every actuator that pulls on a tendon, by tendon, in their order; what is fitted beside them has none."""
+    """Returns the signal of every actuator on a tendon, by tendon, without actuators added for curves."""
     on_tendon = int(mujoco.mjtTrn.mjTRN_TENDON)
     names = {i: model.actuator(i).name for i in range(model.nu) if int(model.actuator_trntype[i]) == on_tendon}
-    asked = {i: name for i, name in names.items() if not name.startswith(FITTED)}
-    return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in asked.items()}
+    controls = {i: name for i, name in names.items() if not name.startswith(FITTED)}
+    return {model.tendon(int(model.actuator_trnid[i, 0])).name: name for i, name in controls.items()}
 
 
 def _tyre(model: mujoco.MjModel, i: int, tendon: int, lengths: Array) -> Tyre:
-    """The tyre that geom `i` stands for: squeezed by what its tendon, from the road to the hub, is shorter than when slack."""
+    """Returns the tyre of geom `i`; its tendon runs from the road to the hub, and is slack at the radius of the tyre."""
     shape = _shape(model, i)
     return Tyre(
         name=shape.name,
@@ -165,7 +165,7 @@ def _shape(model: mujoco.MjModel, i: int) -> Shape:
 
 
 def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
-    """Name of a log: what was run, and when (UTC)."""
+    """Returns the name of a log: command, vehicle, controllers and time (UTC)."""
     now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
     return f"{command}-{vehicle.kind.name}-{which}-{now}"
@@ -175,7 +175,7 @@ def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dic
     """Returns the metadata that all runs of a log share.
 
     Args:
-        command_line: `python -m sim.COMMAND ...`, which does the same again.
+        command_line: `python -m sim.COMMAND ...`, which repeats the runs.
         timestep: [s].
     """
     return {
@@ -190,13 +190,13 @@ def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dic
 
 
 def command_of(command_line: str) -> str:
-    """Returns the command's name in a line `python -m sim.NAME ...`, or an empty string for another line."""
+    """Returns NAME of a line `python -m sim.NAME ...`, or an empty string for another line."""
     match = re.match(r"python -m sim\.(\w+)( |$)", command_line)
     return match[1] if match else ""
 
 
 def attachments(vehicle: Vehicle, timestep: float, result: Mapping[str, Any]) -> dict[str, tuple[str, bytes]]:
-    """The vehicle file, the exact MJCF, and the result as `--json` prints it."""
+    """Returns the attachments: vehicle file, exact MJCF, and result as `--json` prints it."""
     return {
         "vehicle.toml": ("application/toml", vehicle.text.encode()),
         "model.xml": ("application/xml", mjcf_text(vehicle, timestep).encode()),
@@ -212,21 +212,21 @@ def record_runs(
     runs: Mapping[str, Run],
     result: Mapping[str, Any],
 ) -> dict[str, str]:
-    """Records the runs of a command, as `sim.recording.files.record` does.
+    """Records the runs of a command by `sim.recording.files.record`.
 
     Args:
         command_line: see `common_metadata`.
-        controllers: names of those that were run.
-        runs: by the names that they have in the log.
+        controllers: their names, for the name of the log.
+        runs: by name in the log.
         result: as `--json` prints it.
 
     Returns:
-        The files' paths: `mcap`, `layout` and `rerun`.
+        Paths of the files, as of `sim.recording.files.record`.
 
     Raises:
         InputError: the folder cannot be written, or the result does not fit the command (`sim.recording.run_log`).
     """
-    from sim.recording.files import record  # it imports Rerun
+    from sim.recording.files import record
 
     check_keys(command_of(command_line), result)
     logs = [run_log(run, name) for name, run in runs.items()]
@@ -243,16 +243,19 @@ def record_runs(
 
 
 def _named(what: str, suffix: str, content: bytes) -> str:
-    """The name of an attachment: by its content, so that runs share those that are alike."""
+    """Returns the name of an attachment, with a hash, so that runs share equal attachments."""
     return f"{what}-{hashlib.sha256(content).hexdigest()[:16]}.{suffix}"
 
 
-def run_log(run: Run, name: str) -> RunLog:
-    """Returns a run as a log has it, for `sim.record`.
+def run_log(run: Run, name: RunName) -> RunLog:
+    """Returns the data of a run to be recorded, for `sim.record`.
 
     Args:
-        run: that MuJoCo has run, not one that was read from a log.
+        run: computed by MuJoCo, not read from a log.
         name: of the run in the log.
+
+    Raises:
+        InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.
 
     Example:
         >>> import tempfile
@@ -268,7 +271,7 @@ def run_log(run: Run, name: str) -> RunLog:
         ('mine.mcap', 'mine.rrd')
     """
     vehicle, road, controller, agreement = run.vehicle, run.road, run.controller, run.agreement
-    assert run.qpos is not None, "what is written down MuJoCo has run"
+    assert run.qpos is not None, "the run was computed by MuJoCo"
     files: dict[str, tuple[str, bytes]] = {}
     named: dict[str, str] = {}
     points = road.points
@@ -325,7 +328,7 @@ def run_log(run: Run, name: str) -> RunLog:
         metadata={key: value if isinstance(value, str) else json.dumps(value) for key, value in claims.items()},
         events=events(run),
         summary=summary(run),
-        scene=scene_of(vehicle, road, run.physics, run.qpos),
+        scene=scene_of(run.prediction.input, run.physics, run.qpos),
         verdict=verdict(run),
         files=files,
         acting={name: one for name, one in acting.items() if one is not None},
@@ -335,11 +338,11 @@ def run_log(run: Run, name: str) -> RunLog:
 
 
 def _active(run: Run) -> tuple[str, ...]:
-    """Returns the names of its controller's states by decreasing peak contribution to the force in the sampled response."""
+    """Returns the names of a controller's states by decreasing peak contribution to the force in the sampled response."""
     if not isinstance(run.controller, Controller):
         return ()
     names = [signal.name for signal in run.sampled.signals if is_kept(signal)]
-    asks = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
+    gains = np.abs(run.controller.law.C).max(axis=0, initial=0.0)
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
-        most = [float(np.nan_to_num(ask * run.sampled.peak(name), nan=np.inf)) for ask, name in zip(asks, names, strict=True)]
-    return tuple(names[i] for i in np.argsort(-np.array(most), kind="stable"))
+        peaks = [float(np.nan_to_num(gain * run.sampled.peak(name), nan=np.inf)) for gain, name in zip(gains, names, strict=True)]
+    return tuple(names[i] for i in np.argsort(-np.array(peaks), kind="stable"))

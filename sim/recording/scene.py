@@ -44,12 +44,12 @@ class Shape:
 
     @property
     def rotation(self) -> Array:
-        """Returns the shape's orientation in the body's frame as a matrix, shape (3, 3)."""
+        """Orientation in the body's frame as a matrix, shape (3, 3)."""
         return rotation_matrix(self.quaternion)
 
     @property
     def half_edges(self) -> Array:
-        """Half edges [m] of the box around it, along its own axes, shape (3,)."""
+        """Half edges of its bounding box, along its axes [m], shape (3,)."""
         radius, half_length, _ = self.half_size
         match self.form:
             case "box":
@@ -71,15 +71,15 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Tyre:
-    """A tyre that the road squeezes flat where it touches, and that keeps its shape in the air.
+    """A tyre with a flat contact patch, undeformed in the air.
 
     Attributes:
         name: unique within its body.
-        body: the body that carries it, at whose origin its hub lies.
-        radius: of the tyre in the air [m].
+        body: the body that carries it, with the hub at its origin.
+        radius: undeformed radius [m].
         half_width: [m].
-        middle: of its width, in the body's frame along its axle y [m].
-        height: of the hub above the road, per frame [m], shape (F,). Above `radius`, it is off the road.
+        middle: middle of its width along the axle, y of the body's frame [m].
+        height: of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the road.
         rgba: colour, 0 to 1, shape (4,).
     """
 
@@ -93,21 +93,21 @@ class Tyre:
 
     @property
     def lifted(self) -> Array:
-        """Returns True for each frame in which the tyre is off the road, shape (F,)."""
+        """Mask of the frames in which the tyre is off the road, shape (F,)."""
         return self.height > self.radius
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A road's profile along one track of the vehicle, which comes towards it.
+    """A road's profile along one track, which moves towards the vehicle.
 
     Attributes:
         name: unique.
-        middle: of its width [m], along y.
-        position: where its points lie at time 0 [m], along x, ascending, shape (N,).
+        middle: middle of its width, along y [m].
+        position: of its points along x at time 0 [m], ascending, shape (N,).
         height: of the points [m], shape (N,).
-        travelled: how far the vehicle has come, and the points have moved back, per frame [m], shape (F,).
-        bodies: what stands for it, a piece of road under every wheel, where no profile is drawn.
+        travelled: distance by which the points have moved back, per frame [m], shape (F,).
+        bodies: pieces of road under the wheels, which replace the profile in other viewers.
     """
 
     name: str
@@ -126,9 +126,9 @@ class Scene:
         time: frame times [s], shape (F,).
         shapes: the solids.
         bodies: motion of every body that carries one.
-        springs: end points of springs, with a damper inside [m], shape (F, 2, 3), by name; from the wheel to the body.
-        tyres: those that give way.
-        forces: what pushes the two ends of a spring apart [N], shape (F,), by the spring's name.
+        springs: ends of springs with dampers, at the wheel and at the body [m], shape (F, 2, 3), by name.
+        tyres: the deformable ones.
+        forces: control forces that push the ends of a spring apart [N], shape (F,), by the spring's name.
         tracks: the road.
     """
 
@@ -141,7 +141,7 @@ class Scene:
     tracks: tuple[Track, ...] = ()
 
     def finite(self) -> "Scene":
-        """The frames in which everything is finite: where a run broke off, the car stays where it was last."""
+        """Returns the scene with only the frames in which all numbers are finite: after a run broke off, the car stops."""
         numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
         numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
         kept = np.ones(len(self.time), dtype=bool)
@@ -158,7 +158,7 @@ class Scene:
         )
 
     def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest corner of all solids and tyres over all frames [m]; orientations are those of the first frame."""
+        """Returns the lowest and highest corner of all solids and tyres over all frames [m], with their first orientations."""
         corners = []
         for shape in self.shapes:
             motion = self.bodies[shape.body]
@@ -180,31 +180,27 @@ class Scene:
 TURNS, POINTS = 6, 49  # of a coil
 SECTORS = 40  # of a tyre
 
-# Of the lines of a strut, in order: radius [m] and colour.
+# Radius [m] and colour of the lines of a strut: coil, rod and tube.
 LINES = ((0.011, (235, 175, 45)), (0.012, (165, 170, 178)), (0.03, (95, 100, 110)))
 
 LIFTED = (214, 39, 40)  # colour of a tyre off the road
 FORCE, LONGEST = (190, 60, 200), 0.3  # colour of a force's arrow, and length of the largest [m]
-BESIDE = np.array([0.0, 0.16, 0.0])  # where it stands, from the middle of its spring [m]
+BESIDE = np.array([0.0, 0.16, 0.0])  # position of an arrow, from the middle of its spring [m]
 
 ROAD, THICK = 0.2, 0.12  # half width and thickness of a track [m]
-ASPHALT, SIDE, PROFILE = (
-    ((104, 107, 113), (124, 127, 133)),
-    (70, 72, 78),
-    (250, 250, 245),
-)  # colours of a track; see `road_surface`
+ASPHALT, SIDE, PROFILE = ((104, 107, 113), (124, 127, 133)), (70, 72, 78), (250, 250, 245)  # colours of a track
 
 
 def largest_force(scenes: Iterable[Scene]) -> float:
-    """The largest control force of all scenes [N]: arrows of runs side by side have one scale."""
+    """Returns the largest control force of all scenes [N], for a common scale of their arrows."""
     forces = [np.abs(force).max() for scene in scenes for force in scene.finite().forces.values() if len(force)]
     return float(max(forces, default=0.0))
 
 
 def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
-    """A spring and its damper: the coil, the rod and the tube, each shape (F, points, 3), from end points [m], shape (F, 2, 3).
+    """Returns coil, rod and tube of a spring with a damper, shapes (F, points, 3), from its ends [m], shape (F, 2, 3).
 
-    The tube hangs from the body and is half as long as the strut was in the first frame, so that the rod is seen to move.
+    The tube is fixed to the body, with half the length of the strut in the first frame, so that the rod visibly moves.
     """
     start, axis = ends[:, 0], ends[:, 1] - ends[:, 0]
     if not len(ends):
@@ -224,10 +220,10 @@ def strut_lines(ends: Array) -> tuple[Array, Array, Array]:
 
 
 def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
-    """A tyre, flat where it stands on the road.
+    """Returns a tyre with its contact patch as a surface.
 
     Returns:
-        Its vertices in the frame of its body [m], shape (F, 2 SECTORS + 2, 3), and its triangles as their indices, shape
+        Its vertices in the frame of its body [m], shape (F, 2 SECTORS + 2, 3), and the vertex indices of its triangles, shape
         (4 SECTORS, 3).
     """
     angle = 2 * np.pi * np.arange(SECTORS) / SECTORS
@@ -249,7 +245,7 @@ def tyre_surface(tyre: Tyre) -> tuple[Array, Array]:
 
 
 def road_surface(track: Track) -> tuple[Array, Array, Array]:
-    """A track as a slab: from above, two shades of grey that take turns every metre, so that it is seen to move.
+    """Returns a track as a slab, whose shade of grey alternates every metre, so that it visibly moves.
 
     Returns:
         Its vertices at time 0 [m], shape (6 N, 3), their colours, shape (6 N, 3), and its triangles, shape (6 (N - 1), 3).

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from models.figures.page import Page
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
+    from sim.report.contents import Report
     from sim.report.worker_processes import Beside
 
 EPILOG = """
@@ -45,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
     from sim.report.worker_processes import Beside, processes
+    from sim.studies.ride.standing import standing_lines
 
     check_page()
     vehicle = read_vehicle(options.vehicle)
@@ -57,28 +59,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loads = tuple(choose_load(text) for text in options.loads)
     with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
         result = _reported(options, vehicle, names, loads, beside)
-    older = _others(result, options.figures) if options.figures is not None else []
+    older = _others(result.page, options.figures) if options.figures is not None else []
     if options.json:
         from sim.report.contents import report_object
 
-        found = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
-        print(json.dumps(found, allow_nan=False))
+        whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
+        print(json.dumps(whole, allow_nan=False))
     else:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
-        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *result.answer])
+        compared = standing_lines(result.compared, result.compared_on)
+        answer = [] if options.brief else ["", *result.page.answer]
+        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *compared, *answer])
     return 0
 
 
 def _reported(
     options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
-) -> "Page":
-    """The page of a report, written, with its figures where they are asked for."""
+) -> "Report":
+    """A report whose page is written, with its figures where they are asked for."""
     from models.common.command import versions
     from models.common.files import made_folder, together
     from models.figures.page import write_page
     from sim.command.comparison import controllers_of, say_false_claims
-    from sim.report.contents import page, stages
-    from sim.report.front import check_front
+    from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import Scope, check_scope
     from sim.runs.run import sample_times
@@ -87,6 +90,8 @@ def _reported(
 
     check_scope(vehicle, options.timestep)
     if options.front is not None:
+        from sim.report.front import check_front
+
         check_front(vehicle, options.front)
     if loads:
         loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
@@ -105,15 +110,15 @@ def _reported(
         "vehicle file": vehicle.source,
         "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
     }
-    result = page(scope, about, beside)
+    result = report(scope, about, beside)
     stage("the page")
     with ExitStack() as stack:  # all of it, or nothing
         if options.figures is not None:
             stack.enter_context(made_folder(options.figures, "figures"))
         stack.enter_context(together())
-        write_page(result, options.out)
+        write_page(result.page, options.out)
         if options.figures is not None:
-            _write_figures(result, options.figures)
+            _write_figures(result.page, options.figures)
     stage.end()
     return result
 
@@ -138,7 +143,9 @@ def _parser() -> Parser:
     )
     add_loads(parser, "also what this load does on a flat road")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    printed = parser.add_mutually_exclusive_group()
+    printed.add_argument("--brief", action="store_true", help="print only what is written and which controller is best at what")
+    printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 
 

@@ -1,37 +1,55 @@
 """Contents of a report: its answer, then section by section."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from models.figures.page import Page, Section, Table
 from models.roads.road import Bump
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
+from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section
 from sim.report.designs import design_section, frequency_section, paper_section
-from sim.report.front import front_section
 from sim.report.headline import Statement
 from sim.report.limits import map_of, margins_section, regime_section, validity_section
 from sim.report.loads import loads_section, workshop_section
 from sim.report.regime_end import regime_end
-from sim.report.ride import SEEDS, Ride, ride_section, rides_of
+from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
-from sim.report.summary import summary
+from sim.report.summary import compared_on, summary
 from sim.report.worker_processes import Beside, Piece
-from sim.runs.run import run_all, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
+from sim.studies.ride.standing import Standing, standing, standings_object
 from synth.vehicle.paper import SEED, is_the_papers
 
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
 MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "the paper"
 
 
-def page(scope: Scope, provenance: dict[str, str], beside: Beside) -> Page:
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A report: its page, and who is best at what.
+
+    Attributes:
+        page: all of it.
+        compared: the controllers' standings, the passive one first.
+        compared_on: on which roads, in words.
+    """
+
+    page: Page
+    compared: list[Standing]
+    compared_on: str
+
+
+def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     """The whole report.
 
     Args:
@@ -42,13 +60,13 @@ def page(scope: Scope, provenance: dict[str, str], beside: Beside) -> Page:
     results = beside.begin(scope, pieces_of(scope))
     scope.progress(BUMP)
     time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
-    runs = run_all(vehicle, scope.driven, road, time)
-    finer = run_all(vehicle, scope.driven, road, halves)
+    runs = run_controllers(vehicle, scope.driven, road, time)
+    finer = run_controllers(vehicle, scope.driven, road, halves)
     scope.progress(REGIME)
     ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
-    found = results()
+    parts = results()
 
-    frequencies: Frequencies = found[FREQUENCIES, ""]
+    frequencies: Frequencies = parts[FREQUENCIES, ""]
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
@@ -63,25 +81,28 @@ def page(scope: Scope, provenance: dict[str, str], beside: Beside) -> Page:
     sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
     if ends:
         sections.append(regime_section(scope, road, ends, runs))
-    if (MARGINS, "") in found:
-        maps = [found[MAP, one.name] for one in scope.active]
-        for section, findings in (found[MARGINS, ""], validity_section(scope, maps)):
+    if (MARGINS, "") in parts:
+        maps = [parts[MAP, one.name] for one in scope.active]
+        for section, findings in (parts[MARGINS, ""], validity_section(scope, maps)):
             sections.append(section)
             answer += findings
-    rides: list[Ride] = found.get((RIDE, ""), [])
+    rides: list[Ride]
+    rides, over_roads = parts.get((RIDE, ""), ([], []))
+    compared = _compared(scope, runs, over_roads)
     if rides:
         sections.append(ride_section(vehicle, rides, scope.styles))
     if frequencies.workshop is not None:
         sections.append(frequencies.workshop)
-    if (LOADS, "") in found:
-        section, findings = found[LOADS, ""]
+    if (LOADS, "") in parts:
+        section, findings = parts[LOADS, ""]
         sections.append(section)
         answer += findings
-    sections += [found[name, ""] for name in (FRONT, PAPER) if (name, "") in found]
+    sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
     title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
     texts = tuple(one.text for one in answer)
-    return Page(title, texts, summary(scope, runs, ends, rides), tuple(sections), report_answer.worst(answer))
+    whole = Page(title, texts, summary(scope, runs, ends, rides, compared), tuple(sections), report_answer.worst(answer))
+    return Report(whole, compared, compared_on(compared, bool(rides)))
 
 
 def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool) -> tuple[str, ...]:
@@ -94,6 +115,8 @@ def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
     """Returns the independent pieces of a page, by stage and subject, the longest first."""
     pieces: dict[tuple[str, str], Piece] = {}
     if scope.front is not None:
+        from sim.report.front import front_section
+
         pieces[FRONT, ""] = front_section
     if not scope.quick and scope.active:
         pieces[MARGINS, ""] = _margins
@@ -147,9 +170,25 @@ def _margins(scope: Scope) -> tuple[Section, list[Statement]]:
     return margins_section(replace(scope, vehicle=at_rest(scope.vehicle)))
 
 
-def _rides(scope: Scope) -> list[Ride]:
-    """Random roads, of all whose bump is not the only thing to be reported."""
-    return rides_of(scope.vehicle, [*scope.stable, *scope.laws], scope.timestep)
+def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
+    """Random roads, of all whose bump is not the only thing to be reported; and their standings, that of the passive one too."""
+    reported = (*scope.stable, *scope.laws)
+    driven = [OverRoads(scope.vehicle, one, scope.timestep) for one in reported]
+    passive = [] if any(one.name == PASSIVE for one in reported) else [scope.designer.design(PASSIVE)]
+    beside = [OverRoads(scope.vehicle, one, scope.timestep, AVERAGE) for one in passive]
+    return [ride for one in driven for ride in one.rides()], [one.standing() for one in (*beside, *driven)]
+
+
+def _compared(scope: Scope, runs: Sequence[Run], over_roads: Sequence[Standing]) -> list[Standing]:
+    """Returns the standing of every controller over random roads or, without rides, the bump; passive first.
+
+    Who is not driven over random roads, as an unstable loop, has no numbers there.
+    """
+    if not over_roads:
+        return standings_of(runs, passive_beside(runs, scope.designer.design))
+    there = {one.controller: one for one in over_roads}
+    names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
+    return [there.get(name) or standing(scope.vehicle, name, {}) for name in names]
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
@@ -193,11 +232,13 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     return Section("Where does this page come from?", "provenance and settings", (), tables)
 
 
-def report_object(page: Page) -> dict[str, Any]:
-    """Answer and tables as JSON has them."""
+def report_object(report: Report) -> dict[str, Any]:
+    """Answer, tables and standings as JSON has them."""
+    page = report.page
     tables = {
         table.name: [dict(zip(table.headings, row, strict=True)) for row in table.rows]
         for part in page.parts
         for table in part.tables
     }
-    return json.loads(json.dumps({"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}))
+    whole = {"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}
+    return json.loads(json.dumps({**whole, "compared": standings_object(report.compared)}))

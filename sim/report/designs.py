@@ -17,7 +17,7 @@ from sim.studies.frequency.describing_function import MOVING, DescribingFunction
 from sim.studies.frequency.figure import sweep_figure
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep
-from synth.analysis.specification import Promise, digits
+from synth.analysis.specification import Specification, digits
 from synth.controller.controller import Controller
 from synth.controller.report import (
     BOUND,
@@ -105,7 +105,7 @@ def _known(scope: Scope) -> str:
 
 def goals_table(controllers: Sequence[Controller]) -> Table | None:
     """Returns the table of controllers' goals, with the numbers as `python -m synth` has them, or None without goals."""
-    columns: tuple[Column[tuple[str, Promise]], ...] = (
+    columns: tuple[Column[tuple[str, Specification]], ...] = (
         Column("controller", lambda of: of[0]),
         Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
         Column("unit", lambda of: of[1].unit or "-"),
@@ -248,12 +248,12 @@ def frequency_section(
 
 def paper_section(scope: Scope) -> Section:
     """Does it reproduce the paper?"""
-    found = ours(scope.designer)
+    values = ours(scope.designer)
     rows = []
     for row in PRINTED:
         entry = f"[{row.entry[0] + 1}, {row.entry[1] + 1}]" if row.entry is not None else ""
         digits = max(0, -math.floor(math.log10(row.digit)))
-        mine = entry_of(found[row.quantity], row.entry)
+        mine = entry_of(values[row.quantity], row.entry)
         same = round(mine / row.digit) == round(row.value / row.digit)
         rows.append(
             (

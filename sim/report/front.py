@@ -52,16 +52,18 @@ def front_section(scope: Scope) -> Section:
     axes = axes_of(vehicle, asked)
     total = rays_of(len(axes), DESIGNS)
     try:
-        found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs"))
+        trade_off = front(
+            vehicle, name, axes, others_of(vehicle), DESIGNS, lambda done: scope.progress(f"{done} of {total} designs")
+        )
     except DesignError as error:
         return Section(TITLE, TERM, (f"There is no trade-off: {error}",))
-    if not found.points:
-        return Section(TITLE, TERM, (f"There is no trade-off: of {found.tried} designs no claim could be proved.",))
-    measured = np.array([[measure(scope, found, i, axis) for axis in axes] for i in found.marked])
-    norms = np.array([found.points[i].values for i in found.marked])
+    if not trade_off.points:
+        return Section(TITLE, TERM, (f"There is no trade-off: of {trade_off.tried} designs no claim could be proved.",))
+    measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
+    norms = np.array([trade_off.points[i].values for i in trade_off.marked])
     meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
-    text = [f"Static gains on what {name} measures; {'; '.join((*meanings, *judged_lines(found.points[0].controller)))}."]
-    text.append(f"{'; '.join(sentences(found))}.")
+    text = [f"Static gains on what {name} measures; {'; '.join((*meanings, *judged_lines(trade_off.points[0].controller)))}."]
+    text.append(f"{'; '.join(sentences(trade_off))}.")
     with np.errstate(all="ignore"):
         shares = (measured / norms)[np.isfinite(measured) & (norms > 0)]
     if len(shares):
@@ -73,14 +75,14 @@ def front_section(scope: Scope) -> Section:
         )
     headings = ["point", *(heading for axis in axes for heading in (axis.name, f"{axis.name}, MuJoCo")), "gain"]
     rows = []
-    for i, row in zip(found.marked, measured, strict=True):
-        pairs = zip(found.points[i].norms, row.tolist(), strict=True)
+    for i, row in zip(trade_off.marked, measured, strict=True):
+        pairs = zip(trade_off.points[i].norms, row.tolist(), strict=True)
         cells = [text for norm, value in pairs for text in (f"{norm.value:.6g}", cell(value, ".5g"))]
-        gain = " ".join(f"{entry:.5g}" for entry in found.points[i].controller.gain.ravel())
+        gain = " ".join(f"{entry:.5g}" for entry in trade_off.points[i].controller.gain.ravel())
         rows.append((str(i + 1), *cells, gain))
     caption = "Some of the designs: their norms, as proved and as measured, and their gains."
     table = Table("front", caption, tuple(headings), tuple(rows))
-    return Section(TITLE, TERM, tuple(text), (table,), (front_figure(found, measured),))
+    return Section(TITLE, TERM, tuple(text), (table,), (front_figure(trade_off, measured),))
 
 
 def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) -> float:

@@ -36,9 +36,9 @@ def loops(scope: Scope) -> list[Statement]:
     """Returns statements on the two loops of the page, on loops that are unstable or stable only as the ideal one, and on missed
     goals.
     """
-    found = []
+    statements = []
     if not scope.plain:
-        found.append(
+        statements.append(
             Statement(
                 "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
                 f"certificates are of it. MuJoCo runs the loop as built: {scope.built}."
@@ -50,18 +50,18 @@ def loops(scope: Scope) -> list[Statement]:
                 f"{one.name} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
                 "no margins."
             )
-            found.append(Statement(text))
+            statements.append(Statement(text))
         elif not one.certificate.stable:
-            found.append(Statement(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
+            statements.append(Statement(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
-            found.append(Statement(text, "ends"))
+            statements.append(Statement(text, "ends"))
         if broken := [promise for promise in one.promises if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
-            found.append(Statement(text, "ends"))
+            statements.append(Statement(text, "ends"))
     if scope.laws:
-        found.append(
+        statements.append(
             Statement(
                 f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
                 f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
@@ -69,7 +69,7 @@ def loops(scope: Scope) -> list[Statement]:
                 f"and is held against {_held_against(scope)}."
             )
         )
-    return found
+    return statements
 
 
 def _held_against(scope: Scope) -> str:
@@ -103,9 +103,9 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     built = "" if scope.plain else " of the loop as built"
     which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
-    found = []
+    statements = []
     if throughout:
-        found.append(
+        statements.append(
             Statement(
                 f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
                 f"{joined(throughout)}{_how(scope, runs)}."
@@ -118,16 +118,16 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
                 f"Over the paper's bump, {run.controller.name} agrees with {which} until {until:.3g} s of "
                 f"{BUMP_DURATION:g} s: {what_ended(run)}."
             )
-            found.append(Statement(text, "ends"))
+            statements.append(Statement(text, "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
         text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {joined(wrong)}."
-        found.append(Statement(text, "fails"))
+        statements.append(Statement(text, "fails"))
     unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
     if unbalanced:
         text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
-        found.append(Statement(text, "fails"))
-    return found
+        statements.append(Statement(text, "fails"))
+    return statements
 
 
 def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
@@ -168,7 +168,8 @@ def _how(scope: Scope, runs: Sequence[Run]) -> str:
 def what_ended(run: Run) -> str:
     """Describes the event that ended the comparison of a run."""
     one = run.agreement
-    causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {"the run diverges": run.diverged}
+    broken = "the states of the law run away" if run.physics.ran_away else "the run diverges"
+    causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {broken: run.diverged}
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
 
 
@@ -177,7 +178,7 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     if not lines:
         return []
     off = max(float(one.error(one.sampled).max()) for one in lines)
-    found = [
+    statements = [
         Statement(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
             f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}{scope.given}."
@@ -185,11 +186,11 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     ]
     for one in sweeps:
         if not one.ended:
-            found += [Statement(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
+            statements += [Statement(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
         else:
             text = f"{one.lines.controller.name}'s sweep left the linear regime: {joined(list(one.ended))}."
-            found.append(Statement(text, "ends"))
-    return found
+            statements.append(Statement(text, "ends"))
+    return statements
 
 
 def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> list[str]:
@@ -216,7 +217,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
     ends = [(one, end) for one, end in ends if one.name not in wrong]
     heights: list[str] = []
-    found = [Statement(none, "fails")] if none else []
+    statements = [Statement(none, "fails")] if none else []
     for one, end in ends:
         if end is None:
             heights.append(f"{one.name} at no height")
@@ -225,7 +226,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
                 f"MuJoCo DOES NOT end {one.name}'s linear regime as predicted, by {end.predicted_end} at {end.predicted:.4g} m: "
                 f"see the table."
             )
-            found.append(Statement(text, "fails"))
+            statements.append(Statement(text, "fails"))
         else:
             height = (end.stays + end.leaves) / 2
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
@@ -242,4 +243,4 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
             f" MuJoCo{scope.without}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
-    return [Statement(text), *found] if heights else found
+    return [Statement(text), *statements] if heights else statements

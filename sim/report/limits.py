@@ -17,10 +17,6 @@ from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
 from sim.studies.frequency.identification import ideal_measurements
-from sim.studies.stability.figure import margins_figure
-from sim.studies.stability.fragility import find_fragility
-from sim.studies.stability.margin_search import find_all, searches
-from sim.studies.stability.robustness import robustness, varied_text
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import envelope_figure
@@ -32,7 +28,13 @@ THRESHOLD = 0.05  # of a peak, where linear analysis is said to hold
 
 def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     """Returns the section on margins, predicted and found, and statements on controllers for which physics differs."""
-    rows, figures, robust, found = [], [], [], []
+    # A quick report has no margins, and waits for none of their searches to be imported.
+    from sim.studies.stability.figure import margins_figure
+    from sim.studies.stability.fragility import find_fragility
+    from sim.studies.stability.margin_search import find_all, searches
+    from sim.studies.stability.robustness import robustness, varied_text
+
+    rows, figures, robust, statements = [], [], [], []
     vehicle = replace(scope.vehicle, implementation=Implementation())
     actuators = range(len(vehicle.linear_model.inputs))
     timestep = scope.margins_timestep
@@ -55,14 +57,14 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         agrees = loop.agrees and fragile.agrees
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
-            found.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
+            statements.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
         others = ("-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
             others = (cell(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
-                found.append(Statement(text, "fails"))
+                statements.append(Statement(text, "fails"))
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
         figures.append(replace(margins_figure(vehicle, one, loop, fragile, box, timestep), name=f"margins-{one.name}"))
     tables = (
@@ -91,7 +93,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         about += f", and its {scope.vehicle.implementation.blur} is not tried" if scope.blurred else ""
         text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
     title = "How much goes wrong before it becomes unstable?"
-    return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), found
+    return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), statements
 
 
 REGIME: tuple[Column[RegimeEnd], ...] = (

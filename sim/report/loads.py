@@ -9,7 +9,7 @@ from models.common.printed import Column, cell, cells, titles
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
 from models.roads.load import Load
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
 from sim.linear.nonlinear_elements import at_rest_words
@@ -17,7 +17,7 @@ from sim.report.headline import Statement
 from sim.report.scope import Scope, joined
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
-from sim.runs.run import Run, run_all, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.eusama import AT, DISPUTED, MEASURED, RATIO, MinimumLoad
 from sim.studies.frequency.sweep import Sweep
 from sim.studies.ride.metrics import DEGREES, angles_of
@@ -30,9 +30,9 @@ POINTS = 60  # of MuJoCo
 SPEED = 20.0  # m/s, which does not matter on a flat road
 
 
-def loaded_road(loads: Sequence[Load]) -> Loaded:
+def loaded_road(loads: Sequence[Load]) -> RoadWithLoads:
     """A flat road with loads on the body of what drives there."""
-    return Loaded(Flat(SPEED), tuple(loads))
+    return RoadWithLoads(Flat(SPEED), tuple(loads))
 
 
 def duration_of(loads: Sequence[Load]) -> float:
@@ -48,16 +48,16 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     vehicle, loads = scope.vehicle, scope.loads
     road = loaded_road(loads)
     time = sample_times(vehicle, duration_of(loads), scope.timestep)
-    runs = run_all(vehicle, [*scope.stable, *scope.laws], road, time)
+    runs = run_controllers(vehicle, [*scope.stable, *scope.laws], road, time)
     angles = angles_of(vehicle)
     rows = []
     for run in runs:
-        found = measure_run(run, 0)
-        for name, one in found.metrics.items():
+        run_metrics = measure_run(run, 0)
+        for name, one in run_metrics.metrics.items():
             what = next((end for end in (*angles, *_travels(scope)) if name.startswith(f"{end}_")), "")
             if not what or (what in _travels(scope) and not name.endswith("_peak")):
                 continue
-            static = found.static or {}
+            static = run_metrics.static or {}
             rest = static.get(what) if name.endswith("at_end") else None
             rows.append((run.controller.name, name.replace("_", " "), *cells(METRIC[:3], [one])[0], cell(rest, ".4g")))
     headings = ("controller", "metric", *titles(METRIC[:3]), "at rest, linear")
@@ -66,7 +66,8 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     text = [
         f"On a flat road, over {time[-1]:g} s at {1e3 * scope.timestep:g} ms: {names}. Brakes and curves are moments of the "
         "body's weight at the height of its centre of mass; roll centres are on the ground, there is no anti-dive, and springs, "
-        "bars and tyres carry all of it. Dive is nose down, squat nose up; of the loads controllers know what they measure."
+        "bars and tyres carry all of it. The moment of the body's own weight as it turns is left out. Dive is nose down, squat "
+        "nose up; of the loads controllers know what they measure."
     ]
     text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
     wrong = [run.controller.name for run in runs if not run.holds]
@@ -102,7 +103,7 @@ def _title(names: str) -> str:
     return f"What acts, and what it does: {names}. Lines: the exact sampled response. Points: MuJoCo"
 
 
-def _panels(scope: Scope, road: Loaded, runs: Sequence[Run]) -> list[Panel]:
+def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run]) -> list[Panel]:
     """The loads over time, then angles, then suspensions."""
     vehicle, panels = scope.vehicle, []
     acting = pushed(vehicle, road, runs[0].physics.time)

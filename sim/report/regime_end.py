@@ -19,8 +19,8 @@ from sim.linear.dampers import is_linear
 from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response
 from sim.linear.switched_response import switched_response
-from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, utilisation
-from sim.runs.run import run_all
+from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, utilisation
+from sim.runs.run import run_controllers
 from sim.studies.validity.regime_map import validity
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
@@ -80,29 +80,29 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     predicted = float(1 / used.max())
 
     near = tuple(end for end, use in zip(END_NAMES, used, strict=True) if use * REACHES[1] >= used.max())
-    found = RegimeEnd(predicted, END_NAMES[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
+    ends = RegimeEnd(predicted, END_NAMES[int(used.argmax())], near, stays=0.0, error=0.0, leaves=math.inf, end="")
     for reach in REACHES:
         heights = predicted * np.geomspace(1 / reach, reach, POINTS if reach > REACHES[0] else 2)
-        found = _narrowed(found, vehicle, controller, bump, heights, time)
-        if found.stays > 0 and found.end:
+        ends = _narrowed(ends, vehicle, controller, bump, heights, time)
+        if ends.stays > 0 and ends.end:
             break
-    while found.stays > 0 and found.leaves - found.stays > 2.01 * (REACHES[0] - 1) * predicted and found.end:
-        heights = np.linspace(found.stays, found.leaves, POINTS)[1:-1]
-        found = _narrowed(found, vehicle, controller, bump, heights, time)
-    if found.stays > 0 and (short or is_curved(vehicle)):  # a map knows how far it is from a linear response only
-        (run,) = run_all(vehicle, [controller], replace(bump, height=found.stays), time)
-        found = replace(found, error=max(signal.sampled for signal in run.agreement.signals.values()))
-    return found
+    while ends.stays > 0 and ends.leaves - ends.stays > 2.01 * (REACHES[0] - 1) * predicted and ends.end:
+        heights = np.linspace(ends.stays, ends.leaves, POINTS)[1:-1]
+        ends = _narrowed(ends, vehicle, controller, bump, heights, time)
+    if ends.stays > 0 and (short or is_curved(vehicle)):  # a map knows how far it is from a linear response only
+        (run,) = run_controllers(vehicle, [controller], replace(bump, height=ends.stays), time)
+        ends = replace(ends, error=max(signal.sampled for signal in run.agreement.signals.values()))
+    return ends
 
 
-def _narrowed(found: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
+def _narrowed(ends: RegimeEnd, vehicle: Vehicle, controller: Controller, bump: Bump, heights: Array, time: Array) -> RegimeEnd:
     """Returns the end narrowed by runs of more heights, ascending [m]."""
     cells = validity(vehicle, controller, [replace(bump, height=height) for height in heights.tolist()], time, foretold=False)
     breaks = (cells.first >= 0) | np.isinf(cells.error)
     first = int(breaks.argmax()) if breaks.any() else len(heights)
-    if first > 0 and heights[first - 1] > found.stays:
-        found = replace(found, stays=float(heights[first - 1]), error=float(cells.error[first - 1]))
-    if first < len(heights) and heights[first] < found.leaves:
-        end = END_NAMES[cells.first[first]] if cells.first[first] >= 0 else "divergence"
-        found = replace(found, leaves=float(heights[first]), end=end)
-    return found
+    if first > 0 and heights[first - 1] > ends.stays:
+        ends = replace(ends, stays=float(heights[first - 1]), error=float(cells.error[first - 1]))
+    if first < len(heights) and heights[first] < ends.leaves:
+        end = END_NAMES[cells.first[first]] if cells.first[first] >= 0 else LAW_OVERFLOW if cells.ran_away[first] else DIVERGENCE
+        ends = replace(ends, leaves=float(heights[first]), end=end)
+    return ends

@@ -20,9 +20,11 @@ from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
 from sim.studies.ride.metrics import Meter, dynamic_load, off_ground, points
+from sim.studies.ride.standing import Standing, standing, standing_over_runs
 from synth.controller.controller import Controller, Driver
 
 CLASSES, SPEED, SEEDS = "ABCD", 20.0, (0, 1, 2, 3)  # speed in m/s
+AVERAGE = "C"  # the class that controllers are compared on
 WINDOW = 10.0  # s, in which is measured, once the loop has forgotten that it began from rest
 LONGEST = 20.0  # s; more than that no loop is waited for
 
@@ -79,9 +81,9 @@ def _spread(share: float) -> str:
 def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
     """The IRI of the first seconds of a class' roads as they are driven, and what is expected there of all of the class."""
     distance, width = SPEED * WINDOW, track_width(vehicle)
-    found = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
-    which = next(i for i, one in enumerate(found[0]) if one.name == ("mean" if width else "left"))
-    first, driven = found[0][which], [each[which].iri for each in found]
+    roughness = [roughness_of(Iso8608(name, seed, SPEED, width, long_enough(distance)), vehicle, distance) for seed in SEEDS]
+    which = next(i for i, one in enumerate(roughness[0]) if one.name == ("mean" if width else "left"))
+    first, driven = roughness[0][which], [each[which].iri for each in roughness]
     expected = f"{first.expected:.3g} +- {first.spread:.2g}" if first.expected is not None else "-"
     return name, "mean of both" if width else "one", expected, ", ".join(f"{iri:.3g}" for iri in driven)
 
@@ -131,55 +133,74 @@ def ride_text(vehicle: Vehicle) -> str:
         f"{', with the line in place of every curve that does the same on average' if is_curved(vehicle) else ''}"
         f"{f', which leaves out {left_out}' if left_out else ''}. Both are roots of mean squares, over the roads driven and over "
         "all roads; road to road is by how much one such road differs from that, one standard deviation, so MuJoCo's differs by "
-        "half of it. Runs that diverged or squeezed a tyre flat are left out."
+        "half of it. Runs that diverged, by the car or by the states of a law alone, or squeezed a tyre flat are left out."
     )
 
 
-def rides_of(vehicle: Vehicle, controllers: Sequence[Driver], timestep: float) -> list[Ride]:
-    """Drives every controller over every class."""
-    return [ride for one in controllers for ride in _rides(vehicle, one, timestep)]
+class OverRoads:
+    """A controller in MuJoCo over the roads of some classes."""
 
+    def __init__(self, vehicle: Vehicle, controller: Driver, timestep: float, classes: str | None = None) -> None:
+        """Drives it, by default over the roads of all classes."""
+        self.vehicle, self.controller, self.timestep, self.classes = vehicle, controller, timestep, classes or CLASSES
+        linear = isinstance(controller, Controller)
+        # How long a law in Python takes to settle is not known.
+        start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST
+        time = sample_times(vehicle, start + WINDOW, timestep)
+        length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
+        self.roads = [Iso8608(name, seed, SPEED, width, length) for name in self.classes for seed in SEEDS]
+        count = len(self.roads)
+        self.physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in self.roads], threads=0)
+        response = self.physics.response
+        self.ended = np.minimum(self.physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
+        meter = Meter([vehicle] * count, float(time[1]), round(start / timestep))
+        meter.update(np.moveaxis(response.values, 0, 2))
+        self.found = meter.result()
 
-def _rides(vehicle: Vehicle, controller: Driver, timestep: float) -> Iterator[Ride]:
-    linear = isinstance(controller, Controller)
-    start = min(settling_time(vehicle, controller), LONGEST) if linear else LONGEST  # how long a law in Python takes is not known
-    time = sample_times(vehicle, start + WINDOW, timestep)
-    first = round(start / timestep)
-    length, width = long_enough(SPEED * float(time[-1])), track_width(vehicle)
-    roads = [Iso8608(name, seed, SPEED, width, length) for name in CLASSES for seed in SEEDS]
-    count = len(roads)
-    physics = simulate([controller] * count, [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    response = physics.response
-    ended = np.minimum(physics.diverged, reached(vehicle, response)[:, REGIME_ENDS.index(FLAT)])
-    meter = Meter([vehicle] * count, float(time[1]), first)
-    meter.update(np.moveaxis(response.values, 0, 2))
-    found = meter.result()
-    measured = [{name: float(values[i]) for name, values in found.items()} for i in range(count)]
-    ideal = replace(vehicle, implementation=vehicle.implementation.clear)
+    def standing(self) -> Standing:
+        """Returns where the controller stands on the roads of the class `AVERAGE`, if none of its runs broke off there."""
+        runs = self._runs(AVERAGE)
+        if not np.isinf(self.ended[runs]).all():
+            return standing(self.vehicle, self.controller.name, {})
+        return standing_over_runs(self.vehicle, self.controller.name, {name: each[runs] for name, each in self.found.items()})
 
-    where = points(vehicle)
-    metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
-    metrics += [(f"{name}_rms", "m") for name in where.suspensions]
-    metrics += [(dynamic_load(name), "-") for name in where.tyres]
-    metrics += [
-        (f"{name}_rms", "N") for name, *_ in where.actuators if not isinstance(controller, Controller) or controller.law.acts
-    ]
-    for k, road_class in enumerate(CLASSES):
-        runs = range(k * len(SEEDS), (k + 1) * len(SEEDS))
-        some = [measured[i] for i in runs if np.isinf(ended[i])]
-        expected = expect(ideal, controller, roads[k * len(SEEDS)].spectrum, timestep, WINDOW) if linear else None
-        lifted = max((one[off_ground(tyre)] for one in some for tyre in where.tyres), default=0.0)
-        events = f"{100 * lifted:.2f} %" if lifted else "none"
-        if len(some) < len(SEEDS):
-            events = f"{len(SEEDS) - len(some)} of {len(SEEDS)} flat or diverged" + (f", else {events}" if some else "")
-        for name, unit in metrics:
-            yield Ride(
-                road_class,
-                controller.name,
-                name.replace("_", " "),
-                unit,
-                float(np.sqrt(np.mean([one[name] ** 2 for one in some]))) if some else math.nan,
-                expected.mean[name] if expected else math.nan,
-                expected.spread.get(name, math.nan) if expected else math.nan,
-                events,
-            )
+    def _runs(self, road_class: str) -> slice:
+        """Returns the indices of the runs over a class."""
+        first = self.classes.index(road_class) * len(SEEDS)
+        return slice(first, first + len(SEEDS))
+
+    def rides(self) -> Iterator[Ride]:
+        """Yields metric by metric of every class."""
+        vehicle, controller = self.vehicle, self.controller
+        linear = isinstance(controller, Controller)
+        ideal = replace(vehicle, implementation=vehicle.implementation.clear)
+        where = points(vehicle)
+        metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
+        metrics += [(f"{name}_rms", "m") for name in where.suspensions]
+        metrics += [(dynamic_load(name), "-") for name in where.tyres]
+        metrics += [
+            (f"{name}_rms", "N") for name, *_ in where.actuators if not isinstance(controller, Controller) or controller.law.acts
+        ]
+        for road_class in self.classes:
+            runs = self._runs(road_class)
+            through = np.isinf(self.ended[runs])
+            some = {name: each[runs][through] for name, each in self.found.items()}
+            road = self.roads[runs.start]
+            expected = expect(ideal, controller, road.spectrum, self.timestep, WINDOW) if linear else None
+            lifted = max((float(some[off_ground(tyre)].max(initial=0.0)) for tyre in where.tyres), default=0.0)
+            events = f"{100 * lifted:.2f} %" if lifted else "none"
+            if not through.all():
+                away = bool(self.physics.ran_away[runs].any())
+                broken = "flat, diverged or of an overflowing law" if away else "flat or diverged"
+                events = f"{np.sum(~through)} of {len(SEEDS)} {broken}" + (f", else {events}" if through.any() else "")
+            for name, unit in metrics:
+                yield Ride(
+                    road_class,
+                    controller.name,
+                    name.replace("_", " "),
+                    unit,
+                    float(np.sqrt(np.mean(some[name] ** 2))) if through.any() else math.nan,
+                    expected.mean[name] if expected else math.nan,
+                    expected.spread.get(name, math.nan) if expected else math.nan,
+                    events,
+                )

@@ -10,24 +10,29 @@ from models.figures.figure import Bars, Curve, Figure, Panel
 from models.figures.page import Section, Table
 from sim.report.headline import unclaimed
 from sim.report.regime_end import RegimeEnd
-from sim.report.ride import SPEED, Ride
+from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
 from sim.report.scope import Scope, percents
 from sim.runs.run import Run
+from sim.studies.ride.standing import Standing, compared_columns
 from synth.controller.controller import Controller
 
-CLASS = "C"  # of the roads that the summary compares rides on: an average one
 NO_CLAIM = "no linear claim"
 LEAST = 1e-4  # relative; less is below the digits that stand beside it
 
 
 def summary(
-    scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
+    scope: Scope,
+    runs: Sequence[Run],
+    ends: Sequence[tuple[Controller, RegimeEnd | None]],
+    rides: Sequence[Ride],
+    compared: Sequence[Standing],
 ) -> Section:
-    """Figure and table, controller by controller.
+    """Figure and tables, controller by controller.
 
     Args:
         scope: what the report is about.
         rides: over random roads; none in a quick report.
+        compared: the controllers' standings, over random roads or, without rides, over the bump.
     """
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     passive = scope.designer.design("passive").certificate.norm.value
@@ -88,7 +93,26 @@ def summary(
         Column("over the paper's bump", lambda run: _verdict(scope, run)),
     )
     caption = "Each controller in short. How it is found out, and with which reservations, is said below."
-    return Section("", "", (), (Table.of("summary", caption, columns, runs),), (figure,))
+    return Section("", "", (), (Table.of("summary", caption, columns, runs), compared_table(compared, bool(rides))), (figure,))
+
+
+def compared_on(compared: Sequence[Standing], rides: bool) -> str:
+    """Describes the roads that controllers are compared on: random ones or, without rides, the bump."""
+    where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
+    absent = "; -: unstable, or a run broke off" if any(not any(one.values.values()) for one in compared) else ""
+    return f"MuJoCo, {where}{absent}"
+
+
+def compared_table(compared: Sequence[Standing], rides: bool) -> Table:
+    """Returns the table of who is best at what."""
+    columns, legend = compared_columns(compared)
+    cells: dict[str, Sequence[str]] = {"controller": [one.controller for one in compared]}
+    for column in columns:
+        cells[column.measure.heading] = [number.rstrip() for number in column.numbers]
+        if column.changes is not None:
+            cells[f"{column.measure.title}, %"] = [change or "-" for change in column.changes]
+    caption = f"Who is best at what, at the vehicle's worst point. {legend}{compared_on(compared, rides)}."
+    return Table("compared", caption, tuple(cells), tuple(zip(*cells.values(), strict=True)))
 
 
 def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str, str]:
@@ -97,9 +121,9 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
     """
     if rides:
         metric, unit = rides[0].metric, rides[0].unit
-        some = [one for one in rides if (one.road_class, one.metric) == (CLASS, metric)]
+        some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, metric)]
         values = {one.controller: (one.predicted, one.measured) for one in some}
-        return values, metric, unit.replace("s2", "s²"), f"road of class {CLASS} at {SPEED:g} m/s"
+        return values, metric, unit.replace("s2", "s²"), f"road of class {AVERAGE} at {SPEED:g} m/s"
     vehicle = scope.vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
     values = {
@@ -120,8 +144,8 @@ def _with(scope: Scope) -> str:
 
 def _metres(height: tuple[float, float]) -> str:
     """A height as MuJoCo has it; where that is not the predicted one, this is said."""
-    predicted, found = height
-    return f"{found:.3g} m" if math.isfinite(found) else f"NOT as predicted, {predicted:.3g} m"
+    predicted, measured = height
+    return f"{measured:.3g} m" if math.isfinite(measured) else f"NOT as predicted, {predicted:.3g} m"
 
 
 def _height(end: RegimeEnd) -> tuple[float, float]:
@@ -129,8 +153,8 @@ def _height(end: RegimeEnd) -> tuple[float, float]:
     return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
 
 
-def _passive(found: dict[str, tuple[float, float]]) -> float:
-    return found["passive"][0] if "passive" in found else math.nan
+def _passive(heights: dict[str, tuple[float, float]]) -> float:
+    return heights["passive"][0] if "passive" in heights else math.nan
 
 
 def _against(value: float, passive: float) -> str:

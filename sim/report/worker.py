@@ -7,6 +7,7 @@ import os
 import pickle
 import queue
 import threading
+from os import _exit as leave_at_once
 from typing import BinaryIO
 
 import sim.report.contents  # noqa: F401 - all that a piece needs, before the first is asked for
@@ -21,10 +22,10 @@ def main() -> None:
     while True:
         piece, scope = pieces.get()
         try:
-            found = pickle.dumps(piece(scope))
+            answer = pickle.dumps(piece(scope))
         except Exception:
-            os._exit(1)
-        answers.write(found)
+            leave_at_once(1)
+        answers.write(answer)
         answers.flush()
 
 
@@ -34,7 +35,7 @@ def _listen(asked: BinaryIO, pieces: queue.SimpleQueue) -> None:
         while True:
             pieces.put(pickle.load(asked))
     finally:
-        os._exit(0)
+        leave_at_once(0)
 
 
 if __name__ == "__main__":

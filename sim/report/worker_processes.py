@@ -42,8 +42,8 @@ class Beside:
     def __init__(self, count: int) -> None:
         """Begins as many; with none, all of the work is done here."""
         known = os.environ.get("PYTHONPATH")
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *([known] if known else [])])}
-        command = [sys.executable, "-m", "sim.report.worker"]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *([known] if known else []), os.curdir])}
+        command = [sys.executable, "-P", "-m", "sim.report.worker"]
         self._all = [
             subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True, bufsize=-1
@@ -94,8 +94,8 @@ class Beside:
                 return here(name)
 
         def results() -> dict[Name, Any]:
-            found = {name: here(name) for name in reversed(pieces) if name not in asked or asked[name].cancel()}
-            return found | {name: elsewhere(name) for name in reversed(pieces) if name not in found}
+            answers = {name: here(name) for name in reversed(pieces) if name not in asked or asked[name].cancel()}
+            return answers | {name: elsewhere(name) for name in reversed(pieces) if name not in answers}
 
         return results
 
@@ -108,9 +108,9 @@ class Beside:
         assert process.stdout is not None, "it is a pipe"
         process.stdin.write(piece)
         process.stdin.flush()
-        found = pickle.load(process.stdout)
+        answer = pickle.load(process.stdout)
         self._idle.append(process)
-        return found
+        return answer
 
 
 def _show(scope: "Scope", name: Name) -> None:

@@ -13,7 +13,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 
 if TYPE_CHECKING:
-    from models.suspension.fitted_curves import Fitted
+    from models.suspension.fitted_curves import SuspensionCurve
 
 AT = 1 - 1e-12  # share of a threshold that counts as reached: a force at its limit is equal to it, to rounding
 # m; the stiffest tyre, squeezed nearly flat, flings a hub 1 mm off its way within 1 ms. A reading from beyond the hub jumps by
@@ -95,7 +95,7 @@ def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
     return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in ((-1.0, both.bump), (1.0, both.rebound))]
 
 
-def over(vehicle: Vehicle, fitted: "Fitted") -> str:
+def over(vehicle: Vehicle, fitted: "SuspensionCurve") -> str:
     """Returns the name of the signal on which a curve's force depends."""
     if not fitted.damps:
         return fitted.deflection
@@ -180,6 +180,9 @@ DAMPER = End(
 )
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
+DIVERGENCE = "divergence"
+LAW_OVERFLOW = "law overflow"
+RAN_AWAY = "the law's own states ran away, and from {when:.4g} s on it asks for no finite force"
 
 
 def utilisation(vehicle: Vehicle, response: Response) -> Array:
@@ -288,6 +291,11 @@ def first_end(times: Array) -> Array:
 
 
 def ended_by(vehicle: Vehicle, response: Response) -> tuple[str, ...]:
-    """Returns the names of `REGIME_ENDS`, and "divergence", that occur in the physics of one run."""
+    """Returns the names of `REGIME_ENDS`, and `DIVERGENCE` or `LAW_OVERFLOW`, that occur in the physics of one run."""
     ended = [name for name, when in zip(END_NAMES, reached(vehicle, response), strict=True) if np.isfinite(when)]
-    return (*ended, *(() if np.all(np.isfinite(response.values)) else ("divergence",)))
+    return (*ended, *((broken_by(response),) if np.isfinite(response.diverged) else ()))
+
+
+def broken_by(response: Response) -> str:
+    """Returns what broke off a run of physics: `DIVERGENCE`, or `LAW_OVERFLOW` of a law whose own states ran away."""
+    return LAW_OVERFLOW if response.ran_away else DIVERGENCE

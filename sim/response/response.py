@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import listing
-from models.kinds.signals import Signal
+from models.common.checks import at_the_door, check_fields
+from models.common.errors import InputError, listing
+from models.common.printed import Shown
+from models.kinds.signals import Signal, is_kept
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
 SILENT = 1e-3  # smallest scale of a signal, relative to the loudest of its unit
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(Shown):
     """Signals over time, measured from static equilibrium.
 
     Attributes:
@@ -30,7 +32,7 @@ class Response:
         values: shape (..., T, S); leading axes are runs.
 
     Raises:
-        ValueError: the shapes do not fit.
+        InputError: the shapes do not fit.
     """
 
     time: Array
@@ -38,9 +40,19 @@ class Response:
     values: Array
 
     def __post_init__(self) -> None:
+        check_fields(self)
         expected = (len(self.time), len(self.signals))
         if self.values.shape[-2:] != expected:
-            raise ValueError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
+            raise InputError(f"values end in shape {self.values.shape[-2:]}; time and signals say {expected}")
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns samples and runs, and the signals with their units, as text."""
+        times = f", {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
+        runs = f", {' x '.join(map(str, self.values.shape[:-2]))} runs" if self.values.ndim > 2 else ""
+        return f"response: {len(self.time)} samples{times}{runs}", {
+            "signals": ", ".join(f"{signal.name} [{signal.unit}]" for signal in self.signals)
+        }
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -57,8 +69,15 @@ class Response:
             raise KeyError(f"no signal {signal!r}; this response has {listing(self.names)}")
         return self.values[..., self.names.index(signal)]
 
+    @at_the_door
     def run(self, index: int) -> "Response":
-        """Returns one run of many."""
+        """Returns one run of many.
+
+        Raises:
+            InputError: there is no such run.
+        """
+        if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
+            raise InputError(f"index = {index} is no run of values of shape {self.values.shape}; give one of its first axis")
         return Response(self.time, self.signals, self.values[index])
 
     def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":
@@ -82,6 +101,11 @@ class Response:
         """Returns the time of a single run's first sample with a value that is not finite [s], or infinity."""
         broken = ~np.all(np.isfinite(self.values), axis=-1)
         return float(self.time[broken.argmax()]) if broken.any() else np.inf
+
+    @property
+    def ran_away(self) -> bool:
+        """Returns True if a single run of physics broke off as the states of its law ran away; see `PhysicsRuns.kept`."""
+        return bool(np.isinf(self.values[:, [is_kept(signal) for signal in self.signals]]).any())
 
     def peak(self, signal: str) -> Array:
         """Returns the largest magnitude of a signal, shape (...,), NaN if a run broke off (see `sim.physics.simulate`)."""
@@ -110,7 +134,7 @@ class Response:
         """Returns one run as a DataFrame: a column per signal, the time [s] as index, units in `attrs["units"]`.
 
         Raises:
-            ValueError: the response holds several runs; take one with `run`.
+            InputError: the response holds several runs; take one with `run`.
         """
         import pandas as pd
 
@@ -119,11 +143,12 @@ class Response:
         frame.attrs["units"] = {signal.name: signal.unit for signal in self.signals}
         return frame
 
+    @at_the_door
     def to_control(self, vehicle: Vehicle) -> "control.TimeResponseData":
         """Returns one run as python-control's response: the outputs of its vehicle over its road, by name.
 
         Raises:
-            ValueError: the response holds several runs; take one with `run`.
+            InputError: the response holds several runs; take one with `run`.
         """
         import control
 
@@ -141,7 +166,7 @@ class Response:
 
     def _check_single(self) -> None:
         if self.values.ndim != 2:
-            raise ValueError(f"the response holds runs of shape {self.values.shape[:-2]}; take one, as in response.run(0)")
+            raise InputError(f"the response holds runs of shape {self.values.shape[:-2]}; take one, as in response.run(0)")
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # an unstable loop overflows

@@ -10,25 +10,36 @@ vehicle that has no such geometry (`models.vehicle.mjcf`), as a quarter-car, is 
 smaller motion is the same share of it where all is linear but geometry; where curves have knots near rest it may be a larger one,
 and is computed there, too.
 
+What is wrong at large motions alone has gone at a hundredth, too: a curve beyond its line, a bump stop. So every step has to be
+that of the vehicle's exact equations (`sim.runs.steps`), on the whole road and also where the linear analysis does not apply. A
+kind of vehicle that turns and gives no such equations is driven at a half and a quarter of the height instead. Two terms of a
+power series in the height follow from these, and foretell what geometry makes of the whole road.
+
 Rounding does not go with the road: it is that of the vehicle's weight and lengths, and beside a hundredth of the road it counts a
 hundred times as much. An unstable loop makes more and more of it, as of everything.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.arrays import Array
+from models.common.printed import Shown
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, ScaledPrediction
+from sim.runs.steps import StepAgreement, compare_steps, left_over, motion_of
 from synth.controller.controller import Controller
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
 SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
+PARTS = (0.5, 0.25)  # further shares of the height, from which geometry on the whole road is foretold
+FORETOLD = 0.25  # of what geometry makes: the terms of higher order that are left out make less
 SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
 
 
@@ -43,6 +54,10 @@ class SignalAgreement:
         blur: part of `allowed` by noise and quantisation.
         rounding: part of `allowed` that is as large over any road; see `sim.linear.sampled_response`.
         scale: of all these differences, in the signal's unit.
+        geometry: what `sampled` would be if physics differed from the linear analysis by geometry alone, or None if `small` was
+            not needed.
+        foretold: largest difference of physics from the linear response with the geometry that smaller heights foretell, or
+            None for a vehicle with exact equations.
         small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
         allowed_small: `allowed` over that road, or None.
     """
@@ -55,6 +70,8 @@ class SignalAgreement:
     scale: float
     small: float | None = None
     allowed_small: float | None = None
+    geometry: float | None = None
+    foretold: float | None = None
 
     @property
     def judged(self) -> tuple[float, float]:
@@ -62,6 +79,11 @@ class SignalAgreement:
         if self.small is None or self.allowed_small is None:
             return self.sampled, self.allowed
         return self.small, self.allowed_small + SLACK * SMALL * self.sampled
+
+    @property
+    def is_geometry(self) -> bool:
+        """Returns True unless smaller heights foretell another difference."""
+        return self.foretold is None or self.foretold <= self.allowed + FORETOLD * self.sampled
 
     @property
     def excess(self) -> float:
@@ -72,11 +94,11 @@ class SignalAgreement:
     @property
     def agrees(self) -> bool:
         """Returns True if the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
-        return self.excess <= 1
+        return self.excess <= 1 and self.is_geometry
 
 
-@dataclass(frozen=True)
-class Agreement:
+@dataclass(frozen=True, repr=False)
+class Agreement(Shown):
     """The verdict on one run.
 
     Attributes:
@@ -86,6 +108,7 @@ class Agreement:
         until: the comparison applies before this time [s]; infinite where it always does. What the exact response goes on beyond
             does not end it.
         blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
+        steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
     """
 
     signals: Mapping[str, SignalAgreement]
@@ -93,15 +116,40 @@ class Agreement:
     ended: Mapping[str, float]
     until: float
     blurred: bool = False
+    steps: StepAgreement | None = None
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns the verdict, and each signal's largest difference from the sampled response, as text."""
+        ended = {name: f"at {at:.4g} s" for name, at in self.ended.items() if math.isfinite(at)}
+        differences = {
+            name: f"{signal.sampled:.1e} of its peak, {signal.allowed:.1e} allowed" for name, signal in self.signals.items()
+        }
+        return f"agreement: {self.verdict}", ended | differences
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on physics, and until when it holds, in words."""
+        when = f"until {self.until:.4g} s" if math.isfinite(self.until) else "throughout"
+        return f"{'agrees' if self.agrees else 'DOES NOT AGREE'} {when}"
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every signal agrees while the comparison applies; False if it never applies."""
-        return self.until > 0 and all(signal.agrees for signal in self.signals.values())
+        """Returns True if every signal agrees while the comparison applies, and every step; False if it never applies."""
+        return self.until > 0 and self.step_by_step and all(signal.agrees for signal in self.signals.values())
+
+    @property
+    def step_by_step(self) -> bool:
+        """Returns True unless a step is not that of the vehicle's exact equations."""
+        return self.steps is None or self.steps.agrees
 
 
-def compare(prediction: Prediction, physics: Response) -> Agreement:
-    """Compares what MuJoCo did in one run with its prediction."""
+def compare(prediction: Prediction, physics: Response, asked: Array | None = None) -> Agreement:
+    """Compares what MuJoCo did in one run with its prediction.
+
+    Args:
+        asked: what its controller asked for, see `PhysicsRuns`; None if that is not known.
+    """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
@@ -111,6 +159,9 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
     if foretold < until:
         ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
+    steps = None
+    if (motion := motion_of(vehicle)) is not None:
+        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended))
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
@@ -128,7 +179,16 @@ def compare(prediction: Prediction, physics: Response) -> Agreement:
             rounding=rounded / scale,
             scale=scale,
         )
-    return Agreement(signals, lift_off, ended, until, blurred=bool(spread))
+    return Agreement(signals, lift_off, ended, until, blurred=bool(spread), steps=steps)
+
+
+def steps_end(vehicle: Vehicle, physics: Response, ended: Mapping[str, float]) -> float:
+    """Returns the time [s] before which single steps compare: until nothing of a vehicle is left.
+
+    The equations of a kind that gives none but a linear model hold only while all tyres are on the road.
+    """
+    end = min(ended[FLAT.name], physics.diverged)
+    return end if vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(vehicle, physics))
 
 
 def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response) -> Agreement:
@@ -149,6 +209,54 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
             grown_by = signal.scale / _scale(sampled, name)
             allowed = _integrator(integrated, sampled, name) + grown_by * (SMALL * signal.blur + signal.rounding)
         signals[name] = replace(signal, small=_difference(physics, sampled, name), allowed_small=allowed)
+    return replace(agreement, signals=signals)
+
+
+def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, asked: Array | None) -> Agreement:
+    """Says what geometry makes by the vehicle's exact equations: all differences but those that single steps leave.
+
+    Arguments as for `compare`.
+    """
+    motion, steps = motion_of(prediction.vehicle), agreement.steps
+    if motion is None or steps is None:
+        return agreement
+    end = agreement.until
+    more: Mapping[str, Array] = {}
+    if not steps.agrees:
+        more = left_over(motion, prediction.input, physics, asked, min(end, steps.until))
+    signals = {}
+    for name, signal in agreement.signals.items():
+        geometry = signal.sampled
+        if name in more:
+            far = physics[name][: len(more[name])] - prediction.sampled[name][: len(more[name])] - more[name]
+            geometry = float(np.abs(far).max(initial=0.0)) / signal.scale
+        signals[name] = replace(signal, geometry=geometry)
+    return replace(agreement, signals=signals)
+
+
+def foretell(
+    agreement: Agreement,
+    whole: tuple[Response, Response],
+    parts: Sequence[tuple[Response, Response]],
+) -> Agreement:
+    """Says what geometry makes of the whole road by what it makes of smaller ones, to the third power of the height.
+
+    Args:
+        whole: physics and exact response over the whole road.
+        parts: the same over `PARTS` of its height.
+    """
+    signals = {}
+    for name, signal in agreement.signals.items():
+        far, half, quarter = (
+            (physics.until(agreement.until)[name] - sampled.until(agreement.until)[name]) / (share * signal.scale)
+            for share, (physics, sampled) in zip((1.0, *PARTS), (whole, *parts), strict=True)
+        )
+        foretold = 6 * half - 8 * quarter
+        signals[name] = replace(
+            signal,
+            geometry=float(np.abs(foretold).max(initial=0.0)),
+            foretold=float(np.abs(far - foretold).max(initial=0.0)),
+        )
     return replace(agreement, signals=signals)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from models.common.printed import percent
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import bent_velocities, commands_of, stretching
+from sim.linear.dampers import bent_velocities, commands_of, squarable, stretching
 from sim.response.regime import MISSED
 from sim.response.response import Response
 from sim.runs.prediction import Prediction
@@ -44,18 +44,18 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     decided = np.arange(0, len(whole.time) - late, period)
     states = np.stack([whole[name] for name in vehicle.linear_model.states], axis=-1)
     speeds, m = bent_velocities(vehicle, states @ stretching(vehicle).T), len(vehicle.linear_model.inputs)
-    found = {}
+    by_force = {}
     for one in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
-        missing = commands[decided + late, m + j]
+        missing = squarable(commands[decided + late, m + j])
         asked, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
         most = float(np.sqrt(np.mean(asked**2)))
         share = float(np.sqrt(np.mean(missing**2))) / most if most else 0.0
         kept = None
         if one.damper.bandwidth is not None:
             kept = float(np.sqrt(np.mean((asked - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
-        found[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
-    return found
+        by_force[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
+    return by_force
 
 
 def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from sim.response.response import Response
 
 if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
-    from models.suspension.fitted_curves import Fitted
+    from models.suspension.fitted_curves import SuspensionCurve
 
 PREFIX = "suspension_deflection"  # begins the names of suspensions, in the kinds that ship
 
@@ -83,7 +83,7 @@ def pulled(vehicle: Vehicle, physics: Response) -> Response | None:
     return Response(physics.time, tuple(signals), np.stack(values, axis=-1)) if signals else None
 
 
-def _of_curve(vehicle: Vehicle, one: "Fitted") -> Diagram:
+def _of_curve(vehicle: Vehicle, one: "SuspensionCurve") -> Diagram:
     signal = vehicle.kind.signal(over(vehicle, one))
     actuator = next(each.force for each in vehicle.kind.suspensions if each.deflection == one.deflection)
     damper = one.damps

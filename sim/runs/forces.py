@@ -9,7 +9,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, Signal
 from models.roads.load import Load
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
@@ -26,7 +26,7 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
         road: with loads, or without.
         time: equidistant sample times [s], shape (T,).
     """
-    if not isinstance(road, Loaded):
+    if not isinstance(road, RoadWithLoads):
         return None
     midway = time + (time[1] - time[0]) / 2
     ways = [name for name in WAYS if any(name in load.ways for load in road.on_body)]
@@ -39,8 +39,8 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
             alone.append(one)
     if len(road.on_body) == 1:
         return Response(time, tuple(WAYS[name] for name in ways), np.stack([*together.values()], axis=-1))
-    found: list[Signal] = [*(WAYS[name] for name in ways), *signals]
-    return Response(time, tuple(found), np.stack([*together.values(), *alone], axis=-1))
+    all_signals: list[Signal] = [*(WAYS[name] for name in ways), *signals]
+    return Response(time, tuple(all_signals), np.stack([*together.values(), *alone], axis=-1))
 
 
 def _called(loads: Sequence[Load]) -> list[str]:

@@ -50,8 +50,8 @@ class Prediction:
             sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
         asked: requests of a law in Python, shape (T, m): forces [N], or for vehicles with adjustable dampers the commands,
-            shape (T, 2 m), see `models.suspension.damper_range.Range.commands`; empty for a linear controller, which determines
-            them.
+            shape (T, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`; empty for a linear controller, which
+            determines them.
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
         played: True if they follow all decisions of physics, because of noisy measurements or a law in Python.
         loop: the linear loop, or None.
@@ -208,16 +208,16 @@ def predict_switched(
         decisions = None
         if not played and isinstance(controller, Controller | SemiActive):
             decisions = Decisions(vehicle, controller, period, near, peaks)
-        found = switched(road, decisions, made, measured, as_rk4)
-        beside = damper_signals(vehicle, found.beyond, found.missing)
-        whole = response_of(vehicle.linear_model, road, found.states, found.inputs, found.outside, beside)
+        switched_run = switched(road, decisions, made, measured, as_rk4)
+        beside = damper_signals(vehicle, switched_run.beyond, switched_run.missing)
+        whole = response_of(vehicle.linear_model, road, switched_run.states, switched_run.inputs, switched_run.outside, beside)
         if linear is None:
-            return whole, found
+            return whole, switched_run
         law = linear.controller.law
-        kept = np.zeros((len(time), law.states)) if played else law.of_state(period) * found.kept
-        return whole.beside(kept_signals(range(1, law.states + 1)), kept), found
+        kept = np.zeros((len(time), law.states)) if played else law.of_state(period) * switched_run.kept
+        return whole.beside(kept_signals(range(1, law.states + 1)), kept), switched_run
 
-    sampled_one, found = response(False)
+    sampled_one, switched_run = response(False)
     return Prediction(
         input=road,
         controller=controller,
@@ -227,7 +227,7 @@ def predict_switched(
         spread={},
         radius=math.nan,
         asked=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
-        otherwise=found.otherwise,
+        otherwise=switched_run.otherwise,
         played=played,
     )
 

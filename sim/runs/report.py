@@ -12,10 +12,11 @@ from models.kinds.kind import MOST_SQUEEZE
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
-from sim.physics.energy import BALANCED, Energy
-from sim.response.regime import CURVE, FLAT, LIFT_OFF, REGIME_ENDS, departures
-from sim.runs.agreement import COARSEST, SLACK, SMALL
+from sim.physics.energy import Energy
+from sim.response.regime import CURVE, FLAT, LAW_OVERFLOW, LIFT_OFF, RAN_AWAY, REGIME_ENDS, broken_by, departures
+from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
+from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver
 from synth.controller.report import (
     BOUND,
@@ -23,6 +24,8 @@ from synth.controller.report import (
     PEAK,
     failures_as_it_runs,
     filter_lines,
+    growth_lines,
+    growth_object,
     heading_lines,
     ideal_lines,
     norm_if_implemented,
@@ -51,11 +54,12 @@ def energy_lines(run: Run) -> list[str]:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
         return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
-    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {BALANCED:.0e} is allowed: {why}"]
+    return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {energy.allowed:.0e} is allowed: {why}"]
 
 
 NO_CLAIM = "no linear claim: a law in Python"
 NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
+NOT_GEOMETRY = 0.01  # of a difference; a smaller part is none that a sentence tells
 MOST_FLIGHTS = 4  # of a run that are told one by one
 
 
@@ -71,15 +75,27 @@ def run_object(run: Run) -> dict[str, Any]:
                 "unit": run.vehicle.kind.signal(name).unit,
                 "peak": {key: finite(response.peak(name)) for key, response in responses.items()},
                 "rms": {key: finite(response.rms(name)) for key, response in responses.items()},
-                "error": {"sampled": finite(signal.sampled), "continuous": finite(signal.continuous)},
+                "error": {
+                    "sampled": finite(signal.sampled),
+                    "continuous": finite(signal.continuous),
+                    "geometry": None if signal.geometry is None else finite(signal.geometry),
+                },
             }
             for name, signal in agreement.signals.items()
         },
         "until": finite(agreement.until),
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
+        "steps": steps_object(agreement.steps),
         **_dampers_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
+    """Returns the comparison of single steps as JSON has it, or None for a kind of vehicle without exact equations."""
+    if steps is None:
+        return None
+    return {"agrees": steps.agrees, **{name: finite(getattr(steps, name)) for name in ("error", "allowed", "since", "until")}}
 
 
 def _dampers_object(run: Run) -> dict[str, Any]:
@@ -93,8 +109,8 @@ def _dampers_object(run: Run) -> dict[str, Any]:
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
     """Returns the change by half the step after a lift-off, as JSON has it, or None if it is unknown."""
-    found = run.half_step
-    return {"difference": finite(found.difference), "signal": found.signal} if found else None
+    half_step = run.half_step
+    return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
 
 
 def controller_object(controller: Driver) -> dict[str, Any]:
@@ -106,6 +122,7 @@ def controller_object(controller: Driver) -> dict[str, Any]:
         **controller.record,
         **json_object((BOUND, NORM, PEAK), certificate),
         "stability": certificate.stability.verdict,
+        **growth_object(controller),
     }
 
 
@@ -136,6 +153,7 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
         *lines,
         *ideal_lines(vehicle, [controller]),
         *filter_lines(vehicle),
+        *growth_lines(vehicle, controller),
         *notes(controller),
         *certificate.remarks,
         *notes_as_it_runs(vehicle, certificate, built),
@@ -148,12 +166,16 @@ def verdict(run: Run) -> str:
     agreement = run.agreement
     if math.isfinite(agreement.until):
         ended = [name for name, when in agreement.ended.items() if when == agreement.until]
-        why = ended or (["divergence"] if run.diverged == agreement.until else [LIFT_OFF.name])
+        why = ended or ([broken_by(run.physics)] if run.diverged == agreement.until else [LIFT_OFF.name])
         when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
     else:
         why, when = [], "throughout"
     order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
     words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
+    if agreement.agrees and agreement.steps is not None and agreement.steps.until > agreement.until:
+        words += f", and step by step {_end(agreement.steps)}"
+    elif not agreement.step_by_step:
+        words = "DOES NOT AGREE step by step"
     if agreement.until <= 0:
         words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
     if run.energy is None:
@@ -188,7 +210,9 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
         lines.append("marginal: to rounding, something in the sampled loop neither grows nor decays")
-    if math.isfinite(run.diverged):
+    if run.physics.ran_away:
+        lines.append(f"{LAW_OVERFLOW}: {RAN_AWAY.format(when=run.diverged)}")
+    elif math.isfinite(run.diverged):
         lines.append(f"diverged: MuJoCo was stopped at {run.diverged:.4g} s; there is no vehicle any more")
     lines += _flights(agreement.lift_off)
     if run.half_step is not None and math.isfinite(run.half_step.difference):
@@ -241,10 +265,56 @@ def verdict_lines(run: Run) -> list[str]:
         lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
-    else:
+    elif error.excess > 1:
         why = "; the timestep is too coarse, give a smaller one" if allowed >= COARSEST and not agreement.blurred else ""
         lines.append(f"DOES NOT AGREE {when} with {_reference(run)} ({numbers}{why})")
-    return lines
+    return [*lines, *_no_geometry(agreement), *_step_lines(run)]
+
+
+def _no_geometry(agreement: Agreement) -> list[str]:
+    """Returns a sentence on a difference from the linear response that geometry does not make, if any does not."""
+    rest = {name: each.sampled - each.geometry for name, each in agreement.signals.items() if each.geometry is not None}
+    if agreement.agrees or not rest:
+        return []
+    worst = max(rest, key=lambda name: rest[name])
+    signal = agreement.signals[worst]
+    if rest[worst] <= NOT_GEOMETRY * signal.sampled:
+        return []
+    return [
+        f"DOES NOT AGREE: MuJoCo is {signal.sampled:.1e} of a peak off the linear response ({worst}), where geometry makes "
+        f"about {signal.geometry:.1e}"
+    ]
+
+
+def _step_lines(run: Run) -> list[str]:
+    """Returns a sentence on single steps, if they say more than the linear comparison."""
+    steps, agreement = run.agreement.steps, run.agreement
+    turned = any(signal.small is not None for signal in agreement.signals.values())
+    if steps is None and turned:
+        heights = " and ".join(f"{share:g}" for share in PARTS)
+        return [
+            "step by step nothing is compared, for this kind of vehicle has no `motion`: what geometry makes is foretold from "
+            f"{heights} of this road's height"
+        ]
+    if steps is None or steps.until <= 0:
+        return []
+    numbers = f"{steps.error:.1e} of a peak ({steps.signal}), where {steps.allowed:.0e} is allowed"
+    if not steps.agrees:
+        return [
+            f"DOES NOT AGREE step by step: from {steps.since:.4g} s on, MuJoCo's steps leave those of the vehicle's nonlinear "
+            f"equations of motion by up to {numbers}"
+        ]
+    if steps.until <= agreement.until and not turned:
+        return []
+    return [
+        f"agrees step by step {_end(steps)}: each step of MuJoCo is that of the vehicle's nonlinear equations of motion "
+        f"to {numbers}"
+    ]
+
+
+def _end(steps: StepAgreement) -> str:
+    """Returns how far single steps are compared."""
+    return f"until {steps.until:.4g} s" if math.isfinite(steps.until) else "throughout"
 
 
 def _reference(run: Run) -> str:
@@ -278,11 +348,11 @@ def run_lines(run: Run, passive: Run | Reference | None) -> list[str]:
 
 
 def events(run: Run) -> tuple[tuple[float, str], ...]:
-    """Lift-offs, landings, the first bump stop and saturation, and divergence, in the order of their times [s]."""
+    """Lift-offs, landings, the first bump stop and saturation, and divergence or overflow, in the order of their times [s]."""
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
-        happened.append((run.diverged, "diverged"))
+        happened.append((run.diverged, LAW_OVERFLOW if run.physics.ran_away else "diverged"))
     others = [(run.agreement.ended[end.name], end.event) for end in REGIME_ENDS if end.event and end is not LIFT_OFF]
     happened += [(when, event) for when, event in others if math.isfinite(when)]
     return tuple(sorted(happened))

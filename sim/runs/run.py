@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.printed import Shown
+from models.common.printed import Shown, cell, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
 from models.vehicle.mjcf import has_geometry
@@ -19,9 +18,9 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import largest_timestep, sampled_response
 from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
-from sim.response.regime import FLAT
+from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
-from sim.runs.agreement import SMALL, Agreement, compare, look_closer
+from sim.runs.agreement import PARTS, SMALL, Agreement, compare, foretell, look_closer, with_geometry
 from sim.runs.prediction import Prediction, predict, predict_replayed, reference_at, with_noise
 from synth.controller.controller import Controller, Driver
 from synth.controller.open_loop import LoopModel
@@ -31,14 +30,6 @@ if TYPE_CHECKING:
     from sim.physics.drivers import RunDriver
 
 
-STYLE = """<style>
-.roadproof {max-width: 600px}
-.roadproof .area, .roadproof .line, .roadproof .point {fill: none}
-.roadproof .grid {stroke: #ddd}
-.roadproof text {font: 12px sans-serif; fill: currentColor}
-.roadproof .s-d62728 {stroke: #d62728}
-.roadproof .s-1f77b4 {stroke: #1f77b4}
-</style>"""
 POINTS = 1000  # of a curve, at most about
 
 
@@ -53,29 +44,50 @@ class ShownRun(Shown):
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns the verdict, and the vehicle, road and times as text."""
-        until, name = self.agreement.until, self.prediction.controller.name
-        when = f"until {until:.4g} s" if math.isfinite(until) else "throughout"
-        verdict = f"{'agrees' if self.agreement.agrees else 'DOES NOT AGREE'} {when}"
+        verdict = self.agreement.verdict
         if self.energy is not None:
             verdict += f"; energy {'balances' if self.energy.balances else 'DOES NOT BALANCE'}"
         road, time = self.prediction.road.describe(), self.physics.time
-        return f"run of {name}: {verdict}", {
+        return f"run of {self.prediction.controller.name}: {verdict}", {
             "vehicle": self.prediction.vehicle.kind.name,
             "road": ", ".join(f"{what} {value}" for what, value in road.items()),
             "time": f"{time[-1]:g} s at {time[1]:g} s",
         }
 
-    def _repr_html_(self) -> str:
-        from models.figures.svg import svg
+    @property
+    def broke_off(self) -> tuple[str, float] | None:
+        """Returns the event that ended the run and its time [s], after which all numbers are meaningless, or None."""
+        ends = {FLAT.name: self.agreement.ended[FLAT.name], broken_by(self.physics): self.physics.diverged}
+        first = min(ends, key=lambda name: ends[name])
+        return (first, ends[first]) if math.isfinite(ends[first]) else None
 
-        drawn = svg(self._panel(), "run", wide=True)
-        return f'{super()._repr_html_()}{STYLE}<div class="roadproof">{drawn}</div>'
+    def _repr_html_(self) -> str:
+        from models.figures.notebook import notebook_figure
+
+        return super()._repr_html_() + self._peaks() + notebook_figure(self._panel())
+
+    def _peaks(self) -> str:
+        """The table of peaks: physics, sampled response, and the error that decides the verdict."""
+        physics, sampled = self.physics, self.prediction.sampled
+        kind = self.prediction.vehicle.kind
+        rows = [
+            (
+                f"{name} [{kind.signal(name).unit}]",
+                *(cell(float(response.peak(name)), ".6g") for response in (physics, sampled)),
+                cell(error.sampled, ".1e"),
+            )
+            for name, error in self.agreement.signals.items()
+        ]
+        return html_table("peaks", [("signal", "MuJoCo", "sampled", "error"), *rows])
 
     def _panel(self) -> "Panel":
-        """The signal whose weighted peak is largest: MuJoCo, red, over the sampled response, blue."""
+        """The signal whose weighted peak is largest: MuJoCo, red, over the sampled response, blue; until the run broke off."""
         from models.figures.figure import Curve, Panel
+        from models.figures.notebook import BLUE, RED
 
-        physics, sampled = self.physics, self.prediction.sampled
+        event, at = self.broke_off or ("", math.inf)
+        until = max(at, float(self.physics.time[2]))  # not nothing
+        physics, sampled = self.physics.until(until), self.prediction.sampled.until(until)
         weights = {name: weight for name, weight in self.prediction.vehicle.performance.items() if weight}
         most = max(weights, key=lambda name: weights[name] * float(np.nan_to_num(sampled.peak(name), posinf=0.0)))
         unit = next(signal.unit for signal in physics.signals if signal.name == most)
@@ -88,12 +100,13 @@ class ShownRun(Shown):
                 color=color,
                 width=width,
             )
-            for response, label, color, width in ((sampled, "sampled", "#1f77b4", 3.0), (physics, "MuJoCo", "#d62728", 1.2))
+            for response, label, color, width in ((sampled, "sampled", BLUE, 3.0), (physics, "MuJoCo", RED, 1.2))
         )
-        title = f"{self.prediction.controller.name}: MuJoCo (red) over the sampled response (blue)"
+        title = f"{self.prediction.controller.name}{f', until {event} at {at:.4g} s' if event else ''}:"
         return Panel(title, "time [s]", f"{most.replace('_', ' ')} [{unit}]", curves)
 
 
+RK4_REACH = 2.7  # a first-order lag times RK4's largest step is 2.785; rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
 
 
@@ -164,13 +177,6 @@ class Run(ShownRun):
         return self.physics.diverged
 
     @property
-    def broke_off(self) -> tuple[str, float] | None:
-        """Returns the event that ended the vehicle and its time [s], after which all numbers are meaningless, or None."""
-        ends = {FLAT.name: self.agreement.ended[FLAT.name], "divergence": self.diverged}
-        first = min(ends, key=lambda name: ends[name])
-        return (first, ends[first]) if math.isfinite(ends[first]) else None
-
-    @property
     def agrees(self) -> bool:
         """Returns True if physics agrees with its analysis, for as long as that applies."""
         return self.agreement.agrees
@@ -203,9 +209,15 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
             raise InputError(f"{name} = {value} s is not allowed; give a number above 0")
     largest = largest_timestep(vehicle)
     if timestep > largest:
-        raise InputError(
-            f"timestep = {timestep} s is too large: RK4 is unstable on this vehicle above {largest:.3g} s; 0.001 is usual"
-        )
+        above = f"RK4 is unstable on this vehicle above {largest:.3g} s"
+        lag = max((damper.bandwidth or 0.0 for damper in vehicle.dampers.values()), default=0.0)
+        if lag * largest > RK4_REACH:
+            raise InputError(
+                f"timestep = {timestep} s is too large: {above}, because of [actuators] bandwidth = {lag:g} rad/s; give a "
+                "smaller timestep, or a lower bandwidth"
+            )
+        instead = "0.001 is usual" if largest > 1e-3 else "give a smaller one"
+        raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")
     if duration < 2 * timestep:
         raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer one")
     if duration / timestep > MOST_SAMPLES:
@@ -224,7 +236,7 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array) -> list[Run]:
+def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:
@@ -242,7 +254,7 @@ def run_all(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: A
         each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.asked[i])
         for i, each in enumerate(known)
     ]
-    return balanced(judge(predictions, [made.run(i) for i in range(len(predictions))]), made)
+    return with_energy_balance(compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.asked), made)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +272,7 @@ class Reference:
 
 @np.errstate(over="ignore", invalid="ignore")
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
-    """Runs a linear controller as `run_all` does, without verdict. Arguments as there."""
+    """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
     met = RoadInput(vehicle, road, time)
     made = simulate([controller], [met])
     if vehicle.dampers:
@@ -268,25 +280,41 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
     return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
 
 
-def judge(predictions: Sequence[Prediction], physics: Sequence[Response]) -> list[Run]:
+def compare_runs(predictions: Sequence[Prediction], physics: Sequence[Response], asked: Array | None = None) -> list[Run]:
     """Compares the physics of some runs, new or from a log, with their predictions.
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
+        asked: what their controllers asked for, see `PhysicsRuns`; None if that is not known.
     """
-    pairs = list(zip(predictions, physics, strict=True))
-    runs = [Run(prediction, response, compare(prediction, response)) for prediction, response in pairs]
-    doubtful = [i for i, run in enumerate(runs) if not run.agreement.agrees and has_geometry(run.vehicle)]
+    requests = [None] * len(predictions) if asked is None else list(asked)
+    triples = zip(predictions, physics, requests, strict=True)
+    runs = [Run(prediction, response, compare(prediction, response, forces)) for prediction, response, forces in triples]
+    doubtful = [
+        i
+        for i, run in enumerate(runs)
+        if not all(signal.agrees for signal in run.agreement.signals.values()) and has_geometry(run.vehicle)
+    ]
     if doubtful:
         again = [predictions[i] for i in doubtful]
-        small = _simulated(again, again[0].time, partial(with_noise, SMALL), SMALL).response
+        alone = any(run.agreement.steps is None for run in runs)  # the kind gives no exact equations
+        scaled = {}
+        for share in (SMALL, *(PARTS if alone else ())):
+            scaled[share] = _simulated(again, again[0].time, partial(with_noise, share), share).response
         for k, i in enumerate(doubtful):
-            reference = reference_at(SMALL, predictions[i], small.run(k))
-            runs[i] = replace(runs[i], agreement=look_closer(runs[i].agreement, reference, small.run(k)))
+            made = {share: response.run(k) for share, response in scaled.items()}
+            known = {share: reference_at(share, predictions[i], response) for share, response in made.items()}
+            agreement = look_closer(runs[i].agreement, known[SMALL], made[SMALL])
+            if alone:
+                whole = (runs[i].physics, predictions[i].sampled)
+                agreement = foretell(agreement, whole, [(made[share], known[share].sampled) for share in PARTS])
+            else:
+                agreement = with_geometry(agreement, predictions[i], runs[i].physics, requests[i])
+            runs[i] = replace(runs[i], agreement=agreement)
     return runs
 
 
-def balanced(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
+def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
     Args:
@@ -357,36 +385,3 @@ def _half_step(run: Run, finer: Response) -> HalfStep:
     apart = {name: far if math.isfinite(far) else math.inf for name, far in apart.items()}
     furthest = max(apart, key=lambda name: apart[name])
     return HalfStep(apart[furthest], furthest)
-
-
-def run(
-    vehicle: Vehicle,
-    controllers: Sequence[Driver],
-    road: Road,
-    duration: float = 3.0,
-    timestep: float = USUAL_TIMESTEP,
-) -> list[Run]:
-    """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
-
-    Args:
-        vehicle: the vehicle.
-        controllers: its controllers, as `synth.design_controllers` makes them.
-        road: the road, such as `models.Bump(height=0.1)`.
-        duration: of the run [s].
-        timestep: of MuJoCo [s], and the controllers' sample period where the vehicle file says none.
-
-    Raises:
-        InputError: the road cannot be driven by this vehicle, a time is not allowed, or noise is of what nobody measures.
-
-    Example:
-        >>> from models import Bump, read_vehicle
-        >>> from sim import run
-        >>> from synth import design_controllers
-        >>> vehicle = read_vehicle("quarter_car")
-        >>> [passive] = run(vehicle, design_controllers(vehicle, ["passive"]), Bump(height=0.05), duration=1.0)
-        >>> passive.agrees, passive.physics["tyre_deflection"].shape
-        (True, (1001,))
-    """
-    time = sample_times(vehicle, duration, timestep)
-    road.check(vehicle, time)
-    return run_all(vehicle, controllers, road, time)

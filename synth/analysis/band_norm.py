@@ -1,13 +1,13 @@
 """The norm of a loop within a band of frequencies: by level sets and sweeps.
 
-The norm is computed like the one on the whole axis (`synth/analysis/norm.py`), by the same two routes. It lies between two
-levels: one that the gain reaches at a frequency of the band, and one slightly above, which no frequency of the band exceeds.
-For the second, all eigenvalues of the Hamiltonian propose frequencies, whatever their real parts. Between two proposed
-frequencies, and between one and an edge, the gain lies above the level everywhere or nowhere.
+The norm is computed like the norm on the whole axis (`synth/analysis/norm.py`), by the same two routes. It lies between two
+levels: one that the gain reaches at a frequency of the band, and one slightly above, which no frequency of the band exceeds. To
+check the upper level, the imaginary part of every eigenvalue of the Hamiltonian is tried as a crossing, whatever its real part.
+Between neighbouring crossings, or a crossing and an edge, the gain lies above the level everywhere or nowhere.
 
 **A norm in a band says nothing of stability**, nor of other frequencies. For a stable loop, the norm is the largest amplification
-of a sinusoid in the band. An unstable loop has a largest singular value too, but no sinusoid ever settles in it: there the number
-is that of a formula, and nothing else.
+of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it: its norm amplifies
+nothing.
 """
 
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ class BandNorm:
 
     Attributes:
         value: reached at `peak_frequency`; infinite if a pole lies on the axis within the band.
-        peak_frequency: in the band [rad/s]; an edge counts.
+        peak_frequency: in the band, edges included [rad/s].
         level: slightly above the value; no gain within the band exceeds it.
-        low: where the band begins [rad/s].
-        high: where it ends [rad/s]; may be infinite.
-        gap: relative distance of the two routes to the value.
-        rounding: relative error of the value by rounding, to first order.
-        stability: of the loop. If it is not stable, no sinusoid settles and the value is no amplification.
+        low: lower edge of the band [rad/s].
+        high: upper edge [rad/s]; may be infinite.
+        gap: relative difference between the two routes.
+        rounding: first-order bound on the relative rounding error of the value.
+        stability: of the loop; if it is not stable, the value is no amplification.
     """
 
     value: float
@@ -53,7 +53,7 @@ class BandNorm:
         if not np.isfinite(self.value):
             return f"infinite from {band}: a pole at {self.peak_frequency:.4g} rad/s, to rounding, does not decay"
         text = f"at most {self.value:.7g} from {band}, reached at {self.peak_frequency:.5g} rad/s"
-        return text if self.stability.stable else f"{text}, of a loop in which no sinusoid settles: {self.stability.words}"
+        return text if self.stability.stable else f"{text}, but no sinusoid settles in this loop: {self.stability.words}"
 
 
 @numerics()
@@ -62,7 +62,7 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
 
     Args:
         loop: continuous or discrete; a controlled one is `plant.closed_loop(...)`.
-        low: from 0 [rad/s].
+        low: 0 or more [rad/s].
         high: above low [rad/s]; may be infinite. The gain of a discrete loop repeats beyond pi / dt.
 
     Raises:
@@ -88,15 +88,16 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
     if 0 < level < np.inf:
         while _exceeded(gain, level := norm.value * (1 + margin)):
             margin *= 10
-    found = stability(loop.A, loop.dt)
-    return BandNorm(norm.value, norm.peak_frequency, level, low, high, norm.gap, float(norm.rounding), found)
+    loop_stability = stability(loop.A, loop.dt)
+    return BandNorm(norm.value, norm.peak_frequency, level, low, high, norm.gap, float(norm.rounding), loop_stability)
 
 
 def check_band(low: float, high: float) -> None:
     """Raises an InputError if 0 <= low < high [rad/s] is violated."""
-    if not (_is_number(low) and _is_number(high) and 0 <= low < high):
+    if not 0 <= low < high:
         raise InputError(
-            f"from {quoted(low)} to {quoted(high)} rad/s is no band; give where it begins, from 0, and where it ends, above that"
+            f"low = {quoted(low)} to high = {quoted(high)} rad/s is not a band; give a lower edge of at least 0 and a higher "
+            "upper edge"
         )
 
 
@@ -106,21 +107,16 @@ def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
         return Gain(loop, low, high)
     if low * loop.dt >= np.pi:
         raise InputError(
-            f"the band begins at {low:g} rad/s, and a loop sampled every {loop.dt:g} s has frequencies up to "
+            f"the band begins at {low:g} rad/s, but the Nyquist frequency of a loop sampled every {loop.dt:g} s is "
             f"{np.pi / loop.dt:g} rad/s; begin below that"
         )
     try:
         mapped = continuous_loop(loop)
     except np.linalg.LinAlgError:
         raise DesignError(
-            "the loop has a pole at z = -1, where nothing decays, and no continuous loop does in a band what it does; give one "
-            "without"
+            "the loop has a pole at z = -1, so no continuous loop has its gains (bilinear transformation); give a loop without it"
         ) from None
     return Gain(mapped, mapped_frequency(low, loop.dt), mapped_frequency(high, loop.dt))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating)
 
 
 def _exceeded(gain: Gain, level: float) -> bool:

@@ -1,7 +1,7 @@
-"""Certificates of gains, computed with numpy alone and without the solver that found them: norms, by the Bounded Real Lemma.
+"""Certificates of gains by the Bounded Real Lemma, computed with numpy alone, without the solver that found the gains.
 
-The lemma stands here in the paper's variables, (20) for a closed loop and (21) for a design. With a feed-through Dw from w to z
-(zero in the paper) the same Schur complement gives
+The lemma is (20) of the paper for a closed loop, and (21) for a design. With a feed-through Dw from w to z (zero in the paper)
+the same Schur complement gives
 
     [ A X + X A' + B Y + Y' B' + eta Bw Bw'    *                  ]
     [ C X + D Y + eta Dw Bw'                   -I + eta Dw Dw'    ]  < 0,
@@ -13,17 +13,17 @@ For a discrete closed loop it is
     [ A X A' - X + eta Bw Bw'    A X C' + eta Bw Dw'       ]
     [ *                          C X C' - I + eta Dw Dw'   ]  < 0,
 
-which is not affine in a gain. A design uses the matrix of which it is the Schur complement: the continuous one, bordered, with
-the plant in differences over a step T (`GeneralizedPlant.differences`) and X T in place of X,
+which is not affine in a gain. A design therefore uses a larger matrix, of which this one is the Schur complement. With the plant
+in differences over a step T (`GeneralizedPlant.differences`) and X T in place of X, it is the continuous matrix, bordered:
 
     [ He(A X + B Y) + eta Bw Bw'          *                 *   ]
     [ C X + D Y + eta Dw Bw'              -I + eta Dw Dw'   *   ]
     [ sqrt(T) (A X + B Y)'        sqrt(T) (C X + D Y)'     -X   ]  < 0.
 
-This matrix tends to the continuous one as T falls, and so do its entries: at 1 kHz nothing cancels.
+As T falls, its entries tend to those of the continuous matrix: at 1 kHz no digits cancel.
 
-The LMI is *proved*, in exact arithmetic on the numbers given (`analysis/rigorous.py`). So the loop A + B G is stable, and its
-norm lies below the bound. The norm itself is computed, by two routes.
+The LMI is *proved*, in exact arithmetic on the given numbers (`analysis/rigorous.py`). This proves that the loop A + B G is
+stable and its norm below the bound. The norm itself is computed by two routes.
 """
 
 from dataclasses import dataclass
@@ -32,6 +32,7 @@ from fractions import Fraction
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import check_shape
 from models.common.errors import InputError
 from models.common.printed import Shown
 from synth.analysis.lower_bound import LowerBound
@@ -44,7 +45,7 @@ from synth.plant.units import speed
 
 
 def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float, step: float = 0.0) -> Array:
-    """Returns the left side of (21), shape (n + d, n + d); bordered by n with a step. With Y = 0 it is (20) for the plant.
+    """Returns the left side of (21), shape (n + d, n + d); n more if a step is given. With Y = 0 it is (20) for the plant.
 
     Args:
         X: shape (n, n), symmetric.
@@ -64,7 +65,7 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float,
 
 
 def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: float) -> Array:
-    """Returns the left side of (20) for the loop A + B G, C + D G, or its discrete form; by integers, every entry rounded once.
+    """Returns the left side of (20), or its discrete form, for the loop A + B G, C + D G: exact, then each entry rounded once.
 
     Args:
         G: shape (m, n), or a gain from measurements.
@@ -75,34 +76,34 @@ def bounded_real_exactly(plant: GeneralizedPlant, G: Array | Feedback, X: Array,
         OverflowError: an entry is too large for a float.
     """
     n, m = plant.B.shape
-    (system, unit), (gain, per), (unknown, over) = integers(plant.system_matrix), _gain(G), integers(X)
+    (system, of_plant), (gain, of_gain), (whole, of_X) = integers(plant.system_matrix), _gain(G), integers(X)
     eta_top, eta_bottom = float(eta).as_integer_ratio()
-    loop = system[:, :n] * per + product(system[:, n : n + m], gain)  # over unit * per
-    F = product(loop, unknown)
+    of_loop = of_plant * of_gain  # denominators, each of a matrix or of the terms with X or eta
+    loop = system[:, :n] * of_gain + product(system[:, n : n + m], gain)
+    F = product(loop, whole)
     if plant.dt is None:
-        one, half = unit * per * over, zeros(len(system), len(system))
+        over_X, half = of_loop * of_X, zeros(len(system), len(system))
         half[:, :n] = F
         F = half + half.T
     else:
-        one = (unit * per) ** 2 * over
+        over_X = of_loop**2 * of_X
         F = product(F, loop.T)
-        F[:n, :n] -= unknown * (unit * per) ** 2
-    F[np.arange(n, len(F)), np.arange(n, len(F))] -= one
-    other, from_w = eta_bottom * unit**2, system[:, n + m :]
-    # Common denominators: `one` of the terms with X, `other` of those with eta.
-    return floats(F * other + eta_top * one * product(from_w, from_w.T), Fraction(1, one * other))
+        F[:n, :n] -= whole * of_loop**2
+    F[np.arange(n, len(F)), np.arange(n, len(F))] -= over_X
+    over_eta, from_w = eta_bottom * of_plant**2, system[:, n + m :]
+    return floats(F * over_eta + eta_top * over_X * product(from_w, from_w.T), Fraction(1, over_X * over_eta))
 
 
 def _gain(G: Array | Feedback) -> tuple[Array, int]:
     """Returns the state gain as integers and their denominator, like `integers`."""
     if not isinstance(G, Feedback):
         return integers(G)
-    (gain, per), (rows, over) = integers(G.K), integers(G.Cy)
-    return product(gain, rows), per * over
+    (gain, of_gain), (rows, of_rows) = integers(G.K), integers(G.Cy)
+    return product(gain, rows), of_gain * of_rows
 
 
-FASTEST = 100.0  # times the plant's speed: an actuator that fast hardly exists
-BELOW = 1e-9  # relative; how far rounding may put a norm below the lower bound
+FASTEST = 100.0  # times the plant's speed: hardly any actuator is faster
+BELOW = 1e-9  # relative: rounding may put a norm so far below the lower bound
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
 PEAKS_AGREE = 1e-9  # relative; allowed difference of the norm and the gain at the claimed peak: a peak is flat
 
@@ -114,8 +115,8 @@ class LmiProof:
     Attributes:
         X: shape (n, n), symmetric.
         eta: gamma^-2.
-        positive: of X.
-        negative: of minus the left side of (20).
+        positive: definiteness of X.
+        negative: definiteness of minus the left side of (20).
     """
 
     X: Array
@@ -146,14 +147,15 @@ class LmiProof:
         return tuple(failures)
 
 
-def _not_proved(false: str, open_: str, which: str, sign: int, found: Definiteness) -> str:
+def _not_proved(false: str, open_: str, which: str, sign: int, definiteness: Definiteness) -> str:
     """Returns why an inequality does not count as proved."""
-    if np.isnan(found.smallest):
+    if np.isnan(definiteness.smallest):
         return f"{false}: a diagonal entry has the wrong sign, or an entry is beyond 1e200"
-    if found.smallest <= 0:
-        return f"{false}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}"
-    needed = f"{'above' if sign > 0 else 'below'} {sign * found.rounding:.0e}"
-    return f"{open_}: balanced, its {which} eigenvalue is {sign * found.smallest:.1e}, and must be {needed} to be beyond rounding"
+    if definiteness.smallest <= 0:
+        return f"{false}: balanced, its {which} eigenvalue is {sign * definiteness.smallest:.1e}"
+    needed = f"{'above' if sign > 0 else 'below'} {sign * definiteness.rounding:.0e}"
+    smallest = f"{sign * definiteness.smallest:.1e}"
+    return f"{open_}: balanced, its {which} eigenvalue is {smallest}, and must be {needed} to be beyond rounding"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,13 +164,13 @@ class Certificate(Shown):
 
     Attributes:
         loop: the closed loop itself.
-        stability: its poles, and where they lie.
+        stability: poles of the loop, and its verdict.
         own: the stability without the poles of filters in z and w, which no control moves.
         norm: the H-infinity norm by two routes, and its peak frequency.
         proof: of the bound; None for a gain without one.
         speed_up: magnitude of the fastest pole of `own`, over the plant's speed without control.
-        moves: True if that speed is the plant's fastest pole's. If all its poles lie at 0, it is the rate at which motion and
-            driving force have equal weight in z (`units.own_units`).
+        moves: True if the plant's speed is that of its fastest pole. If all poles lie at 0, the speed is the rate at which motion
+            and driving force have equal weight in z (`units.own_units`).
         norm_rounding: a norm below this is zero to rounding, and its routes need not agree.
         below: proof of the lower bound for controllers of this kind; None if it was not requested.
     """
@@ -191,6 +193,19 @@ class Certificate(Shown):
         return f"certificate: {'FAILS' if self.failures else 'holds'}", rows | (
             {"failures": "; ".join(self.failures)} if self.failures else {}
         )
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() + self.figure
+
+    @property
+    def figure(self) -> str:
+        """The gain of the closed loop over frequency, with bound and lower bound, as HTML for a notebook."""
+        from models.figures.notebook import gain_curve, gain_panel, notebook_figure
+
+        loop, known = self.loop, {"bound": self.bound, "lower bound": self.lower_bound}
+        omega, gains = gain_curve(loop.A, loop.Bw, loop.C, loop.Dw, loop.dt)
+        levels = {name: value for name, value in known.items() if value is not None}
+        return notebook_figure(gain_panel("largest singular value of the closed loop, from w to z:", omega, gains, levels))
 
     @property
     def bound(self) -> float | None:
@@ -232,7 +247,7 @@ class Certificate(Shown):
         than = (
             "the plant's fastest without control"
             if self.moves
-            else "what z asks of a plant that does not move by itself: the rate at which motion and force weigh alike"
+            else "the rate at which motion and force have equal weight in z, as all poles of the plant lie at 0"
         )
         return (f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much",)
 
@@ -244,7 +259,7 @@ class Certificate(Shown):
             failures.append(self.stability.words)
         elif self.norm.value > self.norm_rounding and self.norm.rounding > ROUTES_AGREE:
             failures.append(
-                f"rounding may have moved the norm by {self.norm.rounding:.0e}: so near to marginal floats cannot tell"
+                f"rounding may have changed the norm by {self.norm.rounding:.0e}: the loop is too near to marginal for floats"
             )
         elif self.norm.value > self.norm_rounding and self.norm.gap > ROUTES_AGREE:
             failures.append(f"the two routes to the norm differ by {self.norm.gap:.0e}")
@@ -276,7 +291,7 @@ def certify(
 ) -> Certificate:
     """Computes the certificate of a gain, and checks its proof if X is given, from an LMI or a record.
 
-    Without an X there is no bound. `certify_tightly` computes an X for such a gain, in several times the time.
+    Without an X there is no bound. `certify_tightly` computes an X, which takes several times as long.
 
     Args:
         plant: n states, m inputs.
@@ -288,7 +303,7 @@ def certify(
             states. Default: the plant.
 
     Raises:
-        InputError: eta or X is out of range.
+        InputError: eta or X is out of range, or X has another shape.
 
     Example:
         >>> from synth import GeneralizedPlant, Feedback, certify
@@ -299,19 +314,21 @@ def certify(
         >>> certificate.stable, f"{certificate.norm.value:.4f}"
         (True, '0.2903')
     """
+    if X is not None:
+        check_shape("X", X, plant.A.shape, "as the plant has so many states")
     loop = plant.closed_loop(G)
     base = by_itself or plant
-    found, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
-    own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else found
+    loop_stability, norm, (fastest, moves) = stability(loop.A, loop.dt), hinf_norm(loop), speed(base)
+    own = stability(beside_weights(base, loop.A), loop.dt) if base.weights else loop_stability
     return Certificate(
         loop=loop,
-        stability=found,
+        stability=loop_stability,
         own=own,
         norm=norm,
         proof=prove_bound(plant, G, X, eta) if X is not None and eta is not None else None,
         speed_up=float(own.rates.max()) / fastest,
         moves=moves,
-        norm_rounding=_norm_rounding(loop, norm.peak_frequency) if found.stable else 0.0,
+        norm_rounding=_norm_rounding(loop, norm.peak_frequency) if loop_stability.stable else 0.0,
         below=lower_bound,
     )
 
@@ -343,7 +360,7 @@ def prove_bound(plant: GeneralizedPlant, G: Array | Feedback, X: Array, eta: flo
 
 
 def eta_of(bound: float) -> float:
-    """Returns gamma^-2, rounded upwards: the norm that it proves lies at or below the bound."""
+    """Returns gamma^-2, rounded upwards: it proves gamma, or a bound just below."""
     eta = bound**-2
     while Fraction(bound) ** 2 * Fraction(eta) < 1:
         eta = float(np.nextafter(eta, np.inf))
@@ -359,7 +376,7 @@ def bound_of(eta: float) -> float:
 
 
 def _norm_rounding(loop: GeneralizedPlant, at: float) -> float:
-    """Returns the size that rounding gives a transfer function that is zero, at 0 and at a frequency [rad/s]."""
+    """Returns the gain that rounding alone can give a zero transfer function, at 0 and at a frequency [rad/s]."""
     A, scale = balance(loop.A)
     points = 1j * np.array([0.0, at if np.isfinite(at) else 0.0])
     points = points if loop.dt is None else np.exp(points * loop.dt)

@@ -1,25 +1,29 @@
-"""Lower bounds from zeros in the right half plane: there no controller changes some directions of the response from w to z.
+"""Lower bounds from zeros in the closed right half plane, at which no controller changes certain directions from w to z.
 
-Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. Whatever controller makes the loop stable, x
-and u exist at s, and p' z = (q' Bw + p' Dw) w there. The transposed plant says for the zeros from w to y = C_y x + Dyw w that
-some z = x follows from some w = v whatever controller of y there is, of any order. So the transfer function T from w to z is
-known in directions at points of the right half plane,
+Let M - s E = [A - s, B; C, D] lose rank at s, Re s > 0, with [q; p]' (M - s E) = 0. In every stable loop x and u are finite at s,
+so p' z = (q' Bw + p' Dw) w there, whatever the controller. By transposition, at a zero t from w to y = C_y x + Dyw w some w = v
+gives one z = x, whatever the controller of y and its order. So the transfer function T from w to z satisfies the interpolation
+conditions
 
-    p_i' T(s_i) = y_i',        T(t_k) v_k = x_k,
+    p_i' T(s_i) = y_i',        T(t_k) v_k = x_k.
 
-and one of them with a norm of at most gamma exists only if Pick's matrix is positive semidefinite (Ball, Gohberg, Rodman 1990,
-Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983):
+A stable T that does so with a norm of at most gamma exists only if Pick's matrix is positive semidefinite (Ball, Gohberg,
+Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Francis 1983):
 
     [ (gamma p_i' p_j* - y_i' y_j* / gamma) / (s_i + s_j*)    (p_i' x_k - y_i' v_k) / (t_k - s_i)                  ]
     [ *                                                       (gamma v_k* v_l - x_k* x_l / gamma) / (t_k* + t_l)   ]  >= 0.
 
-If inputs steer some states at no cost, M - s E is singular everywhere. So the pairs are taken as [q; p] = N k, k' (Q - s U) = 0,
-of a `SynthesisInequality`: it has them all, and its pencil is not singular.
+If inputs control some states without cost in z, M - s E is singular at every s. So the pairs are [q; p] = N k, k' (Q - s U) = 0,
+with the pencil of a `SynthesisInequality`, which is regular and has all of them.
 
-No zero is a float. So each is enclosed: with (k, s) near a solution, R near the inverse of the derivative there, and the residual
-bounded with its rounding, a solution lies within the radius r for which |R residual| + |I - R derivative| r + |R| |U| r^2 / 2 is
-at most r (Krawczyk; the equation is quadratic, and Brouwer's theorem does the rest). If there are several k at a zero, additional
-rows select the one that proves most by itself. A vector must have a negative form under Pick's matrix for all that is enclosed.
+On the imaginary axis such conditions bound the norm each by itself, |x_k| / |v_k|: the invariant points of the plant (see
+`invariant_point.py`), and of the transposed one those disturbances that y does not feel at some frequency, or at infinity.
+
+A zero in the open half plane is not a float, so it is enclosed. Let (k, s) be near a solution and R near the inverse of the
+derivative there, and let the residual include its rounding. A solution lies within a radius r if |R residual| + |I - R
+derivative| r + |R| |U| r^2 / 2 <= r (Krawczyk, for a quadratic equation; by Brouwer's fixed-point theorem). If a zero has
+several k, additional rows select the one with the largest bound. A gamma is excluded if one vector v makes v* P v < 0 for every
+Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -29,17 +33,18 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.synthesis_inequality import SynthesisInequality, transposed
+from synth.analysis.invariant_point import limit_at, limit_at_infinity
+from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near, transposed
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
 STEPS = 3  # of Newton's method from the given approximation of a zero
-SAFE = 4.0  # times what a sum of products may lose to rounding: they are complex, and norms of matrices are computed, too
+SAFE = 4.0  # times the rounding error of a real sum of products: covers complex products and norms of matrices
 SHORT = (1e-9, 1e-6, 1e-3)  # relative distance below the best bound in floats, to leave room for the enclosure
-TINY = 1e-60  # gamma; the largest is 1 / TINY
+TINY = 1e-60  # smallest gamma; the largest is 1 / TINY
 SEED = 20261122
-NEARLY = 1e-6  # relative; a singular value this small may be zero at a zero that is not a float
-APART = 1e-6  # relative; of zeros that are closer only the first counts
+NEARLY = 1e-6  # relative; a singular value this small may vanish at the exact zero
+APART = 1e-6  # relative; of two zeros closer than this only the first counts
 
 Zeros = tuple[Sequence[complex], Sequence[complex]]  # [rad/s], from u to z and from w to y
 
@@ -51,27 +56,27 @@ class Node(NamedTuple):
         zero: s [rad/s].
         p: of length one, shape (d,).
         y: shape (r,).
-        off: radii of the enclosures of s, p and y.
+        radii: of the enclosures of s, p and y.
     """
 
     zero: complex
     p: Array
     y: Array
-    off: tuple[float, float, float]
+    radii: tuple[float, float, float]
 
 
-@np.errstate(all="ignore")  # as below
+@np.errstate(all="ignore")  # infinities and NaN prove nothing
 def zero_limit(
     plant: GeneralizedPlant,
     Cy: Array | None = None,
     inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
     Dyw: Array | None = None,
 ) -> tuple[float, Zeros]:
-    """Returns the largest norm that zeros in the right half plane prove, and approximations of these; 0 and none if none do.
+    """Returns the largest bound that right-half-plane zeros prove, 0 if they prove nothing, and approximations of the zeros used.
 
     Args:
-        Cy: shape (q, n); None for state feedback and more, for which only the zeros from u to z count.
-        inequalities: of the plant, and of the transposed one, if they are known already.
+        Cy: shape (q, n); None if all states are measured, when only the zeros from u to z count.
+        inequalities: of the plant and the transposed plant, if they are known already.
         Dyw: shape (q, r); zero if it is not given.
     """
     one, other = _sides(plant, Cy, Dyw, inequalities)
@@ -85,11 +90,16 @@ def zero_limit(
     return _limit(_enclosed(one, near[0]), _enclosed(other, near[1])), near
 
 
-@np.errstate(all="ignore")  # what is not finite proves nothing
+@np.errstate(all="ignore")  # infinities and NaN prove nothing
 def limit_at_zeros(plant: GeneralizedPlant, Cy: Array | None, near: Zeros, Dyw: Array | None = None) -> float:
     """Returns a proved lower bound on the norm from the zeros near some points; 0 if none is enclosed."""
     left, right = (_enclosed(side, points) for side, points in zip(_sides(plant, Cy, Dyw), near, strict=True))
-    return _limit(left, right)
+    others = [0.0]
+    if Cy is not None and plant.dt is None:
+        others.append(limit_at_infinity(plant, len(Cy), Dyw))
+        turned = transposed(plant, Cy, Dyw)
+        others += [limit_at(turned, zero.imag) for zero in near[1] if zero.real == 0]
+    return max(_limit(left, right), *others)
 
 
 def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
@@ -103,7 +113,7 @@ def _limit(left: Sequence[Node], right: Sequence[Node]) -> float:
         return 0.0
     pick = _Pick(*nodes)
     best = pick.least()
-    return next((gamma for short in SHORT if pick.refuses(gamma := best * (1 - short))), 0.0)
+    return next((gamma for short in SHORT if pick.excludes(gamma := best * (1 - short))), 0.0)
 
 
 def _sides(
@@ -111,45 +121,45 @@ def _sides(
     Cy: Array | None,
     Dyw: Array | None,
     inequalities: tuple[SynthesisInequality, SynthesisInequality | None] | None = None,
-) -> "tuple[_Own, _Own]":
-    """Returns the equations of the plant and of the transposed one; the latter are empty if nothing is measured."""
+) -> "tuple[_Pencil, _Pencil]":
+    """Returns the equations of the plant and of the transposed plant; the latter are empty without Cy."""
     one, other = inequalities or (SynthesisInequality.of(plant), None)
     if Cy is None:
-        return _Own.of(plant, one), _NOTHING
+        return _Pencil.of(plant, one), _EMPTY
     turned = transposed(plant, Cy, Dyw)
-    return _Own.of(plant, one), _Own.of(turned, other or SynthesisInequality.of(turned))
+    return _Pencil.of(plant, one), _Pencil.of(turned, other or SynthesisInequality.of(turned))
 
 
-class _Own(NamedTuple):
+class _Pencil(NamedTuple):
     """The equations k' (Q - s U) = 0, p = c' k, y = b' k of a `SynthesisInequality`, scaled to entries of size one.
 
     Attributes:
         U, Q, b, c: every entry rounded once.
-        time: unit of s [rad/s].
-        answer: unit of y.
+        rate: unit of s [rad/s].
+        unit: of y.
     """
 
     U: Array
     Q: Array
     b: Array
     c: Array
-    time: float = 1.0
-    answer: float = 1.0
+    rate: float = 1.0
+    unit: float = 1.0
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, side: SynthesisInequality) -> "_Own":
+    def of(cls, plant: GeneralizedPlant, side: SynthesisInequality) -> "_Pencil":
         """Returns the equations in units that are powers of two: scaling rounds nothing."""
         units = own_units(plant)
-        time, states = _power(units.rate), units.states[side.coordinates]
+        rate, states = scale_near(units.rate) if plant.dt is None else 1.0, units.states[side.coordinates]
         try:
             U, Q, b, c = side.floats()
         except OverflowError:  # numbers that are too far apart
-            return _NOTHING
-        U, Q = U * states, Q * states / time
-        rows = np.array([_power(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
+            return _EMPTY
+        U, Q = U * states, Q * states / rate
+        rows = np.array([scale_near(float(size)) for size in np.linalg.norm(np.hstack([U, Q]), axis=1)])[:, None]
         U, Q, b, c = U / rows, Q / rows, b / rows, c / rows
-        y, p = _power(float(np.linalg.norm(b))), _power(float(np.linalg.norm(c)))
-        return cls(U, Q, b / y, c / p, time, y / p)
+        y, p = scale_near(float(np.linalg.norm(b))), scale_near(float(np.linalg.norm(c)))
+        return cls(U, Q, b / y, c / p, rate, y / p)
 
     def zeros(self) -> list[complex]:
         """Returns approximate points of the right half plane where Q - s U loses rank; other points too if it is not square."""
@@ -158,7 +168,7 @@ class _Own(NamedTuple):
             return []
         mixed = np.eye(k) if k == a else np.random.default_rng(SEED).standard_normal((a, k))
         zeros = np.asarray(linalg.eigvals(mixed @ self.Q, mixed @ self.U)).tolist()
-        return [zero * self.time for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
+        return [zero * self.rate for zero in zeros if np.isfinite(zero) and zero.real > 0 and self.loses_rank(zero)]
 
     def loses_rank(self, s: complex) -> bool:
         """Returns True if Q - s U may be rank deficient at s."""
@@ -166,31 +176,26 @@ class _Own(NamedTuple):
         return bool(sizes[-1] <= NEARLY * sizes[0])
 
     def strongest(self, s: complex) -> tuple[Array, Array]:
-        """Returns the unit vector k near k' (Q - s U) = 0 with the largest |y| / |p|, and rows that single it out."""
+        """Returns the unit vector k near k' (Q - s U) = 0 with the largest |y| / |p|, and rows that select it."""
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
-        own, answer = basis.T @ self.c, basis.T @ self.b
-        directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
+        p, y = basis.T @ self.c, basis.T @ self.b
+        directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
         kept = sizes > NEARLY * sizes.max(initial=0.0)
         directions = directions[:, kept] / sizes[kept]
-        best = directions @ np.linalg.svd(directions.conj().T @ answer)[0][:, :1]
+        best = directions @ np.linalg.svd(directions.conj().T @ y)[0][:, :1]
         k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and kept.any() else basis[:, 0]
         return k / np.linalg.norm(k), basis.conj().T
 
 
-_NOTHING = _Own(*[np.zeros((0, 0))] * 4, time=1.0, answer=1.0)
+_EMPTY = _Pencil(*[np.zeros((0, 0))] * 4, rate=1.0, unit=1.0)
 
 
-def _power(size: float) -> float:
-    """Returns the power of two next to a size; 1 if the size is 0."""
-    return float(np.exp2(np.round(np.log2(size)))) if size > 0 else 1.0
-
-
-def _enclosed(side: _Own, points: Sequence[complex]) -> list[Node]:
+def _enclosed(side: _Pencil, points: Sequence[complex]) -> list[Node]:
     """Returns the nodes of the zeros near some points that can be enclosed in the right half plane."""
-    return [found for point in points if (found := _enclosed_near(side, complex(point) / side.time)) is not None]
+    return [enclosure for point in points if (enclosure := _enclosed_near(side, complex(point) / side.rate)) is not None]
 
 
-def _enclosed_near(side: _Own, near: complex) -> Node | None:
+def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
     (k, a), U, Q = side.U.shape, side.U, side.Q
     if not 0 < a <= k or not np.isfinite(near):
         return None
@@ -202,29 +207,29 @@ def _enclosed_near(side: _Own, near: complex) -> Node | None:
             moved = R @ residual
             v, s = v - moved[:-1], complex(s - moved[-1])
         R, residual, derivative = _newton(side, rows, target, v, s)
-    except np.linalg.LinAlgError:  # a double zero, or every point one
+    except np.linalg.LinAlgError:  # a double zero, or a singular pencil
         return None
     unit = SAFE * (k + a + 4) * np.finfo(float).eps
-    below = (np.abs(Q).T + abs(s) * np.abs(U).T) @ np.abs(v), np.abs(rows) @ np.abs(v) + np.abs(target)
-    rounding = unit * np.concatenate(below)
-    size, bend = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
+    terms = (np.abs(Q).T + abs(s) * np.abs(U).T) @ np.abs(v), np.abs(rows) @ np.abs(v) + np.abs(target)
+    rounding = unit * np.concatenate(terms)
+    size, curvature = (1 + unit) * float(np.linalg.norm(R)), (1 + unit) * float(np.linalg.norm(U))
     first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
-    # The derivative, too, is rounded: in its own entries, and by cancellation in Q - s U and U' v.
-    shaken = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * bend
-    contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * shaken
+    # The derivative, too, is rounded: in its entries, and by cancellation in Q - s U and U' v.
+    slopes = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * curvature
+    contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * slopes
     radius = 2 * first / (1 - contraction)
-    if not (contraction < 0.5 and first + contraction * radius + size * bend * radius**2 / 2 <= radius < s.real):
+    if not (contraction < 0.5 and first + contraction * radius + size * curvature * radius**2 / 2 <= radius < s.real):
         return None
-    p, y, off = v @ side.c, v @ side.b, radius + unit * float(np.linalg.norm(v))
-    length, off_p, off_y = float(np.linalg.norm(p)), off * float(np.linalg.norm(side.c)), off * float(np.linalg.norm(side.b))
-    if not off_p < length:
+    p, y, of_v = v @ side.c, v @ side.b, radius + unit * float(np.linalg.norm(v))
+    length, of_p, of_y = float(np.linalg.norm(p)), of_v * float(np.linalg.norm(side.c)), of_v * float(np.linalg.norm(side.b))
+    if not of_p < length:
         return None
-    off_y = off_y / length * side.answer
-    return Node(s * side.time, p / length, y / length * side.answer, (radius * side.time, off_p / length, off_y))
+    of_y = of_y / length * side.unit
+    return Node(s * side.rate, p / length, y / length * side.unit, (radius * side.rate, of_p / length, of_y))
 
 
-def _newton(side: _Own, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
-    """Returns the inverse of the derivative of (Q - s U)' v = 0, rows v = target, the residual, and the derivative."""
+def _newton(side: _Pencil, rows: Array, target: Array, v: Array, s: complex) -> tuple[Array, Array, Array]:
+    """Returns the inverse derivative, the residual and the derivative of (Q - s U)' v = 0, rows v = target."""
     shifted = (side.Q - s * side.U).T
     derivative = np.block([[shifted, -(side.U.T @ v)[:, None]], [rows, np.zeros((len(rows), 1))]])
     return np.linalg.inv(derivative), np.concatenate([shifted @ v, rows @ v - target]), derivative
@@ -236,28 +241,27 @@ class _Pick:
     def __init__(self, left: Sequence[Node], right: Sequence[Node]) -> None:
         k, nodes = len(left), [*left, *right]
         shape = 3, len(nodes), len(nodes)
-        self.parts, self.off = np.zeros(shape, dtype=complex), np.zeros(shape)
+        self.parts, self.errors = np.zeros(shape, dtype=complex), np.zeros(shape)
         for i, one in enumerate(nodes):
             for j, other in enumerate(nodes):
-                at = one.zero, other.zero
                 if (i < k) == (j < k):
-                    below = at[0] + np.conj(at[1])
                     products = (
-                        _product(one.p, one.off[1], other.p.conj(), other.off[1]),
-                        _product(one.y, one.off[2], other.y.conj(), other.off[2]),
+                        _product(one.p, one.radii[1], other.p.conj(), other.radii[1]),
+                        _product(one.y, one.radii[2], other.y.conj(), other.radii[2]),
                     )
                     for part, product in zip((0, 2), products, strict=True):
-                        entry, off = _quotient(product, below, one, other)
+                        entry, error = _quotient(product, one.zero + np.conj(other.zero), one, other)
                         self.parts[part, i, j] = entry if i < k else np.conj(entry)
-                        self.off[part, i, j] = off
+                        self.errors[part, i, j] = error
                 elif i < k:
-                    (first, lost), (second, more) = (
-                        _product(one.p, one.off[1], other.y, other.off[2]),
-                        _product(one.y, one.off[2], other.p, other.off[1]),
+                    (first, first_error), (second, second_error) = (
+                        _product(one.p, one.radii[1], other.y, other.radii[2]),
+                        _product(one.y, one.radii[2], other.p, other.radii[1]),
                     )
-                    entry, off = _quotient((first - second, lost + more), at[1] - at[0], one, other)
+                    difference = first - second, first_error + second_error
+                    entry, error = _quotient(difference, other.zero - one.zero, one, other)
                     self.parts[1, i, j], self.parts[1, j, i] = entry, np.conj(entry)
-                    self.off[1, i, j] = self.off[1, j, i] = off
+                    self.errors[1, i, j] = self.errors[1, j, i] = error
 
     def at(self, gamma: float) -> Array:
         """Returns the matrix in floats."""
@@ -271,14 +275,15 @@ class _Pick:
             low, high = (middle, high) if np.linalg.eigvalsh(self.at(middle))[0] < 0 else (low, middle)
         return low
 
-    def refuses(self, gamma: float) -> bool:
+    def excludes(self, gamma: float) -> bool:
         """Returns True if no matrix within the error bounds is positive semidefinite."""
         entries = self.at(gamma)
         direction = np.linalg.eigh(entries)[1][:, 0]
         form, size = float(np.real(direction.conj() @ entries @ direction)), np.abs(direction)
         sizes = gamma * np.abs(self.parts[0]) + np.abs(self.parts[1]) + np.abs(self.parts[2]) / gamma
         rounding = SAFE * (len(size) + 4) * np.finfo(float).eps * sizes
-        return bool(form + size @ (gamma * self.off[0] + self.off[1] + self.off[2] / gamma + rounding) @ size < 0)
+        errors = gamma * self.errors[0] + self.errors[1] + self.errors[2] / gamma + rounding
+        return bool(form + size @ errors @ size < 0)
 
 
 def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
@@ -287,8 +292,8 @@ def _product(a: Array, da: float, b: Array, db: float) -> tuple[complex, float]:
     return complex(a @ b), da * size_b + db * size_a + da * db + SAFE * (len(a) + 4) * np.finfo(float).eps * size_a * size_b
 
 
-def _quotient(above: tuple[complex, float], below: complex, one: Node, other: Node) -> tuple[complex, float]:
+def _quotient(dividend: tuple[complex, float], divisor: complex, one: Node, other: Node) -> tuple[complex, float]:
     """Returns a quotient by a sum or difference of two zeros, and a bound on its error; infinite if the divisor may be zero."""
-    moved = one.off[0] + other.off[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
-    entry = above[0] / below
-    return entry, (above[1] + abs(entry) * moved) / (abs(below) - moved) if abs(below) > moved else np.inf
+    error = one.radii[0] + other.radii[0] + SAFE * np.finfo(float).eps * (abs(one.zero) + abs(other.zero))
+    entry = dividend[0] / divisor
+    return entry, (dividend[1] + abs(entry) * error) / (abs(divisor) - error) if abs(divisor) > error else np.inf

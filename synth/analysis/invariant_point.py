@@ -1,4 +1,4 @@
-"""Lower bounds from invariant points: at every frequency some direction of z depends on w alone, whatever the control.
+"""Lower bounds from invariant points: frequencies at which some direction of z depends on w alone, whatever the control.
 
 With z = Gw w + Gu u at a frequency, no controller, causal or not, changes the part of Gw w that is orthogonal to Gu. The norm of
 that part is a lower bound. For a suspension it peaks at the invariant point of the wheel (Hedrick, Butsuen 1990).
@@ -7,79 +7,76 @@ Floats only propose the frequency and the direction. The proof is a pair (q, p) 
 
     [q; p]* [A - j omega, B; C, D] = 0,     so that     p* z = (q* Bw + p* Dw) w     at omega for every u and every x,
 
-and it is exact: as many entries of q and p as there are independent equations follow from the others by integers. So no tolerance
-decides if a pair exists at a resonance, near a zero of Gu, or if u can do all.
+and it is exact: some entries of q and p are floats, and the others follow from them in integers. So no tolerance decides if a
+pair exists, as at a resonance or near a zero of Gu.
 
-If a pole on the axis is unobservable in z, there are more such pairs at that pole than beside it: a stabilising controller holds
-that mode, too, so the effect of w on it must vanish. An unobservable integrator is an example.
+At a pole on the axis that is unobservable in z, such as an integrator, there are more pairs than at frequencies nearby. There a
+stabilising controller must cancel the effect of w on that mode, too.
 """
 
 import contextlib
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.norm import largest_singular_values, transfer_matrix
-from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, root_below, without_factors
+from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, root_below, without_factors, zeros
 from synth.analysis.stability import balance, stability
 from synth.plant.generalized import GeneralizedPlant, check_continuous
 from synth.plant.units import own_units
 
 PEAKS = 6  # local maxima that are refined
-NONE = 1e-10  # relative; smaller singular values of Gu count as zero in a proposal
+NEGLIGIBLE = 1e-10  # relative; smaller singular values of Gu count as zero in a proposal
 AWAY = 1e-9  # relative distance of a proposal from a pole on the axis
-FURTHER = 10.0  # times AWAY if that is still a pole to rounding: a k-fold one reaches to the k-th root of rounding
-ENOUGH = 1e-9  # relative; smallest expected gain over the best proof for which a proposal is tried
+FURTHER = 10.0  # factor on AWAY if the matrix is still singular there, as around a multiple pole
+ENOUGH = 1e-9  # relative; a proposal is tried if it promises to raise the best proved bound by more
 
 
 def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
-    """Returns the largest norm that no control changes, and its frequency [rad/s]; None if control can change all."""
+    """Returns the largest norm that no control changes, and its frequency [rad/s]; None if control can change every direction."""
+    check_continuous(plant)
     rates = _rates(plant)
     largest = float(rates.max())
     smallest = float(rates[rates > 1e-6 * largest].min())
     omega = np.geomspace(1e-2 * smallest, 1e2 * largest, 500)
-    left = largest_singular_values(_left(plant, omega))
-    tops = np.flatnonzero((left[1:-1] >= left[:-2]) & (left[1:-1] >= left[2:])) + 1
-    tops = np.unique([*tops[np.argsort(left[tops])[-PEAKS:]], left.argmax()])
-    middle, height, width = omega[tops], left[tops], omega[1] / omega[0] - 1
-    for _ in range(9):  # closer around the highest points, all at once
+    norms = largest_singular_values(_invariant_part(plant, omega))
+    tops = np.flatnonzero((norms[1:-1] >= norms[:-2]) & (norms[1:-1] >= norms[2:])) + 1
+    tops = np.unique([*tops[np.argsort(norms[tops])[-PEAKS:]], norms.argmax()])
+    middle, height, width = omega[tops], norms[tops], omega[1] / omega[0] - 1
+    for _ in range(9):  # refines the highest points, all at once
         near = middle * (1 + width * np.linspace(-1, 1, 11)[:, None])
-        there = largest_singular_values(_left(plant, near.ravel())).reshape(near.shape)
-        highest = there.argmax(axis=0)
+        norms = largest_singular_values(_invariant_part(plant, near.ravel())).reshape(near.shape)
+        highest = norms.argmax(axis=0)
         index = np.arange(len(middle))
-        middle, height, width = near[highest, index], there[highest, index], width / 5
-    middle, height = np.append(middle, 0.0), np.append(height, largest_singular_values(_left(plant, np.zeros(1))))
-    best, at = max(((limit_at(plant, there), there) for there in _standing(plant)), default=(0.0, 0.0))
-    for promised, there in sorted(zip(height.tolist(), middle.tolist(), strict=True), reverse=True):
-        if promised > best * (1 + ENOUGH):
-            best, at = max((best, at), (limit_at(plant, there), there))
+        middle, height, width = near[highest, index], norms[highest, index], width / 5
+    middle, height = np.append(middle, 0.0), np.append(height, largest_singular_values(_invariant_part(plant, np.zeros(1))))
+    best, at = max(((limit_at(plant, pole), pole) for pole in _poles_on_axis(plant)), default=(0.0, 0.0))
+    for expected, proposal in sorted(zip(height.tolist(), middle.tolist(), strict=True), reverse=True):
+        if expected > best * (1 + ENOUGH):
+            best, at = max((best, at), (limit_at(plant, proposal), proposal))
     return (best, at) if best else None
 
 
-@np.errstate(all="ignore")  # what is not finite proves nothing
+@np.errstate(all="ignore")  # infinities and NaN prove nothing
 def limit_at(plant: GeneralizedPlant, omega: float) -> float:
-    """Returns a proved norm of a continuous plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
-    check_continuous(plant)
-    n, d, m = len(plant.A), len(plant.C), plant.B.shape[1]
-    still = plant.system_matrix[:, : n + m]
-    turning = np.zeros_like(still)
-    turning[np.arange(n), np.arange(n)] = -omega
-    # Real and imaginary part of [q; p] below each other.
-    solutions = Nullspace(integers(np.block([[still, turning], [turning, -still]]))[0])
+    """Returns a proved norm of a plant at a frequency [rad/s] that no control changes; 0 if none is proved."""
+    n, d = len(plant.A), len(plant.C)
+    real, imaginary, from_w, unit = _equations(plant, omega)
+    solutions = Nullspace(np.vstack([np.hstack([real, imaginary]), np.hstack([imaginary, -real])]))
     if not solutions.free:
         return 0.0
-    answer, unit = integers(plant.system_matrix[:, n + m :])
     outputs = [*range(n, n + d), *range(2 * n + d, 2 * (n + d))]
 
     def proved(guess: Array) -> float:
         if not np.all(np.isfinite(guess)):
             return 0.0
-        found = solutions.complete(integers(guess[:, None])[0])
-        to_w = product(np.hstack([found[: n + d], found[n + d :]]).T, answer)
-        own = int(np.sum(found[outputs] ** 2))
+        solution = solutions.complete(integers(guess[:, None])[0])
+        effect = product(solution.T, from_w)
+        length = int(np.sum(solution[outputs] ** 2))
         with contextlib.suppress(OverflowError):
-            return root_below(Fraction(int(np.sum(to_w**2)), unit**2 * own)) if own else 0.0
+            return root_below(Fraction(int(np.sum(effect**2)), unit**2 * length)) if length else 0.0
         return 0.0
 
     p, q = _guess(plant, omega)
@@ -88,39 +85,99 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
         return best
     whole, over = without_factors(solutions.complete(identity(len(solutions.free))))
     basis = floats(whole, Fraction(1, over))
-    to_w = np.hstack([basis[: n + d].T, basis[n + d :].T]) @ np.kron(np.eye(2), plant.system_matrix[:, n + m :])
-    return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, to_w)))
+    effects = basis.T @ floats(from_w, Fraction(1, unit))
+    return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, effects)))
+
+
+def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Array, int]:
+    """Returns M = [A - j omega, B; C, D] and what [q; p]* turns into the effect of w, in integers; see `limit_at`.
+
+    Real and imaginary part of [q; p] lie below each other. Of a discrete plant z = (1 + j t) / (1 - j t), t = tan(omega dt / 2) a
+    float, lies on the unit circle exactly, and 1 - j t multiplies the rows of the states.
+
+    Returns:
+        The real and the imaginary part of M, up to one factor, shapes (n + d, n + m). The effects of w on the real and the
+        imaginary part of p* z, shape (2 (n + d), 2 r), and their denominator.
+    """
+    n, m = plant.B.shape
+    system, unit = integers(plant.system_matrix)
+    turns, over = integers(np.array([omega if plant.dt is None else np.tan(omega * plant.dt / 2)]))
+    turn, states = int(turns[0]), zeros(*system.shape)
+    states[np.arange(n), np.arange(n)] = unit
+    if plant.dt is None:
+        real, imaginary = system * over, -turn * states
+    else:
+        above = zeros(*system.shape)
+        above[:n] = system[:n]
+        real, imaginary = (system - states) * over, -turn * (above + states)
+    direct, turned = real[:, n + m :], imaginary[:, n + m :]
+    return (
+        real[:, : n + m],
+        imaginary[:, : n + m],
+        np.vstack([np.hstack([direct, turned]), np.hstack([turned, -direct])]),
+        unit * over,
+    )
+
+
+def limit_at_infinity(plant: GeneralizedPlant, q: int, Dyw: Array | None = None) -> float:
+    """Returns a proved norm of Dw on the disturbances that y = C_y x + Dyw w does not feel at once; 0 if it feels all.
+
+    As omega grows, no controller of y changes the response to them.
+
+    Args:
+        q: number of measurements.
+        Dyw: shape (q, r); zero if it is not given.
+    """
+    silent = Nullspace(integers(np.zeros((plant.Bw.shape[1], q)) if Dyw is None else Dyw.T)[0])
+    if not silent.free or not plant.Dw.any():
+        return 0.0
+    basis, over = without_factors(silent.complete(identity(len(silent.free))))
+    free = floats(basis, Fraction(1, over))
+    v = silent.complete(integers((_strongest(free.T, free.T @ plant.Dw.T))[:, None])[0])
+    direct, unit = integers(plant.Dw)
+    with contextlib.suppress(OverflowError):
+        own = int(np.sum(v**2))
+        return root_below(Fraction(int(np.sum(product(direct, v) ** 2)), unit**2 * own)) if own else 0.0
+    return 0.0
 
 
 def is_pole(plant: GeneralizedPlant, omega: float) -> bool:
     """Returns True if j omega is a pole to the last digit, as 0 is for an integrator."""
-    return bool(np.linalg.matrix_rank(balance(plant.A)[0] - 1j * omega * np.eye(len(plant.A))) < len(plant.A))
+    return bool(np.linalg.matrix_rank(_states(replace(plant, A=balance(plant.A)[0]), omega)) < len(plant.A))
 
 
-def _standing(plant: GeneralizedPlant) -> list[float]:
+def _states(plant: GeneralizedPlant, omega: float) -> Array:
+    """Returns A - j omega, or its like for a discrete plant, as in `_equations`."""
+    eye = np.eye(len(plant.A))
+    if plant.dt is None:
+        return plant.A - 1j * omega * eye
+    return plant.A - eye - 1j * np.tan(omega * plant.dt / 2) * (plant.A + eye)
+
+
+def _poles_on_axis(plant: GeneralizedPlant) -> list[float]:
     """Returns the frequencies [rad/s] of the poles that lie on the axis to the last digit."""
-    found = stability(plant.A)
-    there = np.unique(np.append(np.abs(np.imag(found.poles[found.on_axis])), 0.0))
-    return [omega for omega in there.tolist() if is_pole(plant, omega)]
+    open_loop = stability(plant.A)
+    near = np.unique(np.append(np.abs(np.imag(open_loop.poles[open_loop.on_axis])), 0.0))
+    return [omega for omega in near.tolist() if is_pole(plant, omega)]
 
 
-def _strongest(own: Array, answer: Array) -> Array:
-    """Returns the combination x with the largest |x' answer| / |x' own|, without directions in which x' own vanishes.
+def _strongest(outputs: Array, effects: Array) -> Array:
+    """Returns the combination x with the largest |x' effects| / |x' outputs|, without directions in which x' outputs vanishes.
 
     Args:
-        own: shape (k, d).
-        answer: shape (k, r).
+        outputs: shape (k, d).
+        effects: shape (k, r).
     """
-    directions, sizes, _ = np.linalg.svd(own, full_matrices=False)
-    kept = sizes > NONE * sizes.max(initial=0.0)
+    directions, sizes, _ = np.linalg.svd(outputs, full_matrices=False)
+    kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
     directions = directions[:, kept] / sizes[kept]
-    return directions @ np.linalg.svd(directions.T @ answer)[0][:, 0] if kept.any() else np.zeros(len(own))
+    return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if kept.any() else np.zeros(len(outputs))
 
 
 def _rates(plant: GeneralizedPlant) -> Array:
-    """Returns the positive magnitudes of the plant's poles [rad/s], or its own rate if all poles lie at 0.
+    """Returns the positive magnitudes of the plant's poles [rad/s], or the rate of its `own_units` if all poles lie at 0.
 
-    Rounding moves an n-fold pole at 0 by as much as its n-th root.
+    Rounding moves an n-fold pole at 0 by up to the n-th root of the rounding.
     """
     A, _ = balance(plant.A)
     poles = np.abs(np.linalg.eigvals(A))
@@ -130,28 +187,33 @@ def _rates(plant: GeneralizedPlant) -> Array:
     return np.append(poles, own_units(plant).rate)
 
 
-def _left(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
+def _invariant_part(plant: GeneralizedPlant, omega: Array, away: float = AWAY) -> Array:
     """Returns the part of Gw that is orthogonal to Gu at frequencies [rad/s] of shape (F,): complex, shape (F, d, r)."""
     try:
         both = np.hstack([plant.Bw, plant.B]), np.hstack([plant.Dw, plant.D])
         from_w, from_u = np.split(transfer_matrix(plant.A, both[0], plant.C, both[1], omega), [plant.Bw.shape[1]], axis=2)
     except np.linalg.LinAlgError:  # a pole, to the last digit
-        return _left(plant, _beside(plant, omega, away), FURTHER * away)
+        return _invariant_part(plant, _off_poles(plant, omega, away), FURTHER * away)
     columns = np.linalg.norm(from_u, axis=1, keepdims=True)
     directions, sizes, _ = np.linalg.svd(from_u / np.where(columns > 0, columns, 1.0), full_matrices=False)
-    directions = directions * (sizes > NONE * sizes.max(axis=1, keepdims=True, initial=0.0))[:, None]
+    directions = directions * (sizes > NEGLIGIBLE * sizes.max(axis=1, keepdims=True, initial=0.0))[:, None]
     return from_w - directions @ (directions.conj().swapaxes(1, 2) @ from_w)
 
 
 def _guess(plant: GeneralizedPlant, omega: float, away: float = AWAY) -> tuple[Array, Array]:
     """Returns floats near the best (p, q) at a frequency [rad/s], complex, shapes (d,), (n,)."""
-    p = np.linalg.svd(_left(plant, np.array([omega]))[0])[0][:, 0]
+    where, there = plant, omega
+    if plant.dt is not None:
+        from synth.plant.discrete import mapped, mapped_frequency
+
+        where, there = mapped(plant, np.eye(len(plant.A))).plant, mapped_frequency(omega, plant.dt)
+    p = np.linalg.svd(_invariant_part(where, np.array([there]))[0])[0][:, 0]
     try:
-        return p, np.linalg.solve((1j * omega * np.eye(len(plant.A)) - plant.A).conj().T, plant.C.T @ p)
+        return p, np.linalg.solve(-_states(plant, omega).conj().T, plant.C.T @ p)
     except np.linalg.LinAlgError:
-        return _guess(plant, float(_beside(plant, np.array([omega]), away)[0]), FURTHER * away)
+        return _guess(plant, float(_off_poles(plant, np.array([omega]), away)[0]), FURTHER * away)
 
 
-def _beside(plant: GeneralizedPlant, omega: Array, away: float) -> Array:
-    """Returns frequencies next to `omega`, of which some are poles to the last digit."""
+def _off_poles(plant: GeneralizedPlant, omega: Array, away: float) -> Array:
+    """Returns frequencies slightly above `omega`, to avoid exact poles."""
     return omega * (1 + away) + away * _rates(plant).max() * (omega == 0)

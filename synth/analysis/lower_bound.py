@@ -6,22 +6,23 @@ A controller of any order from y = C_y x + Dyw w reaches a norm below gamma only
 
     He(Q X U') + eta b b' - c c' < 0,         He(Q2 S U2') + b2 b2' - gamma^2 c2 c2' < 0.
 
-Positive semidefinite W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q) >= 0, V2 likewise, pair with the three to
+The dual variables are positive semidefinite W1, W2 and V = [V2, V12; V12', V1] with V1 = He(U' W1 Q), V2 likewise. Their products
+with the three inequalities add up to
 
-    (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')'),
+    (t1 - e1 / gamma^2) + (t2 gamma^2 - e2) > 2 f,     e = tr b' W b,  t = tr c' W c,  f = -tr(V12 (J2 J1')').
 
-and as W1 and W2 may be scaled each by itself gamma^2 is at least the largest eigenvalue of
+W1 and W2 may be scaled independently, so gamma^2 is at least the largest eigenvalue of
 
     [ e1 / t1, . ; f (e1 / t1)^1/2 / (t1 t2)^1/2, f^2 / (t1 t2) + e2 / t2 ].
 
-Its first entry is the bound for state feedback, which no controller that knows x and w and more, dynamic or nonlinear, beats
-(Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is such a solution, so a point
-(X, eta) suffices.
+Its first entry is the bound for state feedback. No controller beats that bound, even if it is dynamic or nonlinear and measures w
+(Khargonekar, Petersen, Rotea 1988). On the central path W = (c c' - He(Q X U') - eta b b')^-1 is a dual solution, so a point
+(X, eta) determines it.
 
-**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by factors proposed in floats; any factors will do. From
-them on all is exact: e, t, f and the entries of V are computed in integers, from the numbers of the plant, without a tolerance.
-Only the definiteness of V is decided in floats, from entries that were rounded once, with a proved allowance
-(`analysis/rigorous.py`); otherwise nothing is proved. The last eigenvalue is rounded down.
+**The proof, and rounding.** W = L L' and V12 = Y2 K Y1' are *defined* by factors proposed in floats; any factors give a bound.
+Then e, t, f and the entries of V are computed in integers from the numbers of the plant, without a tolerance. Only the
+definiteness of V is decided in floats, from entries that were rounded once, with a proved bound on the rounding
+(`analysis/rigorous.py`). The last eigenvalue is rounded down.
 """
 
 from dataclasses import dataclass
@@ -31,8 +32,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import definiteness, floats, integers, product, root_below
-from synth.analysis.synthesis_inequality import SynthesisInequality, meeting, transposed
+from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product, root_below
+from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, meeting, transposed
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ if TYPE_CHECKING:
 
 
 SHRINK = (1e-9, 1e-6, 1e-3)  # relative shortening of the best V12, so that V can be proved positive
-DOWN = 1 - 2.0**-45  # more than the dozen operations of the last eigenvalue can round up
+SAFE = 4.0  # times what a sum of products may lose to rounding
+DOWN = 1 - 2.0**-45  # rounds down by more than the dozen operations of the last eigenvalue can round up
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +63,11 @@ class LowerBound:
     """A lower bound on the norm for controllers of one kind, with its proof.
 
     Attributes:
-        gamma: the bound; 0, which is always true, if nothing is proved.
+        gamma: the bound; 0 if nothing is proved.
         state: dual certificate of state feedback; None if an invariant point or zeros prove the bound.
         observer: dual certificate of the transposed plant; None if the bound is that of state feedback.
-        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; None if others do.
-        zeros: from u to z and from w to y [rad/s], by which `interpolation.limit_at_zeros` proves it; None if others do.
+        limit_at: frequency [rad/s] at which `invariant_point.limit_at` proves the bound; else None.
+        zeros: zeros from u to z and from w to y [rad/s] by which `interpolation.limit_at_zeros` proves the bound; else None.
     """
 
     gamma: float
@@ -82,7 +84,8 @@ def prove_lower_bound(
     observer: DualCertificate | None = None,
     Dyw: Array | None = None,
 ) -> LowerBound:
-    """Returns the bound that dual certificates prove. Before the end of the path it is weaker by (2 n + d) mu, but easier.
+    """Returns the bound that dual certificates prove. Earlier on the central path it is weaker, by (2 n + d) mu, but easier to
+    prove.
 
     Args:
         Cy: shape (q, n); given with an observer.
@@ -100,7 +103,7 @@ def prove_lower_bound(
 def prove_from_inequalities(
     one: SynthesisInequality, other: SynthesisInequality | None, state: DualCertificate, observer: DualCertificate | None
 ) -> LowerBound:
-    """Returns the bound of `prove_lower_bound` from inequalities that are known already."""
+    """Returns the bound of `prove_lower_bound` from given inequalities."""
     first = _dual(one, state)
     if first is None:
         return LowerBound(0.0, state, observer)
@@ -108,7 +111,7 @@ def prove_from_inequalities(
     second = _dual(other, observer) if other is not None and observer is not None else None
     if other is None or second is None:
         return alone
-    f = _joined(first, second, *meeting(one, other))
+    f = _joined(first, second, Meeting.of(one, other))
     share = f * f / (first.t * second.t)
     try:
         p, q, s = float(first.e / first.t), float(share), float(second.e / second.t)
@@ -123,33 +126,38 @@ class _Dual:
     """The numbers e, t and V = T^-T V_T T^-1 of a dual solution.
 
     Attributes:
-        e, t: exact.
-        V: V_T in floats, every entry rounded once; near I on the path.
-        T: floats, taken without rounding, shape (a, a).
-        Y: floats near T^-T, likewise.
+        e, t: exact; of an antistable part bounds, e from below and t from above.
+        V: V_T in floats; near I on the central path.
+        lost: bound on the error of each entry of V.
+        T: floats that count as exact, shape (a, a).
+        Y: floats near T^-T that count as exact.
     """
 
     e: Fraction
     t: Fraction
     V: Array
+    lost: Array
     T: Array
     Y: Array
 
 
-@np.errstate(all="ignore")  # what is not finite proves nothing
-def _dual(side: SynthesisInequality, witness: DualCertificate) -> _Dual | None:
+@np.errstate(all="ignore")  # infinities and NaN prove nothing
+def _dual(side: SynthesisInequality, certificate: DualCertificate) -> _Dual | None:
     """Returns the dual solution of a certificate, or None if it proves nothing."""
     a, n = side.J.shape
-    if witness.X.shape != (n, n):
-        raise ValueError(f"a witness has X of shape {witness.X.shape}; expected {(n, n)}")
+    if certificate.X.shape != (n, n):
+        raise ValueError(f"a dual certificate has X of shape {certificate.X.shape}; expected {(n, n)}")
     try:
         J = floats(side.J) / floats(side.J[np.arange(a), side.coordinates])[:, None]
-        T = np.linalg.cholesky(J @ witness.X @ J.T) if a else np.zeros((0, 0))
+        X, part = J @ certificate.X @ J.T, side.antistable
+        if part is not None:
+            X = part.reduced(X)
+        T = np.linalg.cholesky(X) if len(X) else np.zeros((0, 0))
         Y = np.linalg.inv(T).T
-        L = _factor(side.floats(), T, witness.eta)
+        L = _factor((np.eye(len(X)), part.Q, part.b, part.c) if part is not None else side.floats(), T, certificate.eta)
         if not (np.all(np.isfinite(L)) and np.all(np.isfinite(T)) and np.all(np.isfinite(Y))):
             return None
-        return _evaluated(side, L, T, Y)
+        return _evaluated(side, L, T, Y) if part is None else _enclosed(part, L, T, Y)
     except (np.linalg.LinAlgError, OverflowError):
         return None
 
@@ -157,17 +165,17 @@ def _dual(side: SynthesisInequality, witness: DualCertificate) -> _Dual | None:
 def _factor(parts: tuple[Array, Array, Array, Array], T: Array, eta: float) -> Array:
     """Returns L with L L' = (c c' - He(Q X U') - eta b b')^-1, X = T T'."""
     U, Q, b, c = parts
-    moved = (Q @ T) @ (U @ T).T
-    inside = c @ c.T - moved - moved.T - eta * b @ b.T
-    diagonal = np.diagonal(inside)
+    half = (Q @ T) @ (U @ T).T
+    slack = c @ c.T - half - half.T - eta * b @ b.T
+    diagonal = np.diagonal(slack)
     if not np.all(diagonal > 0):
-        raise np.linalg.LinAlgError("not inside")
+        raise np.linalg.LinAlgError("not strictly feasible")
     size = 1 / np.sqrt(diagonal)
-    return size[:, None] * np.linalg.inv(np.linalg.cholesky(size[:, None] * inside * size)).T
+    return size[:, None] * np.linalg.inv(np.linalg.cholesky(size[:, None] * slack * size)).T
 
 
 def _evaluated(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual | None:
-    """Returns e, t and V_T of W = L L', exactly; None if V is not proved positive definite, or t is zero."""
+    """Returns the exact e, t and V_T of W = L L', or None if V is not proved positive definite or t is zero."""
     (factor, over), (coordinates, under) = integers(L), integers(T)
     low, steep = product(factor.T, product(side.U, coordinates)), product(factor.T, product(side.Q, coordinates))
     half = product(low.T, steep)
@@ -175,23 +183,83 @@ def _evaluated(side: SynthesisInequality, L: Array, T: Array, Y: Array) -> _Dual
     V = floats(half + half.T, Fraction(1, side.unit * (size * under) ** 2))
     t = Fraction(int(np.sum(product(factor.T, side.c) ** 2)), size**2)
     e = Fraction(int(np.sum(product(factor.T, side.b) ** 2)), (size * side.unit) ** 2)
-    return _Dual(e, t, V, T, Y) if t > 0 and definiteness(V).proved else None
+    return _Dual(e, t, V, UNIT * np.abs(V), T, Y) if t > 0 and definiteness(V).proved else None
 
 
-def _joined(first: _Dual, second: _Dual, between: Array, over: int) -> Fraction:
-    """Returns f of the best V12 that is proved to leave V positive definite; 0 if no V12 is."""
-    if not between.size:
+def _enclosed(part: AntistablePart, L: Array, T: Array, Y: Array) -> _Dual | None:
+    """Returns bounds on e, t and V_T of W = L L' for all that is enclosed; None if V is not proved positive definite."""
+    _, off_q, off_b, off_c = part.off
+    unit, low = SAFE * (len(L) + 4) * UNIT, np.abs(L).T
+    left, right = L.T @ T, L.T @ part.Q @ T
+    half = left.T @ right
+    above = low @ np.abs(T)
+    steep = unit * (low @ np.abs(part.Q) @ np.abs(T)) + off_q * low.sum(axis=1)[:, None] * np.abs(T).sum(axis=0)
+    spread = above.T @ steep + unit * (above.T @ np.abs(right))
+    V, lost = half + half.T, (1 + unit) * (spread + spread.T)
+
+    def length(matrix: Array, off: float, sign: int) -> Fraction:
+        rounding = float(np.linalg.norm(low @ (unit * np.abs(matrix) + off)))
+        bound = float(np.linalg.norm(L.T @ matrix)) * (1 + sign * unit) + sign * (1 + unit) * rounding
+        return Fraction(max(bound, 0.0)) ** 2
+
+    e, t = length(part.b, off_b, -1), length(part.c, off_c, 1)
+    return _Dual(e, t, V, lost, T, Y) if t > 0 and definite_beyond(V[None], lost[None]) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """J2 J1' between two inequalities, or between their antistable parts.
+
+    Attributes:
+        whole, over: integers and their denominator, shape (a2, a1); near it if `lost` is not zero.
+        lost: bound on the error of each entry.
+    """
+
+    whole: Array
+    over: int
+    lost: Array
+
+    @property
+    def floats(self) -> Array:
+        """The matrix in floats, shape (a2, a1)."""
+        return floats(self.whole, Fraction(1, self.over))
+
+    @classmethod
+    def of(cls, one: SynthesisInequality, other: SynthesisInequality) -> "Meeting":
+        """Returns it for the plant's inequality and that of the transposed plant."""
+        exact, over = meeting(one, other)
+        if one.antistable is None and other.antistable is None:
+            return cls(exact, over, np.zeros(exact.shape))
+        between = floats(exact, Fraction(1, over))
+        parts = [(np.eye(n), np.ones(n), 0.0) for n in between.shape]
+        for i, side in enumerate((other, one)):
+            if side.antistable is not None:
+                parts[i] = side.antistable.P, side.antistable.columns, side.antistable.off[0]
+        (P2, columns2, off2), (P1, columns1, off1) = parts
+        between = columns2[:, None] * between * columns1
+        unit, size = SAFE * (sum(between.shape) + 4) * UNIT, np.abs(between)
+        beyond = (np.abs(P2) + off2) @ size @ (np.abs(P1) + off1).T * (1 + unit)
+        lost = beyond - np.abs(P2) @ size @ np.abs(P1).T * (1 - unit)
+        return cls(*integers(P2 @ between @ P1.T), np.maximum(lost, 0.0) + unit * beyond)
+
+
+def _joined(first: _Dual, second: _Dual, between: Meeting) -> Fraction:
+    """Returns f of the best V12 that leaves V provably positive definite; 0 if no such V12 is found."""
+    if not between.whole.size:
         return Fraction(0)
     (Y1, over1), (Y2, over2), (T1, under1), (T2, under2) = map(integers, (first.Y, second.Y, first.T, second.T))
-    moved, size = product(product(Y1.T, between.T), Y2), over * over1 * over2  # Y1' J1 J2' Y2
+    coupling, size = product(product(Y1.T, between.whole.T), Y2), between.over * over1 * over2  # Y1' J1 J2' Y2
+    lost = np.abs(first.Y).T @ between.lost.T @ np.abs(second.Y)
     R1, R2 = np.linalg.cholesky(first.V), np.linalg.cholesky(second.V)
-    left, _, right = np.linalg.svd(R1.T @ floats(moved, Fraction(1, size)) @ R2)
+    left, _, right = np.linalg.svd(R1.T @ floats(coupling, Fraction(1, size)) @ R2)
     k = min(left.shape[1], right.shape[0])
     best = R2 @ right[:k].T @ left[:, :k].T @ R1.T
     near2, near1 = product(T2.T, Y2), product(Y1.T, T1)
     for shrink in SHRINK:
         K, step = integers(-(1 - shrink) * best)
         off = floats(product(product(near2, K), near1), Fraction(1, step * over1 * over2 * under1 * under2))
-        if definiteness(np.block([[second.V, off], [off.T, first.V]])).proved:
-            return max(-Fraction(np.trace(product(K, moved)), step * size), Fraction(0))
+        V, rounding = np.block([[second.V, off], [off.T, first.V]]), UNIT * np.abs(off)
+        if definite_beyond(V[None], np.block([[second.lost, rounding], [rounding.T, first.lost]])[None]):
+            less = Fraction(float(np.trace(np.abs(best) @ lost))) * (1 + Fraction(1, 1000))
+            return max(-Fraction(np.trace(product(K, coupling)), step * size) - less, Fraction(0))
     return Fraction(0)

@@ -1,19 +1,21 @@
 """The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency.
 
-- `level_set_norm`: imaginary eigenvalues of a Hamiltonian tell where the largest singular value crosses a level (Boyd,
+- `level_set_norm`: the imaginary eigenvalues of a Hamiltonian are the frequencies at which a singular value crosses a level
+(Boyd,
   Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The route misses no peak, up to the rounding of eigenvalues.
-- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. Its values are all ones that
-  the transfer function really takes.
+- `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. The transfer function takes
+each
+  of its values, so it is never above the norm.
 
 `hinf_norm` runs both and returns their distance. The routes themselves find the peak on the imaginary axis (the L-infinity
 norm), or on an interval of it. It exists for unstable systems too and is infinite if a pole lies on the axis.
 
-Both share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies; every value that
-is returned was computed without them, from a linear system of equations.
+Both share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies. The returned
+values are computed without them, from a linear system of equations.
 
 The rounding of the values is bounded, to first order. The bound is large for a huge gain, whose loop A + B G has fast and slow
-poles. Then both routes continue from their results with twice the digits, on the loop before it was rounded. So the two routes
-cannot agree by a common error.
+poles. Then both routes refine their results with twice the digits, on the loop before it was rounded. So the two routes cannot
+agree by a common error.
 """
 
 from collections.abc import Callable
@@ -29,9 +31,9 @@ from synth.analysis.stability import balance, stability, stability_of_balanced
 from synth.plant.double_double import transfer_matrix_closely
 from synth.plant.generalized import GeneralizedPlant
 
-ZOOMS = 6  # of a bracket, tenfold; a maximum is flat: 10^-12 of the gain
-CLOSE_ZOOMS = 8  # where the gain has twice the digits: 10^-16 of it
-WITHIN = 1e-4  # of the damping of the nearest pole; so close to its top it is a parabola
+ZOOMS = 6  # tenfold refinements of a bracket: 1e-12 of the gain, as a maximum is flat
+CLOSE_ZOOMS = 8  # with twice the digits: 1e-16 of the gain
+WITHIN = 1e-4  # step of a parabola through a peak, as a share of the damping of the nearest pole
 ILL_CONDITIONED = 1e6  # of the eigenvectors; beyond it the modes give fewer than ten digits
 ALIKE = 1e-9  # relative to the largest gain; modes this close to the transfer function may propose frequencies
 
@@ -47,9 +49,9 @@ def transfer_matrix(A: Array, Bw: Array, C: Array, Dw: Array, omega: Array) -> A
 def largest_singular_values(T: Array) -> Array:
     """Returns the largest singular value of each matrix of a stack, shape (F,) for (F, d, r)."""
     if 1 in T.shape[1:]:
-        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # of a vector the singular value is its length
+        return np.sqrt(np.sum(np.real(T) ** 2 + np.imag(T) ** 2, axis=(1, 2)))  # the singular value of a vector is its length
     square = _smaller_square(T)
-    if square.shape[1] == 2:  # a quadratic equation, and nothing cancels in its larger root
+    if square.shape[1] == 2:  # a quadratic equation, without cancellation in its larger root
         a, b, c = np.real(square[:, 0, 0]), np.abs(square[:, 0, 1]), np.real(square[:, 1, 1])
         return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))  # the largest one keeps its digits when squared
@@ -90,12 +92,12 @@ class Gain:
         self.Bw, self.C, self.Dw = system.Bw / scale[:, None], system.C * scale, system.Dw
         beyond = np.zeros((len(self.A) + len(self.C), len(self.A))) if system.beyond is None else system.beyond * scale
         self.A_beyond, self.C_beyond = beyond[: len(self.A)] / scale[:, None], beyond[len(self.A) :]
-        found = stability_of_balanced(self.A)
-        self.poles, self.vectors = found.poles, found.vectors
+        own_stability = stability_of_balanced(self.A)
+        self.poles, self.vectors = own_stability.poles, own_stability.vectors
         self.at_infinity = float(np.linalg.norm(self.Dw, 2))
-        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # what a singular value loses, relative, be T without error
-        self.stable = found.stable
-        on_axis = np.abs(np.imag(self.poles[found.on_axis]))
+        self.last = (self.Dw.size + 4) * np.finfo(float).eps  # relative rounding of a singular value of an exact T
+        self.stable = own_stability.stable
+        on_axis = np.abs(np.imag(self.poles[own_stability.on_axis]))
         on_axis = on_axis[(on_axis >= low) & (on_axis <= high)]
         self.on_axis = float(on_axis[0]) if len(on_axis) else None
         self.edges = np.array([low, high] if np.isfinite(high) else [low])
@@ -142,22 +144,22 @@ class Gain:
         """Returns the error bound of `closely` at a frequency; 0 at infinity."""
         return float(self.closely(np.array([at]))[1][0]) if np.isfinite(at) else 0.0
 
-    def beside(self, at: float) -> float:
-        """Returns how much higher the gain may be between the best tried frequency and the next, relative, to second order."""
+    def missed(self, at: float) -> float:
+        """Returns the relative excess of a peak between the best frequency and the next one tried, to second order."""
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
         apart = np.spacing(at) + 10.0**-ZOOMS * float(self._width(np.array([at]))[0])
         return float(np.sum((apart / 2 / np.abs(1j * at - self.poles)) ** 2) / 2)
 
-    def between(self, at: float) -> float:
-        """Returns `beside` measured with twice the digits, if rounding may have moved poles and misled the search.
+    def missed_closely(self, at: float) -> float:
+        """Returns `missed` measured with twice the digits, if rounding may have moved poles and misled the search.
 
         Near a resonance the gain to the power of -2 is a parabola, fitted here through three frequencies.
         """
         if not (np.isfinite(at) and len(self.poles)):
             return 0.0
-        if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and beyond it nothing counts
-            return self.beside(at)
+        if at > 0 and at in (self.low, self.high):  # an edge was tried itself, and a peak beyond it does not count
+            return self.missed(at)
         step = max(float(np.spacing(at)), WITHIN * float(self._width(np.array([at]))[0]))
         (below, here, above), _ = self.closely(np.array([at - step, at, at + step]))
         left, right = (here / below) ** 2, (here / above) ** 2
@@ -189,7 +191,7 @@ class Gain:
         return omega[[gain(omega).argmax()]]
 
     def _width(self, omega: Array) -> Array:
-        """Returns the damping of the pole nearest to each frequency [rad/s]: no peak is thinner."""
+        """Returns the damping of the pole nearest to each frequency [rad/s]: no peak is narrower."""
         nearest = np.abs(omega[:, None] * 1j - self.poles).argmin(axis=1)
         return np.abs(np.real(self.poles[nearest]))
 
@@ -221,11 +223,10 @@ class Norm:
 
     Attributes:
         value: the larger of the two routes; infinite if the system is not stable.
-        peak_frequency: where it is reached [rad/s]; NaN if the system is not stable.
+        peak_frequency: frequency of the peak [rad/s]; NaN if the system is not stable.
         level_set: the first route's value.
         sweep: the second route's value.
-        rounding: relative error of the value, to first order: by rounding, and by a peak between neighbouring frequencies, as
-            floats are too coarse for a damping of 1e-12.
+        rounding: relative error of the value, to first order: by rounding, and by a peak between neighbouring floats.
     """
 
     value: float
@@ -236,7 +237,7 @@ class Norm:
 
     @property
     def gap(self) -> float:
-        """Relative distance of the two routes."""
+        """Relative difference between the two routes."""
         return abs(self.level_set - self.sweep) / self.value if 0 < self.value < np.inf else 0.0
 
 
@@ -264,37 +265,37 @@ def hinf_norm(system: GeneralizedPlant) -> Norm:
 
 
 def by_both_routes(gain: Gain) -> Norm:
-    """Returns the largest gain on an interval of the axis by both routes; the system may be unstable, without poles on it."""
+    """Returns the largest gain on an interval of the axis by both routes; the system may be unstable, but has no pole there."""
     (sweep, at_sweep), (level, at_level) = by_sweep(gain), by_level_sets(gain)
     slowest = gain.poles[np.abs(np.real(gain.poles)).argmin()] if len(gain.poles) else 0.0
     ends = gain.within(np.array([0.0, np.abs(np.imag(slowest)), at_sweep, at_level]))
-    ends, beside = ends[np.isfinite(ends)], gain.beside
+    ends, missed = ends[np.isfinite(ends)], gain.missed
     rounding = gain.rounding(ends)
-    if rounding > SEEN * max(sweep, level):  # a bound that is often far too large: so it is measured, and all else, too
-        rounding, beside = gain.rounded(ends), gain.between
+    if rounding > SEEN * max(sweep, level):  # this bound is often far too large, so the rounding is measured
+        rounding, missed = gain.rounded(ends), gain.missed_closely
     if rounding > SEEN * max(sweep, level):
         (sweep, at_sweep), (level, at_level) = gain.polished(at_sweep), gain.polished(at_level)
         rounding = max(gain.missing(at) for at in (at_sweep, at_level))
     value, at = (sweep, at_sweep) if sweep >= level else (level, at_level)
-    return Norm(value, at, level, sweep, rounding / value + beside(at) + gain.last if value else 0.0)
+    return Norm(value, at, level, sweep, rounding / value + missed(at) + gain.last if value else 0.0)
 
 
 def discrete_by_both_routes(system: GeneralizedPlant, dt: float, gain: Gain) -> Norm:
-    """Returns the largest gain of a discrete system: both routes run on its continuous image, and the results are checked.
+    """Returns the largest gain of a discrete system by both routes.
 
-    So the map only proposes frequencies, and its rounding is measured.
+    They run on its bilinear image, which only proposes frequencies. The gain there is that of the discrete system.
     """
     from synth.plant.discrete import response_closely, true_frequency
 
-    found = []
+    norms = []
     for route in (by_level_sets, by_sweep):
         value, at = route(gain)
         T, missing = response_closely(system, at * dt / 2)
         true = float(np.linalg.norm(T, 2))
-        found.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
-    (level, _, _), (sweep, _, _) = found
-    value, at, rounding = max(found)
-    return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.beside(at) + gain.last if value else 0.0)
+        norms.append((true, at, (abs(true - value) + missing) / true if true else 0.0))
+    (level, _, _), (sweep, _, _) = norms
+    value, at, rounding = max(norms)
+    return Norm(value, true_frequency(at, dt), level, sweep, rounding + gain.missed(at) + gain.last if value else 0.0)
 
 
 def gain_at(system: GeneralizedPlant, omega: float) -> float:
@@ -309,8 +310,8 @@ def gain_at(system: GeneralizedPlant, omega: float) -> float:
 def level_set_norm(system: GeneralizedPlant) -> tuple[float, float]:
     """Returns the largest gain of a continuous system on the imaginary axis by level sets, and its frequency [rad/s].
 
-    The eigenvalues only propose frequencies; the transfer function decides. So no tolerance has to
-    tell an imaginary eigenvalue from one that rounding moved off the axis.
+    The eigenvalues only propose frequencies; the transfer function decides. So no tolerance has to tell an imaginary eigenvalue
+    from one that rounding moved off the axis.
     """
     return by_level_sets(Gain(system))
 
@@ -336,10 +337,10 @@ def by_level_sets(gain: Gain) -> tuple[float, float]:
 
 
 def proposals(gain: Gain, level: float) -> tuple[Array, Array]:
-    """Returns frequencies of which one has a gain above a level, if any has, and their distances to the next [rad/s].
+    """Returns the crossings of a level and the points between them, shape (k,), and half their spacing, shape (k,) [rad/s].
 
-    Between two crossings of the level, or a crossing and an edge, the gain lies above it everywhere, or nowhere; a single
-    (touching) crossing is tried as it is. Both of shape (k,).
+    Between two crossings, or a crossing and an edge, the gain lies above the level everywhere, or nowhere. So if any gain is
+    above the level, one of these is.
     """
     crossings = level_crossings(gain.A, gain.Bw, gain.C, gain.Dw, level)
     crossings = np.concatenate([gain.edges[:1], crossings[(crossings > gain.low) & (crossings < gain.high)], gain.edges[1:]])
@@ -355,7 +356,7 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
     n, (d, r) = len(A), Dw.shape
     through = bool(Dw.any())
     if not through or level > CLEAR * np.linalg.norm(Dw, 2):
-        # [A Bw; -C' -A'] with w and z, unknowns of their own in the pencil below, put in.
+        # The Hamiltonian, from which w and z are eliminated.
         into, out, moved = Bw / level, C, A
         if through:
             size = np.linalg.inv(np.eye(r) - (Dw / level).T @ (Dw / level))
@@ -366,9 +367,8 @@ def level_crossings(A: Array, Bw: Array, C: Array, Dw: Array, level: float) -> A
         hamiltonian[:n, n:], hamiltonian[n:, :n] = into @ Bw.T, -C.T @ out / level
         eigenvalues = np.linalg.eigvals(hamiltonian)
     else:
-        # With w and z kept as unknowns nothing is inverted that is singular where the level is near the gain at infinity. The
-        # eigenvalues lose digits of the pencil's largest entry: so time, states and z are first counted in units that make the
-        # entries alike, of powers of two, which round nothing.
+        # A pencil with w and z as unknowns, as their elimination is singular if the level is the gain at infinity. The error of
+        # its eigenvalues grows with its largest entry, so units of time, states and z (powers of two) make the entries similar.
         rate, of_z = _power_of_two(float(np.linalg.norm(A, 2))), _power_of_two(level)
         A, Bw, C, Dw, level = A / rate, Bw / rate, C / of_z, Dw / of_z, level / of_z
         of_states = _power_of_two(float(np.sqrt(np.linalg.norm(Bw) / (np.linalg.norm(C) or 1.0))))
@@ -404,7 +404,7 @@ def by_sweep(gain: Gain) -> tuple[float, float]:
     size = np.abs(gain.poles)
     floor = max(size.max(initial=0.0) * 1e-12, np.finfo(float).tiny)
     low, high = (np.log10(max(edge, floor)) for edge in (size.min(initial=1.0), size.max(initial=1.0)))
-    # Around every pole, points spaced by its damping: no resonance is thinner than that.
+    # Around every pole, points spaced by its damping: no resonance is narrower than that.
     widths = np.linspace(-4, 4, 33)
     upper = gain.poles[np.imag(gain.poles) >= 0]
     near = np.imag(upper)[:, None] + np.abs(np.real(upper))[:, None] * widths
@@ -414,7 +414,7 @@ def by_sweep(gain: Gain) -> tuple[float, float]:
     gains = gain.about(omega)
 
     start = np.array([gains.argmax()])
-    # A local maximum far below the best grid point is no peak.
+    # A local maximum far below the best grid point cannot be the peak.
     inner = np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * gains[start])) + 1
     tops = np.unique(np.concatenate([start, inner]))
     padded = np.concatenate([omega[:1], omega, omega[-1:]])

@@ -1,7 +1,7 @@
-"""Certificates as plain data, written to logs and, with their gains, to vehicle files, and read from there.
+"""Certificates as plain data, for logs and, with their gains, for vehicle files.
 
-A check needs only the numbers that cannot be recomputed: the X of (20) and the dual certificates of the lower bound. The claimed
-numbers stand beside them for comparison.
+A record has the numbers that a check cannot recompute: the X of (20) and the dual certificates of the lower bound. It also has
+the claimed numbers, for comparison.
 """
 
 from collections.abc import Mapping
@@ -26,11 +26,11 @@ PROOFS = ("X", "limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them
 MOST_ZEROS = 200  # in a certificate; at most one per state, and each is a row of Pick's matrix
-SAME = 1e-9  # relative: how far rounding, on another machine, may move a number
+SAME = 1e-9  # relative: difference that rounding on another machine may cause
 
 
 def to_record(certificate: Certificate) -> dict[str, Any]:
-    """Returns claims and proofs for JSON and TOML, without those that do not exist or are not finite."""
+    """Returns claims and proofs for JSON and TOML, without absent or infinite ones."""
     below = certificate.below
     record: dict[str, Any] = {
         "norm": certificate.norm.value,
@@ -44,9 +44,9 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
         "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
     }
     for name in ("state", "observer"):
-        witness = getattr(below, name, None)
-        if witness is not None:
-            record[name] = {"X": witness.X.tolist(), "eta": float(witness.eta)}
+        dual = getattr(below, name, None)
+        if dual is not None:
+            record[name] = {"X": dual.X.tolist(), "eta": float(dual.eta)}
     return {
         key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
     }
@@ -55,22 +55,22 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
 def read_proof(
     record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, kept: int = 0, Dyw: Array | None = None
 ) -> tuple[Array | None, float | None, LowerBound]:
-    """Returns X and eta for (20), each None if absent, and the lower bound that the record proves, recomputed with numpy alone.
+    """Returns X and eta for (20), both None if one is absent, and the lower bound that the record proves; with numpy alone.
 
     Args:
         record: see `to_record`.
-        Cy: of the measurements, shape (q, n); any number of rows.
-        kept: number of controller states, which are in X too.
+        Cy: of the measurements, shape (q, n); q may be 0.
+        kept: number of controller states, which are in X, too.
         Dyw: from w to the measurements, shape (q, r); zero if it is not given.
 
     Raises:
-        InputError: a key is unknown or null, or not of the form that it must have.
+        InputError: a key is unknown, or its value is null or malformed.
     """
     for key in record:
         if key not in CLAIMS + PROOFS:
             raise InputError(f"unknown key {key!r} in a certificate; known: {listing(CLAIMS + PROOFS)}")
         if record[key] is None:
-            raise InputError(f"{key} in a certificate is null; what does not exist is left out, so save it again")
+            raise InputError(f"{key} in a certificate is null; a missing value is left out, so save it again")
     n = len(plant.A)
     for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM):
         _number(record, key)
@@ -96,19 +96,19 @@ def read_proof(
 
         gamma = limit_at_zeros(plant, Cy if len(Cy) else None, zeros, Dyw)
         lower_bound = max(lower_bound, LowerBound(gamma, zeros=zeros), key=lambda each: each.gamma)
-    state, observer = _witness(record, "state"), _witness(record, "observer")
+    state, observer = _dual_certificate(record, "state"), _dual_certificate(record, "observer")
     if state is not None:
         try:
             proved = prove_lower_bound(plant, state, Cy, observer, Dyw)
         except ValueError as error:
-            raise InputError(f"the witnesses of a certificate do not fit the vehicle: {error}; save it again") from error
+            raise InputError(f"a certificate does not fit the vehicle: {error}; save it again") from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
-    return X, eta, lower_bound
+    return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:
     """Returns the claims of a record that the recomputed certificate does not confirm, in words."""
-    found = to_record(certificate)
+    true_record = to_record(certificate)
     wrong = []
     if certificate.proof is None and "bound" in record:
         wrong.append(f"the bound is claimed to be {_number(record, 'bound'):.10g} without its proof: there is no X")
@@ -118,14 +118,14 @@ def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[st
     if peak is not None and not certificate.peaks_at(peak):
         wrong.append(f"the norm is claimed to be reached at {peak:.10g} rad/s, and is not")
     for claim in ("norm", "bound", "lower_bound"):
-        said, now = _number(record, claim), found.get(claim)
-        if said is None or (claim == "bound" and certificate.proof is None):
+        claimed, true = _number(record, claim), true_record.get(claim)
+        if claimed is None or (claim == "bound" and certificate.proof is None):
             continue
-        zero = claim == "norm" and certificate.norm.value <= certificate.norm_rounding  # to rounding: no digit of it counts
-        allowed = certificate.norm_rounding if zero else SAME * said
-        if now is None or not abs(now - said) <= allowed:
-            is_now = f"{now:.10g}" if now is not None else "infinite" if claim == "norm" else "unproved"
-            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {said:.10g}, and is {is_now}")
+        zero_norm = claim == "norm" and certificate.norm.value <= certificate.norm_rounding
+        allowed = certificate.norm_rounding if zero_norm else SAME * claimed
+        if true is None or not abs(true - claimed) <= allowed:
+            truth = f"{true:.10g}" if true is not None else "infinite" if claim == "norm" else "unproved"
+            wrong.append(f"the {claim.replace('_', ' ')} is claimed to be {claimed:.10g}, and is {truth}")
     return wrong
 
 
@@ -175,7 +175,7 @@ def _zeros(record: Mapping[str, Any]) -> "Zeros | None":
     return of_z, of_y
 
 
-def _witness(record: Mapping[str, Any], key: str) -> DualCertificate | None:
+def _dual_certificate(record: Mapping[str, Any], key: str) -> DualCertificate | None:
     value = record.get(key)
     if value is None:
         return None
@@ -183,5 +183,5 @@ def _witness(record: Mapping[str, Any], key: str) -> DualCertificate | None:
         value = {}
     X, eta = _matrix(value, "X"), _number(value, "eta")
     if X is None or eta is None or X.shape[0] != X.shape[1]:
-        raise InputError(f"{key} = {quoted(value)} in a certificate is no witness with X and eta")
+        raise InputError(f"{key} = {quoted(value)} in a certificate is not a table with a square X and an eta; save it again")
     return DualCertificate(X, eta)

@@ -1,12 +1,12 @@
-"""Linear algebra for proofs: over the integers, where nothing is rounded, and definiteness in floats, with rounding bounded.
+"""Linear algebra for proofs: exact over the integers, and definiteness in floats, with a bound on the rounding.
 
-Matrices of integers are numpy arrays of Python's own. Elimination is fraction-free (Bareiss 1968): every intermediate entry is a
-minor of the matrix, so the integers grow with the number of rows only.
+Matrices of integers are numpy arrays of Python's integers. Elimination is fraction-free (Bareiss 1968): every intermediate entry
+is a minor of the matrix, so the integers grow only with the number of rows.
 
 If the Cholesky decomposition of M - c I runs to its end in floating point, M is positive definite in exact arithmetic, provided
 that c exceeds the rounding errors (Rump 2006, Verification of positive definiteness, BIT 46, 433-452): the computed
 factor R satisfies R'R = M - c I + D with |D| <= d d', d_j^2 = gamma_j / (1 - gamma_j) M_jj, gamma_j about j unit roundoffs. The
-answer errs on one side only: a matrix that is singular to rounding is not proved.
+test errs on one side only: a matrix that is singular to rounding is not proved.
 """
 
 from dataclasses import dataclass
@@ -59,13 +59,13 @@ class Nullspace:
     """The solutions Phi of K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
 
     Attributes:
-        pivots: rows that follow, as many as the rank of K.
-        free: rows that may be anything.
-        independent: columns of K, as many, that span the others.
+        pivots: rows of Phi that follow from the free ones; as many as the rank of K.
+        free: rows of Phi that may be chosen.
+        independent: columns of K that are a basis of its column space.
     """
 
     def __init__(self, K: Array) -> None:
-        rows, self._shift = _alike(K.T.copy())
+        rows, self._shift = _similar_columns(K.T.copy())
         c, N = rows.shape
         order, columns = list(range(c)), []
         before = 1
@@ -88,10 +88,10 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Returns the Phi with these free rows, up to one common factor: integers, shape (N, k).
+        """Returns the Phi with given free rows, up to one common factor: integers, shape (N, k).
 
         Args:
-            values: integers, shape (len(free), k).
+            values: the free rows, integers, shape (len(free), k).
         """
         Phi = zeros(self._rows.shape[1], values.shape[1])
         Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
@@ -100,7 +100,7 @@ class Nullspace:
         return Phi * self._shift[:, None]
 
 
-def _alike(rows: Array) -> tuple[Array, Array]:
+def _similar_columns(rows: Array) -> tuple[Array, Array]:
     """Returns rows without common factors, their columns scaled by powers of two to similar size, and those powers."""
     for i, row in enumerate(rows):
         rows[i] = row // (np.gcd.reduce(row) or 1)
@@ -135,8 +135,10 @@ def root_above(square: Fraction) -> float:
 
 
 UNIT = np.finfo(float).eps / 2  # unit roundoff
-SMALLEST = 1e-200  # limit of a diagonal entry; that of all entries is 1 / SMALLEST. Beyond, numbers may under- or overflow
-TINY = 1e-100  # more than all underflows of one proof together, with a diagonal of size one
+SMALLEST = (
+    1e-200  # lower limit of a diagonal entry; 1 / SMALLEST is the upper limit of all. Beyond, numbers may under- or overflow
+)
+TINY = 1e-100  # more than the sum of all underflows of one proof, with a diagonal of size one
 
 
 @dataclass(frozen=True)
@@ -155,14 +157,14 @@ class Definiteness:
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Checks if all symmetric matrices are positive definite that round to M, entry by entry.
+    """Checks if every symmetric matrix whose entries round to those of M is positive definite.
 
     Args:
         M: shape (k, k), symmetric to the last bit.
     """
     k = len(M)
     diagonal = np.diagonal(M)
-    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # not if there is a NaN, either
+    if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # rejects a NaN, too
         return Definiteness(np.nan, np.nan, False)
     scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded, and no sign changes
     M = M * scale * scale[:, None]
@@ -180,15 +182,15 @@ def definiteness(M: Array) -> Definiteness:
 
 
 def definite_beyond(M: Array, lost: Array) -> bool:
-    """Returns True if all matrices within given distances of those of a stack are positive definite, entry by entry.
+    """Returns True if all matrices of a stack are positive definite, with any error of each entry up to `lost`.
 
     Args:
         M: shape (V, k, k); the symmetric parts count.
-        lost: the distance of each entry, shape (V, k, k).
+        lost: largest error of each entry, shape (V, k, k).
     """
     M = (M + M.swapaxes(-1, -2)) / 2
     diagonal = np.diagonal(M, axis1=-2, axis2=-1)
-    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # not if there is a NaN, either
+    if not (np.all(diagonal >= SMALLEST) and np.abs(M).max() <= 1 / SMALLEST):  # rejects a NaN, too
         return False
     scale = np.exp2(-np.round(np.log2(diagonal) / 2))  # powers of two: nothing is rounded
     across = scale[..., :, None] * scale[..., None, :]

@@ -11,26 +11,28 @@ below 1 (Bamieh, Pearson 1992; Kabamba, Hara 1993). With the held inputs v as co
 
     Ad = S22^-T,    Bd Bd' = S12 S22^-1,    Cd' Cd = -S22^-1 S21,
 
-if S22 is regular for all times in (0, T]. Otherwise the gain is gamma or more within one period, between two samples, where no
-force can react.
+if S22 is regular for all times in (0, T]. Otherwise the gain is gamma or more within one period, before any force can react.
 
-S itself grows with the period without bound. So the three are computed for a short time and doubled: for two intervals of time,
+S itself grows without bound with the period. So Ad, Bd Bd' and Cd' Cd are computed for a short time, which is doubled repeatedly.
+Two consecutive intervals combine to
 
     Ad = Ad2 M Ad1,    Bd Bd' = Bd2 Bd2' + Ad2 M Bd1 Bd1' Ad2',    Cd' Cd = Cd1' Cd1 + Ad1' Cd2' Cd2 M Ad1,
 
 with M = (I - Bd1 Bd1' Cd2' Cd2)^-1. The whole is regular if and only if both parts are and Bd1 Bd1' Cd2' Cd2 has no eigenvalue
-of 1 or more. Nothing cancels, and Ad - I is computed by itself, as it is small for a fast sample rate.
+of 1 or more. No digits cancel. Ad - I is computed, not Ad, as it is small for a fast sample rate.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, Positive, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant
@@ -44,45 +46,45 @@ class Lifted:
     """The discrete plant of a level; its states are the plant's and the held inputs.
 
     Attributes:
-        moved: Ad - I, shape (n + k, n + k).
-        reached: Bd Bd', shape (n + k, n + k).
-        cost: Cd' Cd, shape (n + k, n + k).
+        increment: Ad - I, shape (n + k, n + k).
+        BdBd: Bd Bd', shape (n + k, n + k).
+        CdCd: Cd' Cd, shape (n + k, n + k).
     """
 
-    moved: Array
-    reached: Array
-    cost: Array
+    increment: Array
+    BdBd: Array
+    CdCd: Array
 
     @property
     def Ad(self) -> Array:
         """State matrix, shape (n + k, n + k)."""
-        return np.eye(len(self.moved)) + self.moved
+        return np.eye(len(self.increment)) + self.increment
 
     @property
     def Bd(self) -> Array:
         """A root of Bd Bd', shape (n + k, n + k)."""
-        return _root(self.reached)
+        return _root(self.BdBd)
 
     @property
     def Cd(self) -> Array:
         """A root of Cd' Cd, shape (n + k, n + k)."""
-        return _root(self.cost).T
+        return _root(self.CdCd).T
 
     def then(self, later: "Lifted") -> "Lifted | None":
-        """Returns the two consecutive intervals as one, or None if the gain within it is the level or more."""
-        product = self.reached @ later.cost
+        """Returns this interval and the next as one, or None if the gain within it is the level or more."""
+        product = self.BdBd @ later.CdCd
         # No eigenvalue is larger than the norm, which costs little.
         if not (np.linalg.norm(product) < 1 or np.abs(np.linalg.eigvals(product)).max(initial=0.0) < 1):
             return None
-        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.reached]))  # M - I, M Bd1 Bd1'
+        more = np.linalg.solve(np.eye(len(product)) - product, np.hstack([product, self.BdBd]))  # M - I, M Bd1 Bd1'
         between, reached = more[:, : len(product)], more[:, len(product) :]
         first, second = self.Ad, later.Ad
-        moved = self.moved + later.moved + later.moved @ self.moved + second @ between @ first
-        cost = later.cost + later.cost @ between
+        increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
+        cost = later.CdCd + later.CdCd @ between
         return Lifted(
-            moved,
-            later.reached + second @ _symmetric(reached) @ second.T,
-            self.cost + first.T @ _symmetric(cost) @ first,
+            increment,
+            later.BdBd + second @ _symmetric(reached) @ second.T,
+            self.CdCd + first.T @ _symmetric(cost) @ first,
         )
 
 
@@ -90,7 +92,7 @@ def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma
     """Returns the discrete plant of a level over one period, or None if the gain within it is gamma or more.
 
     Args:
-        pieces: of the period: duration [s], and the selection of the k held inputs that act, shape (m, k).
+        pieces: duration [s] of each part of the period, and selection of those of the k held inputs that act, shape (m, k).
     """
     if gamma <= np.linalg.norm(plant.Dw, 2):
         return None
@@ -132,29 +134,29 @@ def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float
     for term in range(TERMS, 1, -1):
         change = step + step @ change / term
     inverse = np.linalg.inv(np.eye(n) + change[n:, n:])
-    found: Lifted | None = Lifted(
+    whole: Lifted | None = Lifted(
         -(inverse @ change[n:, n:]).T, _symmetric(change[:n, n:] @ inverse), _symmetric(-inverse @ change[n:, :n])
     )
     for _ in range(doublings):
-        assert found is not None
-        found = found.then(found)
-        if found is None:
+        assert whole is not None
+        whole = whole.then(whole)
+        if whole is None:
             return None
-    assert found is not None
+    assert whole is not None
     return Lifted(
-        found.moved * scale[:, None] / scale, found.reached * np.outer(scale, scale), found.cost / np.outer(scale, scale)
+        whole.increment * scale[:, None] / scale, whole.BdBd * np.outer(scale, scale), whole.CdCd / np.outer(scale, scale)
     )
 
 
 def in_own_units(A: Array, Bw: Array, C: Array, n: int) -> tuple[Array, Array, Array, Array]:
-    """Returns A, Bw and C in units of the states in which H is small, and these units; only the first n states move."""
+    """Returns A, Bw and C in units of the states in which H is small, and these units; the states after the n-th are constant."""
     scale = np.ones(len(A))
     _, scale[:n] = balance(A[:n, :n])
     driven, seen = np.linalg.norm(Bw[:n] / scale[:n, None]), np.linalg.norm(C[:, :n] * scale[:n])
     if driven and seen:
         scale[:n] *= math.sqrt(driven / seen)
     largest = max(float(np.linalg.norm(A[:n, :n] * scale[:n] / scale[:n, None])), float(np.sqrt(driven * seen)))
-    for i in range(n, len(A)):  # a held input's unit: small enough that it does not count
+    for i in range(n, len(A)):  # a held input's unit: so small that its entries do not exceed the others
         size = max(float(np.linalg.norm(A[:n, i] / scale[:n])), float(np.linalg.norm(C[:, i])))
         scale[i] = largest / size if size else 1.0
     return A * scale / scale[:, None], Bw / scale[:, None], C * scale, scale
@@ -165,7 +167,7 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _root(matrix: Array) -> Array:
-    """Returns L with L L' = matrix, which is positive semidefinite up to rounding; each row has its own unit."""
+    """Returns L with L L' = matrix, which is positive semidefinite up to rounding; the units of its rows may differ."""
     size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     unit = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(unit, unit))
@@ -173,7 +175,7 @@ def _root(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Piece(Checked):
     """A part of the period in which one force is held.
 
     Attributes:
@@ -181,33 +183,40 @@ class Piece:
         late: number of samples by which the acting force is delayed.
     """
 
-    duration: float
-    late: int
+    duration: Positive
+    late: Index
 
 
 @dataclass(frozen=True, eq=False)
-class SampledLoop:
+class SampledLoop(Checked):
     """A plant with a discrete controller.
 
     With the plant's states x at a sample, the controller's states s, and p = [x; s],
 
-        u = asked p,    s+ = memory p + of_force u_a,
+        u = gain p,    s+ = memory p + from_force u_a,
 
     where u_a is the acting force at the period's end.
 
     Attributes:
         plant: n states, m inputs.
-        pieces: of the period, in their order.
-        asked: gain to the computed forces, shape (m, n + k).
+        pieces: parts of the period, in order.
+        gain: from p to the computed forces, shape (m, n + k).
         memory: from p to the next controller states, shape (k, n + k).
-        of_force: from the acting force to the next controller states, shape (k, m).
+        from_force: from the acting force to the next controller states, shape (k, m).
     """
 
     plant: GeneralizedPlant
-    pieces: tuple[Piece, ...]
-    asked: Array
-    memory: Array
-    of_force: Array
+    pieces: Annotated[tuple[Piece, ...], AT_LEAST_ONE]
+    gain: Matrix
+    memory: Matrix
+    from_force: Matrix
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        (n, m), k = self.plant.B.shape, len(self.memory)
+        check_shape("gain", self.gain, (m, n + k), f"as the plant has n = {n} and m = {m}, and memory says k = {k}")
+        check_shape("memory", self.memory, (k, n + k), f"as the plant has n = {n} states")
+        check_shape("from_force", self.from_force, (k, m), f"as the plant has m = {m} inputs")
 
     @property
     def period(self) -> float:
@@ -222,67 +231,67 @@ class SampledLoop:
     @property
     def states(self) -> int:
         """Number N of the states [x; s; delayed forces]."""
-        return self.asked.shape[1] + self.late * len(self.asked)
+        return self.gain.shape[1] + self.late * len(self.gain)
 
     @cached_property
     def acting(self) -> list[tuple[float, Array]]:
         """Duration [s] and input selection of every piece, shape (m, m pieces): each piece has its own held inputs."""
-        m, count = len(self.asked), len(self.pieces)
+        m, count = len(self.gain), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
 
     @cached_property
-    def moved(self) -> Array:
-        """Undisturbed transition of [x; held inputs] over a period, less the identity, shape (n + k, n + k)."""
+    def increment(self) -> Array:
+        """Undisturbed transition of [x; held inputs] over a period less the identity, shape (n + i, n + i)."""
         total = np.zeros((0, 0))
         for duration, acting in self.acting:
             A, _, _ = with_inputs(self.plant, acting)
             n = len(A)
-            # exp(A t) - I is the integral of exp(A s) A: a held input, and no 1 that takes its digits.
+            # exp(A t) - I is the integral of exp(A s) A, computed as for a held input A: without cancellation.
             piece = held_inputs(A, duration, linalg.expm, A)[1]
             total = piece if not len(total) else piece + total + piece @ total
             assert len(total) == n
         return total
 
     def register(self) -> tuple[Array, Array]:
-        """Returns the loop with the delayed forces as states, the next to act first.
+        """Returns two maps from all N states, whose delayed forces are sorted by the time at which they act.
 
         Returns:
-            From all N states to [x; held inputs] at the sample, shape (n + i, N), and to the next states but x, shape (N - n, N).
+            To [x; held inputs] at the sample, shape (n + i, N), and to the next states except x, shape (N - n, N).
         """
-        n, (m, known) = len(self.plant.A), self.asked.shape
-        on_way, late = self.late * m, self.late
-        N = known + on_way
-        asked = np.hstack([self.asked, np.zeros((m, on_way))])
-        forces = [asked if not piece.late else np.eye(m, N, known + (late - piece.late) * m) for piece in self.pieces]
-        kept = np.hstack([self.memory, np.zeros((len(self.memory), on_way))]) + self.of_force @ forces[-1]
-        shifted = np.eye(max(on_way - m, 0), N, known + m)
-        return np.vstack([np.eye(n, N), *forces]), np.vstack([kept, shifted, asked] if late else [kept])
+        n, (m, known) = len(self.plant.A), self.gain.shape
+        delayed, late = self.late * m, self.late
+        N = known + delayed
+        gain = np.hstack([self.gain, np.zeros((m, delayed))])
+        forces = [gain if not piece.late else np.eye(m, N, known + (late - piece.late) * m) for piece in self.pieces]
+        memory = np.hstack([self.memory, np.zeros((len(self.memory), delayed))]) + self.from_force @ forces[-1]
+        shifted = np.eye(max(delayed - m, 0), N, known + m)
+        return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
 
-    def closed(self, moved: Array) -> tuple[Array, Array]:
+    def closed(self, increment: Array) -> tuple[Array, Array]:
         """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].
 
         Args:
-            moved: transition of [x; held inputs] over a period less the identity, shape (n + i, n + i).
+            increment: transition of [x; held inputs] over a period less the identity, shape (n + i, n + i).
         """
         start, rest = self.register()
         n, N = len(self.plant.A), start.shape[1]
-        return np.vstack([moved[:n] @ start, rest - np.eye(N - n, N, n)]), start
+        return np.vstack([increment[:n] @ start, rest - np.eye(N - n, N, n)]), start
 
-    def turning(self, moved: Array, angles: Array) -> tuple[Array, Array]:
-        """Returns the loop at zeta = exp(j angle), at which a delay is a power of zeta and delayed forces need no states.
+    def at_angles(self, increment: Array, angles: Array) -> tuple[Array, Array]:
+        """Returns the loop at zeta = exp(j angle). A delay is a power of zeta there, so delayed forces need no states.
 
         Args:
-            moved: as above.
+            increment: as for `closed`.
             angles: [rad], shape (F,).
 
         Returns:
             zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
         """
-        n, known, turned = len(self.plant.A), self.asked.shape[1], np.exp(1j * angles)
-        forces = [self.asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        n, known, turned = len(self.plant.A), self.gain.shape[1], np.exp(1j * angles)
+        forces = [self.gain * (turned**-piece.late)[:, None, None] for piece in self.pieces]
         start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
         matrix = np.empty((len(angles), known, known), dtype=complex)
-        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without the loss of digits of that difference
-        matrix[:, :n] = step[:, None, None] * np.eye(n, known) - moved[:n] @ start
-        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.memory - self.of_force @ forces[-1]
+        step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without cancellation
+        matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
+        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.memory - self.from_force @ forces[-1]
         return matrix, start

@@ -1,11 +1,11 @@
 """The L2 gain of a sampled loop, from the continuous disturbance to the continuous z: exact, and from below.
 
-A level is above the gain if the discrete plant of that level (`sampled_loop.py`) closes to a stable loop of l2 norm below 1. The
+A level exceeds the gain if its discrete plant (`sampled_loop.py`) gives a stable closed loop with an l2 norm below 1. The
 bilinear image of that loop has the same gains. The eigenvalues of its Hamiltonian propose the angles on the unit circle at which
 a gain is 1, as for a continuous loop; the gain is evaluated there and in between. At the angle of the largest gain the level is
-moved until that gain is 1: then it is the gain of the loop for a disturbance that turns by this angle from sample to sample.
+changed until that gain is 1. It is then the gain for a disturbance whose phase advances by this angle per sample.
 
-The second route, from below, uses no levels. It considers disturbances that turn by an angle from sample to sample and are
+The second route, from below, uses no levels. It considers disturbances whose phase advances by an angle per sample and which are
 polynomials of low degree over each part of the period. For these x is exact by matrix exponentials, and so is the energy of z:
 the largest gain among them is the largest singular value of one matrix. It is the gain of an actual disturbance (fast lifting,
 Keller, Anderson 1992, but of z itself, not of its samples). As a worst disturbance is smooth, and the gain stationary there,
@@ -19,6 +19,7 @@ from numpy.polynomial import legendre
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.checks import Positive
 from models.common.threads import one_thread
 from synth.analysis.norm import largest_singular_values, level_crossings
 from synth.analysis.sampled_loop import Lifted, SampledLoop, in_own_units, lifted, with_inputs
@@ -26,24 +27,24 @@ from synth.analysis.specification import ABOVE, BELOW, SampledNorm
 from synth.analysis.stability import balance, sampled_growth
 
 DEGREE = 3
-FEWEST, MOST = 4, 64  # parts of a piece of the period to begin with
-LONGEST = 1.0  # length of a part times the fastest rate of the plant
+FEWEST, MOST = 4, 64  # limits of the first number of parts of a piece
+LONGEST = 1.0  # limit of the length of a part, times the fastest rate of the plant
 NODES = 12  # of a quadrature: its error for exp(2 t), the worst integrand, is 1e-30
 MOST_COLUMNS = 1200  # of the matrix: more take seconds
 SHORT = 1e-7  # relative: a lower bound this close to the norm is not refined
 
 
 def reached_near(loop: SampledLoop, angle: float, norm: float) -> float:
-    """Returns `reached_gain` at an angle, with parts doubled until it comes near a norm or the matrix becomes too large."""
+    """Returns `reached_gain` at an angle, with parts doubled until it is near the norm or the matrix becomes too large."""
     fastest = np.abs(np.linalg.eigvals(balance(loop.plant.A)[0])).max(initial=0.0)
     each = len(loop.pieces) * (DEGREE + 1) * loop.plant.Bw.shape[1]
     most = max(FEWEST, MOST_COLUMNS // each)
     parts = int(min(max(FEWEST, np.ceil(loop.period * fastest / LONGEST)), MOST, most))
-    found = 0.0
+    largest = 0.0
     while True:
-        found = max(found, reached_gain(loop, angle, parts))
-        if found >= norm * (1 - SHORT) or 2 * parts > most:
-            return found
+        largest = max(largest, reached_gain(loop, angle, parts))
+        if largest >= norm * (1 - SHORT) or 2 * parts > most:
+            return largest
         parts *= 2
 
 
@@ -52,14 +53,14 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
 
     Args:
         loop: stable.
-        angle: of the disturbance from sample to sample [rad]; NaN for a disturbance and a z within one period alone.
-        parts: of every piece of the period.
+        angle: phase advance of the disturbance per sample [rad]; NaN for one period alone.
+        parts: number of parts of every piece of the period.
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
-    width = n + len(loop.acting) * len(loop.asked)
+    width = n + len(loop.acting) * len(loop.gain)
 
-    # [x; held inputs] now: `free` from those at the sample, `forced` from every polynomial so far.
+    # Maps to the current [x; held inputs]: `free` from those at the sample, `forced` from every polynomial so far.
     free, forced = np.eye(width), np.zeros((width, 0))
     seen_free, seen_forced = [], []
     for duration, acting in loop.acting:
@@ -73,7 +74,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     direct = np.vstack(padded)
     if alone:
         return float(np.linalg.norm(direct, 2))
-    matrix, start = loop.turning(free - np.eye(width), np.array([angle]))
+    matrix, start = loop.at_angles(free - np.eye(width), np.array([angle]))
     driven = np.vstack([forced[:n], np.zeros((matrix.shape[1] - n, columns))])
     whole = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], driven)) + direct
     return float(largest_singular_values(whole[None])[0])
@@ -85,7 +86,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     The energy itself is never formed: with states in very different units, its small parts are lost in rounding. Its root is z at
     the nodes of a quadrature, compressed by an orthogonal transformation, which keeps the digits of each column.
 
-    A polynomial is given by its Legendre coefficients, of energy one each. Only the first n states move.
+    A polynomial is given by the coefficients of Legendre polynomials of energy one. The states after the n-th are constant.
     """
     size, r, k = len(A), Bw.shape[1], degree + 1
     A, Bw, C, scale = in_own_units(A, Bw, C, n)
@@ -98,7 +99,7 @@ def _part(A: Array, Bw: Array, C: Array, Dw: Array, n: int, h: float, degree: in
     larger[:size, :size], larger[:size, size : size + r] = A, Bw
     larger[size:, size:] = np.kron(np.eye(k, k=1), np.eye(r)) / h
     seen = np.hstack([C, Dw, np.zeros((len(C), (k - 1) * r))])
-    # Over a time that is short for A, z is nearly a polynomial, whose energy the quadrature gives exactly; then time is doubled.
+    # Over a short time z is nearly a polynomial, whose energy the quadrature gives exactly; then the time is doubled.
     doublings = max(0, math.ceil(math.log2(max(h * float(np.linalg.norm(A, 1)), 1e-300))))
     short = h / 2**doublings
     nodes, weights = legendre.leggauss(NODES)
@@ -119,23 +120,23 @@ def _small(root: Array) -> Array:
 
 CLOSE = 1e-11  # relative: a gain this near to 1 counts as 1
 ROUNDS = 100  # limit of a search, which needs a handful
-ZOOMS = 4  # of a bracket about a peak, sevenfold, if level sets follow; a maximum is flat
-FAR_ZOOMS = 9  # without level sets
-MOST_STATES = 400  # of a loop with its delayed forces, for eigenvalues; larger ones use frequencies alone
-SLOWEST = 1e-9  # rad per sample, where a grid of frequencies begins
-PER_TURN = 40  # of its points, per turn that a delay makes
+ZOOMS = 4  # sevenfold refinements of a bracket around a peak, if level sets follow
+FAR_ZOOMS = 9  # refinements without level sets
+MOST_STATES = 400  # with the delayed forces; larger loops are checked at frequencies, without eigenvalues
+SLOWEST = 1e-9  # lowest positive frequency of a grid [rad per sample]
+PER_TURN = 40  # grid points per turn of a delay's phase
 NOTHING = 1e-15  # relative to the first level: a smaller gain is zero
-AT_ONCE = 4096  # frequencies; more take memory by the hundred megabytes
+AT_ONCE = 4096  # frequencies computed together; more take hundreds of megabytes
 TURN = 0.5  # [rad]; largest step of a phase between two points
 
 
 @one_thread()
-def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
+def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
     """Returns the L2 gain of a sampled loop, to 1e-8.
 
     Args:
         loop: stable or not.
-        near: a guess of the norm, above 0.
+        near: a positive estimate of the norm.
 
     Example:
         >>> import numpy as np
@@ -143,8 +144,8 @@ def sampled_norm(loop: SampledLoop, near: float = 1.0) -> SampledNorm:
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
-        >>> asked, nothing = np.array([[0.0, -2.0]]), np.zeros((0, 2))
-        >>> loop = SampledLoop(oscillator, (Piece(duration=0.01, late=0),), asked, memory=nothing, of_force=np.zeros((0, 1)))
+        >>> gain, nothing = np.array([[0.0, -2.0]]), np.zeros((0, 2))
+        >>> loop = SampledLoop(oscillator, (Piece(duration=0.01, late=0),), gain, memory=nothing, from_force=np.zeros((0, 1)))
         >>> f"{sampled_norm(loop).value:.4f}"
         '0.2894'
     """
@@ -161,7 +162,7 @@ def _poles(loop: SampledLoop) -> Array | None:
     """Returns the poles of a loop from sample to sample; empty for a large loop, None for an unstable one."""
     if loop.states > MOST_STATES:
         return np.zeros(0) if _decays(loop) else None
-    change, _ = loop.closed(loop.moved)
+    change, _ = loop.closed(loop.increment)
     transition = np.eye(len(change)) + change
     return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
 
@@ -169,15 +170,15 @@ def _poles(loop: SampledLoop) -> Array | None:
 def _decays(loop: SampledLoop) -> bool:
     """Returns True if a loop is stable, by the winding number of its characteristic polynomial around the unit circle.
 
-    With the delayed forces eliminated, zeros less poles are the number of other states; all zeros lie within the circle if the
+    With the delayed forces eliminated, the zeros outnumber the poles by the number of other states. The loop is stable if the
     winding number equals that.
     """
-    angles, change = _grid(loop), loop.moved
+    angles, change = _grid(loop), loop.increment
 
     def sign(at: Array) -> Array:
         if len(at) > AT_ONCE:
             return np.concatenate([sign(some) for some in np.array_split(at, len(at) // AT_ONCE + 1)])
-        matrix, _ = loop.turning(change, at)
+        matrix, _ = loop.at_angles(change, at)
         turned, _ = np.linalg.slogdet(matrix * np.exp(-1j * at)[:, None, None])
         return turned
 
@@ -209,14 +210,14 @@ class _Level:
         """Returns the largest singular value from w_d to z_d at angles [rad] of shape (F,), shape (F,)."""
         if len(angles) > AT_ONCE:
             return np.concatenate([self.gains(some) for some in np.array_split(angles, len(angles) // AT_ONCE + 1)])
-        matrix, start = self.loop.turning(self.plant.moved, angles)
+        matrix, start = self.loop.at_angles(self.plant.increment, angles)
         driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
         driven[:, : len(self.Bd)] = self.Bd
         return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
 
     def crossings(self) -> Array:
         """Returns angles [rad], ascending from 0, that contain all at which a singular value is 1."""
-        change, start = self.loop.closed(self.plant.moved)
+        change, start = self.loop.closed(self.plant.increment)
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
         A, scale = balance(2 / T * change @ inverse)
@@ -241,7 +242,7 @@ class _Search:
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
         """Prepares the search for a stable loop with these poles."""
         self.loop, self.large = loop, loop.states > MOST_STATES
-        self.poles = np.log(poles[poles != 0].astype(complex))  # as of a continuous loop, per sample
+        self.poles = np.log(poles[poles != 0].astype(complex))  # of the equivalent continuous loop, per sample
 
     def run(self, near: float) -> SampledNorm:
         """Runs the search of `sampled_norm`."""
@@ -253,7 +254,7 @@ class _Search:
                 return SampledNorm(0.0, 0.0, 0.0, np.nan, 0.0)
             upper = level if inside else level * (1 + ABOVE)
             there = self._at(upper)
-            assert there is not None, "a level above one that can be"
+            assert there is not None, "a level above one with a discrete plant has one, too"
             gain, higher = self._highest(there) if self.large else self._above(there)
             if gain <= 1:
                 lower = self._at(level * (1 - BELOW))
@@ -265,18 +266,18 @@ class _Search:
         raise ArithmeticError("the level sets of a sampled loop do not close in on its norm")
 
     def _at(self, level: float) -> _Level | None:
-        found = lifted(self.loop.plant, self.loop.acting, level)
-        return None if found is None else _Level(self.loop, found)
+        lifted_loop = lifted(self.loop.plant, self.loop.acting, level)
+        return None if lifted_loop is None else _Level(self.loop, lifted_loop)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
-        """Returns a level with a discrete plant, a lower one without it, or 0, and the loop of the first."""
+        """Returns a level with a discrete plant, the last level without one, or 0, and the loop of the first."""
         below = 0.0
         for _ in range(ROUNDS):
             there = self._at(level)
             if there is not None:
                 return level, below, there
             below, level = level, 2 * level
-        raise ArithmeticError("no level is above what happens within a period")
+        raise ArithmeticError("no level exceeds the gain within a period")
 
     def _highest(self, there: _Level) -> tuple[float, float]:
         """Returns the largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
@@ -291,7 +292,7 @@ class _Search:
         return there.climbed(angles[tops], np.maximum(padded[tops + 2] - angles[tops], angles[tops] - padded[tops]))
 
     def _above(self, there: _Level) -> tuple[float, float]:
-        """Returns the largest gain of a level and its angle if it exceeds 1: between crossings of 1, or at a touching one."""
+        """Returns the largest gain of a level at and between its crossings of 1, and its angle if the gain exceeds 1, else 0."""
         crossings = there.crossings()
         proposed = np.concatenate([crossings, (crossings[:-1] + crossings[1:]) / 2, [np.pi]])
         apart = np.concatenate([np.zeros(len(crossings)), np.diff(crossings) / 2, [0.0]])
@@ -300,12 +301,9 @@ class _Search:
         return (float(gains.max()), 0.0) if gains.max() <= 1 else there.climbed(proposed[best], apart[best])
 
     def _gain_at(self, angle: float, level: float, below: float) -> tuple[float, float, bool]:
-        """Returns the level whose gain at an angle is 1, a lower one, and True if the latter has no discrete plant.
+        """Returns the level whose gain at an angle [rad] is 1, a lower level, and True if the latter has no discrete plant.
 
-        The iteration uses secants in logarithms, within a level that is too low and one that is high enough.
-
-        Args:
-            angle: [rad].
+        A secant iteration in logarithms, bracketed by a level that is too low and one that is high enough.
         """
         above, last, first = np.inf, None, level
         for _ in range(ROUNDS):

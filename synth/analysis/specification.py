@@ -1,4 +1,4 @@
-"""Specifications of a controller beside its certificate, and the enclosed norm of a sampled loop."""
+"""Specifications of a controller, and the norm of a sampled loop between two levels."""
 
 import math
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ SAME = 1e-9  # relative: rounding of a bound that is just satisfied
 
 
 @dataclass(frozen=True)
-class Promise:
-    """A specification that a controller was designed for, or is judged by.
+class Specification:
+    """A quantity that a controller was designed for, or is judged by.
 
     Attributes:
-        what: name of the quantity, in words.
-        value: the largest known value of the quantity.
+        what: name of the quantity.
+        value: largest known value.
         proved: proved upper bound; None if the value is exact to rounding.
-        at_most: allowed value; None if the quantity is minimised.
+        at_most: largest allowed value; None if the quantity is minimised.
         unit: of all three.
-        where: place of the value, in words, or empty.
+        where: place where the value occurs, or empty.
     """
 
     what: str
@@ -33,7 +33,7 @@ class Promise:
 
     @property
     def holds(self) -> bool:
-        """True if the proved bound, or the value if it is exact, keeps the allowed value."""
+        """True if the proved bound, or the exact value, is allowed."""
         known = self.value if self.proved is None else self.proved
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
@@ -78,10 +78,10 @@ class SampledNorm:
         value: the gain; infinite if the loop is not stable.
         lower: a level below the gain.
         upper: a level above the gain.
-        angle: of the worst disturbance from sample to sample [rad], 0 to pi; NaN if no angle is the worst.
-        reached: gain of an actual disturbance, computed by another route (`sampled_norm.py`): at most the norm.
-        inside: True if the gain within one period decides, where no force can react: no controller at this rate does better.
-        by_sweep: True if `upper` was checked at frequencies alone, as there are too many states for eigenvalues.
+        angle: phase advance of the worst disturbance per sample [rad], 0 to pi; NaN if no angle is the worst.
+        reached: gain of an actual disturbance, by a second route (`sampled_norm.py`); at most the norm.
+        inside: True if the largest gain occurs within one period: no controller at this rate does better.
+        by_sweep: True if `upper` was checked at frequencies alone, as the loop has too many states for eigenvalues.
     """
 
     value: float
@@ -99,5 +99,5 @@ class SampledNorm:
 
     @property
     def gap(self) -> float:
-        """Relative distance of the reached gain from the norm: that of the two routes."""
+        """Relative difference between the two routes."""
         return abs(self.value - self.reached) / self.value if 0 < self.value < np.inf else 0.0

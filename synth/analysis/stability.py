@@ -1,10 +1,10 @@
-"""Stability of a loop: stable, marginal or unstable, decided here alone, and the modes that prevent stabilisation.
+"""Stability of a loop: stable, marginal or unstable; and the modes that prevent stabilisation.
 
-Rounding turns A into A + E with |E| about eps |A|, so computed eigenvalues are those of some A + E. A pole lies on the imaginary
-axis *to rounding* if such an E puts one exactly there, above or below the pole: if the smallest singular value of A - j omega at
-its omega is no larger than |E| (Trefethen, Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole that is the
-eigenvalue's condition number times the backward error. The criterion also holds for multiple poles, whose condition number is
-infinite: a double pole at the origin moves by sqrt(eps) and is still marginal, one at -1 moves as far and is stable.
+Computed eigenvalues are those of some A + E with |E| about eps |A|. A pole lies on the imaginary axis *to rounding* if such an E
+puts an eigenvalue at j omega, omega its imaginary part: if the smallest singular value of A - j omega is at most |E| (Trefethen,
+Embree 2005, Spectra and Pseudospectra, section 2). For a simple pole the distance allowed is the eigenvalue's condition number
+times |E|. The criterion also holds for multiple poles, whose condition number is infinite: rounding moves a double pole at the
+origin by sqrt(eps), and it is still marginal; it moves one at -1 as far, which is still stable.
 
 A mode that does not decay by itself must be controllable and observable, or no controller stabilises it.
 """
@@ -20,7 +20,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
-FAR = 1e3  # times the first-order rounding: a pole further from the axis than that is not on it
+FAR = 1e3  # times the first-order rounding: a pole further from the axis does not lie on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Stability:
 
     Attributes:
         poles: eigenvalues of A [rad/s], complex, shape (n,), sorted; of a discrete loop, z without a unit.
-        on_axis: which of them lie on the imaginary axis to rounding, or on the unit circle, shape (n,).
+        on_axis: mask of the poles on the imaginary axis, or the unit circle, to rounding, shape (n,).
         rounding: size of E [rad/s], or without a unit.
         vectors: right eigenvectors of the balanced A, of length one, complex, shape (n, n).
         dt: seconds between samples of a discrete loop; None for a continuous one.
@@ -109,7 +109,7 @@ def stability(A: Array, dt: float | None = None) -> Stability:
 def stability_of_balanced(A: Array) -> Stability:
     """Returns the `stability` of a continuous loop whose matrix is balanced."""
     poles, conditions, vectors = _eigen(A)
-    on_axis = _reached(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
+    on_axis = _within_rounding(A, conditions, 1j * np.imag(poles), np.abs(np.real(poles)))
     return Stability(poles, on_axis, rounding(A), vectors)
 
 
@@ -173,24 +173,24 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 def _on_circle(A: Array, poles: Array, conditions: Array) -> Array:
     """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,)."""
-    return _reached(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
+    return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
 
 
-def _reached(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
+def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
     """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
-    allowed, found = rounding(A), dict[tuple[float, float], bool]()
-    reached = np.zeros(len(A), dtype=bool)
+    allowed, known = rounding(A), dict[tuple[float, float], bool]()
+    mask = np.zeros(len(A), dtype=bool)
     # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
     for i in np.flatnonzero(distances <= FAR * allowed * conditions):
-        pair = (points[i].real, abs(points[i].imag))  # conjugates are as near to singular
-        if pair not in found:
-            found[pair] = _nearly_singular(A - points[i] * np.eye(len(A)), allowed)
-        reached[i] = found[pair]
-    return reached
+        pair = (points[i].real, abs(points[i].imag))  # the same for its conjugate
+        if pair not in known:
+            known[pair] = _nearly_singular(A - points[i] * np.eye(len(A)), allowed)
+        mask[i] = known[pair]
+    return mask
 
 
 def _nearly_singular(matrix: Array, distance: float) -> bool:
-    """Returns True if a singular matrix lies within a distance, by the smallest singular value."""
+    """Returns True if a singular matrix lies within a distance: if the smallest singular value is at most that."""
     try:
         # A lower bound on the smallest singular value, at a tenth of the time.
         if 1 / np.linalg.norm(np.linalg.inv(matrix)) > 2 * distance:
@@ -213,7 +213,7 @@ def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
 
 
 ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero to rounding
-UNREACHED = 1e-8  # relative; an input whose effect on a mode is smaller does not reach it
+UNREACHED = 1e-8  # relative; an input with a smaller effect on a mode does not control it
 
 
 def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
@@ -228,7 +228,7 @@ def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array
     inputs = B / scale[:, None]
     size = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, size > 0] / size[size > 0]
-    found: list[tuple[complex, Array]] = []
+    modes: list[tuple[complex, Array]] = []
     where = stability(A if dt is None else np.eye(len(A)) + dt * A, dt)
     for given in where.poles[(where.growth >= 0) | where.on_axis]:
         if given.imag < 0:
@@ -236,10 +236,10 @@ def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array
         pole = given if dt is None else (given - 1) / dt
         pencil = np.hstack([balanced - pole * np.eye(len(A)), inputs * (np.linalg.norm(balanced, 2) or 1.0)])
         left, sizes, _ = np.linalg.svd(pencil)
-        known = any(abs(given - other) <= 1e-6 * max(abs(given), 1e-300) for other, _ in found)
+        known = any(abs(given - other) <= 1e-6 * max(abs(given), 1e-300) for other, _ in modes)
         if sizes[-1] <= UNREACHED * sizes[0] and not known:
-            found.append((complex(given), left[:, -1].conj() / scale))
-    return found
+            modes.append((complex(given), left[:, -1].conj() / scale))
+    return modes
 
 
 def obstacles(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] = ()) -> list[str]:
@@ -251,18 +251,18 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] =
     """
     names, own, dt = list(states) or [f"x{i + 1}" for i in range(len(plant.A))], own_units(plant, Cy), plant.dt
     plant = own.into(plant.differences)
-    found = [
+    reasons = [
         f"the plant cannot be stabilised: no input reaches the mode at {pole_text(pole, dt)}, which does not decay and shows "
         f"most in {largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
         for pole, vector in unreached(plant.A, plant.B, dt)
     ]
     if Cy is not None:
-        found += [
+        reasons += [
             f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {pole_text(pole, dt)}, "
-            f"which does not decay and moves most in {largest(vector, names)}; measure a signal that it is seen in"
+            f"which does not decay and moves most in {largest(vector, names)}; measure a signal that it appears in"
             for pole, vector in unreached(plant.A.T, (Cy * own.states).T, dt)
         ]
-    return found
+    return reasons
 
 
 def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
@@ -283,7 +283,7 @@ def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
     if np.all(np.abs(Cy @ B) <= ZERO * (np.abs(Cy) @ np.abs(B))) and diagonal.sum() >= -ZERO * np.abs(diagonal).sum():
         return [
             f"no gain from what is measured stabilises the plant, whose mode at {mode} does not decay: no force acts at once on "
-            f"a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure one on which it does, as a velocity"
+            f"a measured signal (C_y B = 0), so the sum of all poles stays {stays}; measure one it acts on at once, as a velocity"
         ]
     if np.linalg.cond(balance(A)[0]) * ZERO > 1:
         return []

@@ -1,30 +1,80 @@
 """The Gahinet-Apkarian inequality of a plant, without the controller's terms, in exact integers and in floats.
 
-For state feedback (21) has a Y exactly if N' (21) N < 0 at Y = 0, N a basis of all q with [B; D]' q = 0 (the elimination lemma;
-Gahinet, Apkarian 1994). For output feedback from y = C_y x + Dyw w there is a second one, the same of the transposed plant, in S.
+For state feedback, a Y of (21) exists if and only if N' (21) N < 0 at Y = 0, N a basis of all q with [B; D]' q = 0 (the
+elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw w adds the same inequality of the transposed
+plant, in S.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. Let F hold these directions (`steered`). No dual solution can weight them, so N is also orthogonal to [F; 0]
-and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant, whose B is C_y' and D
-is Dyw', F' are the rows that y and those of its derivatives show that are free of w (`shown`).
+not observable in z. The columns of F span these directions (`steered`). No dual solution can weight them, so N is also orthogonal
+to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant (B = C_y',
+D = Dyw') the rows of F' are the states that y and its derivatives give without w (`shown`).
 
-The same holds for stable states that are unobservable in z: X grows without cost there, too.
+Along stable states that are unobservable in z, X grows without cost, too.
 
-All ranks are decided in integers on the given numbers, without tolerances. So a small direction counts, and units of states,
-inputs, time, w and z do not matter.
+**Discrete plants.** There it reads Q X Q' - U X U' + eta b b' - c c' < 0, and 2 (Q X Q' - U X U') = He((Q - U) X (Q + U)'). So
+(Q - U) / 2 and Q + U take the places of Q and U: nothing is rounded. Inputs without cost steer no such directions here: their
+zeros at infinity lie outside the unit circle. F holds the states that inputs bring to zero in some samples while z is zero.
+
+All ranks are decided in integers on the given numbers, without tolerances. So neither the size of a direction matters, nor the
+units of states, inputs, time, w and z.
+
+**Stable zeros.** If U is square and Q - s U loses rank at a stable zero s, X grows along that zero without cost, too. Dual
+solutions live on the left deflating subspace of the other zeros,
+
+    L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
+
+and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' in place of U, Q, b, c and X. L and Lambda are no floats, so
+they are enclosed (`AntistablePart`), as zeros are in `interpolation.py`. Zeros on the axis to rounding are left out: that weakens
+the bound, and does not falsify it.
 """
 
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, without_factors
-from synth.plant.generalized import GeneralizedPlant, check_continuous
+from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, without_factors, zeros
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.units import nearest_power
 
 GROWTH = 1e-9  # relative to |A|; a smaller real part is rounding
+AXIS = 1e-9  # relative to the largest zero; a smaller real part counts as none
+STEPS = 3  # of Newton's method
+SAFE = 4.0  # times what a sum of products may lose to rounding
+
+
+@dataclass(frozen=True, eq=False)
+class AntistablePart:
+    """The inequality He(Lambda X') + eta b b' - c c' < 0 of the zeros in the open right half plane.
+
+    Attributes:
+        P: L U with its columns over `columns`, shape (a', a).
+        columns: powers of two, shape (a,).
+        Q: Lambda, shape (a', a').
+        b, c: shapes (a', r), (a', d).
+        off: radii of the enclosures of P, Q, b and c, of each entry.
+    """
+
+    P: Array
+    columns: Array
+    Q: Array
+    b: Array
+    c: Array
+    off: tuple[float, float, float, float]
+
+    def reduced(self, X: Array) -> Array:
+        """Returns X' of an X of the whole inequality, shape (a', a')."""
+        P = self.P * self.columns
+        return P @ X @ P.T
+
+    def whole(self, X: Array) -> Array:
+        """Returns an X of the whole inequality, shape (a, a), whose part is X'."""
+        back = np.linalg.pinv(self.P) / self.columns[:, None]
+        return back @ X @ back.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +83,7 @@ class SynthesisInequality:
 
     Attributes:
         J: rows orthogonal to the steered directions, shape (a, n); integers.
-        coordinates: of the states, a of them; J is diagonal there.
+        coordinates: indices of a states, in which J is diagonal.
         U, Q, b, c: shapes (k, a), (k, a), (k, r), (k, d); integers over `scale`, Q and b also over `unit`.
         unit, scale: powers of two.
     """
@@ -49,16 +99,11 @@ class SynthesisInequality:
 
     @classmethod
     def of(cls, plant: GeneralizedPlant) -> "SynthesisInequality":
-        """Returns the inequality of state feedback, or of the observer if the plant is the transposed one.
-
-        Raises:
-            InputError: the plant is discrete; map it to a continuous one first.
-        """
-        check_continuous(plant)
+        """Returns the inequality of state feedback, or of the observer if the plant is the transposed one."""
         n, (system, unit) = len(plant.A), integers(plant.system_matrix)
         m = plant.B.shape[1]
         states, inputs = system[:, :n], system[:, n : n + m]
-        F = np.hstack([_closure(states, inputs), _hidden(plant, states)])
+        F = np.hstack([(_closure if plant.dt is None else _emptied)(states, inputs), _hidden(plant, states)])
         F = F[:, Nullspace(F).independent]
         steered = Nullspace(F)
         J, _ = without_factors(steered.complete(identity(len(steered.free))))
@@ -66,16 +111,16 @@ class SynthesisInequality:
         N = Nullspace(columns)
         basis, scale = without_factors(N.complete(identity(len(N.free))))
         low, at = basis.T, steered.free
-        return cls(
-            J=J.T,
-            coordinates=at,
-            U=low[:, at],
-            Q=product(low, states)[:, at],
-            b=product(low, system[:, n + m :]),
-            c=low[:, n:],
-            unit=unit,
-            scale=scale,
-        )
+        U, Q = low[:, at], product(low, states)[:, at]
+        b, c = product(low, system[:, n + m :]), low[:, n:]
+        if plant.dt is not None:
+            U, Q, b, c, unit, scale = Q + unit * U, Q - unit * U, 2 * b, unit * c, 2, scale * unit
+        return cls(J=J.T, coordinates=at, U=U, Q=Q, b=b, c=c, unit=unit, scale=scale)
+
+    @cached_property
+    def antistable(self) -> AntistablePart | None:
+        """The part that stable zeros leave to dual solutions; None if there are no such zeros."""
+        return _antistable_part(self)
 
     def floats(self) -> tuple[Array, Array, Array, Array]:
         """Returns U, Q, b, c in floats, every entry rounded once."""
@@ -91,14 +136,14 @@ def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> 
         Dyw: shape (q, r); zero if it is not given.
     """
     D = np.zeros((plant.Bw.shape[1], len(Cy))) if Dyw is None else np.asarray(Dyw).T
-    return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T)
+    return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T, dt=plant.dt)
 
 
 def meeting(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
-    """Returns J_other J_one', each J the identity in its coordinates: integers, shape (a_other, a_one), and their denominator."""
-    across, down = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
-    over = math.lcm(*across) * math.lcm(*down)
-    return product(other.J, one.J.T) * over // np.multiply.outer(down, across), over
+    """Returns J_other J_one', each J the identity in its coordinates, as integers, shape (a_other, a_one), and a denominator."""
+    columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
+    denominator = math.lcm(*columns) * math.lcm(*rows)
+    return product(other.J, one.J.T) * denominator // np.multiply.outer(rows, columns), denominator
 
 
 def steered(plant: GeneralizedPlant) -> Array:
@@ -130,10 +175,24 @@ def _closure(states: Array, inputs: Array) -> Array:
         F = wider
 
 
+def _emptied(states: Array, inputs: Array) -> Array:
+    """Returns all f that inputs bring to zero in some samples, z being zero meanwhile: columns, shape (n, f)."""
+    n = states.shape[1]
+    F = inputs[:n, :0]
+    while True:
+        into = np.vstack([F, zeros(len(states) - n, F.shape[1])])
+        silent = Nullspace(np.hstack([states, inputs, into]).T)
+        kept = silent.complete(identity(len(silent.free)))[:n]
+        wider, _ = without_factors(kept[:, Nullspace(kept).independent])
+        if wider.shape[1] == F.shape[1]:
+            return F
+        F = wider
+
+
 def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
     """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
 
-    A misjudgement here would weaken the bound, not falsify it: fewer dual solutions remain.
+    A wrong decision here would weaken the bound, not falsify it.
     """
     n = len(plant.A)
     silent = Nullspace(states[n:].T)
@@ -147,5 +206,93 @@ def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
         V, _ = without_factors(kept)
     directions = V / np.max(np.abs(V), axis=0, initial=1)
     within = np.linalg.lstsq(directions.astype(float), plant.A @ directions.astype(float))[0]
-    grows = np.any(np.linalg.eigvals(within).real > GROWTH * np.linalg.norm(plant.A))
+    modes, size = np.linalg.eigvals(within), float(np.linalg.norm(plant.A))
+    grows = np.any(modes.real > GROWTH * size) if plant.dt is None else np.any(np.abs(modes) > 1 + GROWTH * size)
     return V[:, :0] if grows else V
+
+
+@np.errstate(all="ignore")  # what is not finite encloses nothing
+def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
+    """Returns the part of the unstable zeros; None if all zeros are unstable, U is not square, or nothing can be enclosed."""
+    try:
+        U, Q, b, c = side.floats()
+        if not len(U) or len(U) != U.shape[1]:
+            return None
+        M = np.linalg.solve(U.T, Q.T).T
+        rows = np.asarray(linalg.matrix_balance(M, permute=False, separate=True)[1][0])
+        U, Q, b, c = (part / rows[:, None] for part in (U, Q, b, c))
+        balanced = M / rows[:, None] * rows
+        rate = scale_near(float(np.linalg.norm(balanced)))
+        edge = AXIS * float(np.abs(np.linalg.eigvals(balanced)).max()) / rate
+        N, vectors, count = linalg.schur(balanced.T / rate, sort=lambda real, imaginary: real > edge)  # pyright: ignore[reportAssignmentType]
+    except (OverflowError, ValueError, np.linalg.LinAlgError):
+        return None
+    if count == len(U):
+        return None
+    columns = np.array([scale_near(float(size)) for size in np.linalg.norm(np.vstack([U, Q / rate]), axis=0)])
+    U, Q = U / columns, Q / rate / columns
+    found = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
+    if found is None:
+        return None
+    W, N, radius = found
+    unit, size = _unit(len(U)), float(np.linalg.norm(W))
+
+    def times(matrix: Array) -> tuple[Array, float]:
+        length = float(np.linalg.norm(matrix))
+        return W.T @ matrix, (radius + unit * size) * length
+
+    (P, off_p), (b, off_b), (c, off_c) = map(times, (U, b, c))
+    return AntistablePart(P, columns, N.T * rate, b, c, (off_p, radius * rate, off_b, off_c))
+
+
+def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, Array, float] | None:
+    """Returns W and N near Q' W = U' W N, and the radius in which a solution lies; None if that is not proved."""
+    a, k = W.shape
+    if not k:
+        return W, N, 0.0
+    first_basis = W
+    try:
+        for _ in range(STEPS):
+            derivative, residual = _equation(U, Q, W, N, first_basis)
+            step = np.linalg.solve(derivative, residual)
+            W, N = W - step[: a * k].reshape(k, a).T, N - step[a * k :].reshape(k, k).T
+        derivative, residual = _equation(U, Q, W, N, first_basis)
+        R = np.linalg.inv(derivative)
+    except np.linalg.LinAlgError:
+        return None
+    unit = _unit(a)
+    below = np.abs(Q).T @ np.abs(W) + np.abs(U).T @ np.abs(W) @ np.abs(N), np.abs(first_basis).T @ np.abs(W) + np.eye(k)
+    rounding = unit * np.concatenate([below[0].ravel("F"), below[1].ravel("F")])
+    size, bend = (1 + unit) * float(np.linalg.norm(R, 2)), (1 + unit) * float(np.linalg.norm(U))
+    first = (1 + unit) * float(np.linalg.norm(R @ residual)) + size * float(np.linalg.norm(rounding))
+    # The derivative, too, is rounded: in its own entries, and by cancellation in Q - s U and U' W.
+    own, turned = float(np.linalg.norm(W)), float(np.linalg.norm(N))
+    shaken = float(np.linalg.norm(derivative)) + k**0.5 * (float(np.linalg.norm(Q)) + bend * (own + turned))
+    contraction = float(np.linalg.norm(np.eye(len(R)) - R @ derivative)) + unit * len(R) * size * shaken
+    radius = 2 * first / (1 - contraction)
+    if not (contraction < 0.5 and first + contraction * radius + size * bend * radius**2 / 2 <= radius):
+        return None
+    return W, N, radius
+
+
+def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Array, Array]:
+    """Returns the derivative of Q' W - U' W N = 0, basis' W = I, by columns, and the residual."""
+    k = len(N)
+    eye = np.eye(k)
+    derivative = np.block(
+        [
+            [np.kron(eye, Q.T) - np.kron(N.T, U.T), -np.kron(eye, U.T @ W)],
+            [np.kron(eye, basis.T), np.zeros((k * k, k * k))],
+        ]
+    )
+    return derivative, np.concatenate([(Q.T @ W - U.T @ W @ N).ravel("F"), (basis.T @ W - eye).ravel("F")])
+
+
+def _unit(a: int) -> float:
+    """Returns a bound on the relative rounding of sums of products of matrices with a rows."""
+    return SAFE * (2 * a + 4) * float(np.finfo(float).eps)
+
+
+def scale_near(size: float) -> float:
+    """Returns the power of two next to a size; 1 if the size is 0."""
+    return nearest_power(size) if size > 0 else 1.0

@@ -1,12 +1,11 @@
 """Proofs of stability and of norms for a box of errors, in which every reading and force of a gain has its own factor.
 
-The acting gain is S_u K S_y with diagonal S_y, S_u. Every factor enters the loop through one column and one row. Along each of
-them, with the others fixed, A, C, Bw and Dw are straight lines in t / (1 - c t), or in t if no measurement contains a force.
-That is monotone as long as the loop through the measurements is well-posed. It is everywhere in the box if its determinant, of
-first degree in every factor, has one sign at all corners. For a fixed X the largest eigenvalue of LMI (20), in which the
-disturbance may appear squared, is convex in these lines. So it is largest at a corner: one X that satisfies (20) at all corners
-of a box proves stability and the bound everywhere in it (quadratic stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994,
-section 5.1).
+The acting gain is S_u K S_y with diagonal S_y, S_u. As a function of one factor t, with the others fixed, A, C, Bw and Dw are
+affine in t / (1 - c t), or in t if no measurement contains a force. That quotient is monotone while the algebraic loop through
+the measurements is well-posed: everywhere in the box if its determinant, affine in every factor, has one sign at all corners. For
+a fixed X the largest eigenvalue of LMI (20) is convex in the quotient, as the disturbance appears at most squared. So it is
+largest at a corner: one X that satisfies (20) at all corners of a box proves stability and the bound everywhere in it (quadratic
+stability, Boyd, El Ghaoui, Feron, Balakrishnan 1994, section 5.1).
 
 One X for all errors also allows for rapidly changing errors, which is conservative for constant ones. Let A be one of the loops
 of a box, in the convex hull of the A_i at its corners, and let
@@ -14,10 +13,9 @@ of a box, in the convex hull of the A_i at its corners, and let
     [ F A_i + A_i' F'     X_i - F + A_i' G' ]
     [ X_i - F' + G A_i      -(G + G')       ]  <  0,     X_i > 0,
 
-with F and G the same for all. With the same weights as A = sum l_i A_i, X = sum l_i X_i satisfies the same inequality, and
-between [I, A'] and its transpose that is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear
-systems, in Perspectives in Robust Control). Rounding is bounded entry by entry, and included
-(`analysis/rigorous.py`).
+with F and G the same for all. With the weights of A = sum l_i A_i, X = sum l_i X_i satisfies the same inequality. Multiplied by
+[I, A'] and its transpose, it is A' X + X A < 0 (de Oliveira, Skelton 2001, Stability tests for constrained linear systems, in
+Perspectives in Robust Control). The rounding of each entry is bounded and allowed for (`analysis/rigorous.py`).
 """
 
 import itertools
@@ -33,8 +31,8 @@ from synth.analysis.certificate import bound_of
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness
 from synth.plant.generalized import GeneralizedPlant
 
-MOST = 12  # uncertain factors in a box whose corners are all checked: 4096
-REGULAR = 1e-6  # relative to the largest: smallest determinant of the loop through the measurements
+MOST = 12  # uncertain factors of a box, which has 4096 corners then
+REGULAR = 1e-6  # relative to the largest: smallest determinant of a well-posed loop through the measurements
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +40,7 @@ class Box:
     """Intervals of the factors of q readings, followed by those of m forces.
 
     Attributes:
-        low, high: the ends of each, shapes (q + m,).
+        low, high: the ends of the intervals, shapes (q + m,).
     """
 
     low: Array
@@ -109,7 +107,7 @@ class ScaledGain:
         q = self.K.shape[1]
         return factors[..., q:, None] * self.K * factors[..., None, :q] - self.before
 
-    def back(self, K: Array) -> Array:
+    def return_difference(self, K: Array) -> Array:
         """Returns I - K Dyu, shape (..., m, m)."""
         return np.eye(len(self.K)) - K @ self.Dyu
 
@@ -120,13 +118,13 @@ class ScaledGain:
             LinAlgError: a loop through the measurements is not well-posed.
         """
         K = self.scaled(factors)
-        return np.linalg.solve(self.back(K), K) if np.any(self.Dyu) else K
+        return np.linalg.solve(self.return_difference(K), K) if np.any(self.Dyu) else K
 
-    def posed(self, box: Box) -> bool:
+    def well_posed(self, box: Box) -> bool:
         """Returns True if every loop through the measurements is well-posed."""
         if not np.any(self.Dyu):
             return True
-        determinants = np.linalg.det(self.back(self.scaled(box.corners)))
+        determinants = np.linalg.det(self.return_difference(self.scaled(box.corners)))
         return bool(np.all(np.abs(determinants) > REGULAR * np.abs(determinants).max()) and np.ptp(np.sign(determinants)) == 0)
 
     def loops(self, factors: Array) -> Loops:
@@ -141,10 +139,10 @@ class ScaledGain:
         return Loops(A, plant.Bw + plant.B @ through, C, plant.Dw + plant.D @ through)
 
     def sizes(self, factors: Array) -> Loops:
-        """Returns the sums of the sizes of all terms in `loops`, to which their rounding is proportional."""
+        """Returns `loops` with every term replaced by its magnitude, to which the rounding is proportional."""
         scaled, plant = np.abs(self.scaled(factors)) + 2 * np.abs(self.before), self.plant
         if np.any(self.Dyu):
-            size = np.abs(np.linalg.inv(self.back(self.scaled(factors))))
+            size = np.abs(np.linalg.inv(self.return_difference(self.scaled(factors))))
             scaled = size @ (scaled + (np.eye(len(self.K)) + scaled @ np.abs(self.Dyu)) @ np.abs(self.acting(factors)))
         G, through = scaled @ np.abs(self.Cy), scaled @ np.abs(self.Dyw)
         B, D = np.abs(plant.B), np.abs(plant.D)
@@ -171,7 +169,7 @@ class BoxProof:
 
     Attributes:
         eta: gamma^-2.
-        parts: they fill the box.
+        parts: boxes that fill the whole box, each with its X.
     """
 
     eta: float
@@ -195,7 +193,7 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
         X: shape (n, n), symmetric to the last bit.
         eta: gamma^-2.
     """
-    if len(box.free) > MOST or not gain.posed(box) or not definiteness(X).proved:
+    if len(box.free) > MOST or not gain.well_posed(box) or not definiteness(X).proved:
         return False
     corners = box.corners
     (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
@@ -223,7 +221,7 @@ class ParameterDependentLyapunov:
 
     Attributes:
         X: at every corner, in the order of `Box.corners`, shape (2^k, n, n).
-        F, G: at all of them, shapes (n, n).
+        F, G: the same for all corners, shapes (n, n).
         gamma: the bound; infinite for stability alone.
     """
 
@@ -235,19 +233,19 @@ class ParameterDependentLyapunov:
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if all loops of a box are proved stable, and their norms below the bound, beyond rounding."""
         corners = box.corners
-        if not gain.posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
+        if not gain.well_posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
         (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
         sizes = left_side(gain.sizes(corners), np.abs(self.X), np.abs(self.F), np.abs(self.G), self.gamma, sign=1.0)
         lost = 4 * (2 * n + m * m + m + q + r + 8) * UNIT * sizes
-        alone = definite_beyond(self.X, np.zeros_like(self.X))
-        return alone and definite_beyond(-left_side(gain.loops(corners), self.X, self.F, self.G, self.gamma), lost)
+        positive = definite_beyond(self.X, np.zeros_like(self.X))
+        return positive and definite_beyond(-left_side(gain.loops(corners), self.X, self.F, self.G, self.gamma), lost)
 
 
 def left_side(loops: Loops, X: Array, F: Array, G: Array, gamma: float, sign: float = -1.0) -> Array:
-    """Returns the left side of the inequality at all corners, shape (V, k, k); from sizes, with `sign` 1, its terms' sizes.
+    """Returns the left side of the inequality at all corners, shape (V, k, k); from magnitudes, with `sign` 1, its magnitudes.
 
-    With a bound it is that of the bounded real lemma, bordered by [F Bw, C'; G Bw, 0] and [-gamma I, Dw'; Dw, -gamma I].
+    If gamma is finite, it is that of the bounded real lemma, bordered by [F Bw, C'; G Bw, 0] and [-gamma I, Dw'; Dw, -gamma I].
     """
     A, Bw, C, Dw = loops
     (V, n, r), d = Bw.shape, C.shape[1]
@@ -276,8 +274,8 @@ class ParameterDependentKYP:
         [ 0          0           -gamma I    Dw' ]
         [ 0          C            Dw        -gamma I ]
 
-    (Iwasaki, Hara 2005, theorem 2, with Finsler's lemma): W vanishes on all motions x' = A x + Bw w. With one W for all corners
-    the sum with weights l_i is the inequality of the loop between them.
+    (Iwasaki, Hara 2005, theorem 2, with Finsler's lemma): the term with W vanishes for all motions x' = A x + Bw w. As W is the
+    same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
 
     Attributes:
         P, Q: at every corner, in the order of `Box.corners`, complex, shapes (2^k, n, n).
@@ -296,7 +294,11 @@ class ParameterDependentKYP:
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if the bound is proved for all loops of a box, beyond rounding."""
         corners = box.corners
-        if not gain.posed(box) or not len(self.P) == len(self.Q) == len(corners) or not (hermitian(self.P) and hermitian(self.Q)):
+        if (
+            not gain.well_posed(box)
+            or not len(self.P) == len(self.Q) == len(corners)
+            or not (hermitian(self.P) and hermitian(self.Q))
+        ):
             return False
         (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
         loops, sizes = gain.loops(corners), gain.sizes(corners)
@@ -309,7 +311,7 @@ class ParameterDependentKYP:
 
 
 def band_side(loops: Loops, P: Array, Q: Array, W: Array, low: float, high: float, gamma: float, sign: float = -1.0) -> Array:
-    """Returns the left side of `ParameterDependentKYP` at all corners, shape (V, k, k); from sizes, with `sign` 1, its terms'."""
+    """Returns the left side of `ParameterDependentKYP`, shape (V, k, k); from magnitudes, with `sign` 1, its magnitudes."""
     a, c, b = (sign, (low + high) / 2, sign * low * high) if np.isfinite(high) else (1.0, 0.0, sign * low**2)
     A, Bw, C, Dw = loops
     (V, n, r), d = Bw.shape, C.shape[1]

@@ -7,7 +7,7 @@ from models.common.command import chosen
 from models.common.errors import InputError, listing
 from models.vehicle.vehicle import ControllerEntry
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.specification import Promise
+from synth.analysis.specification import Specification
 from synth.command.table import Row
 from synth.controller.controller import Controller
 from synth.controller.report import failures_as_it_runs, false_norm, judged_lines, norm_if_implemented, notes_as_it_runs
@@ -33,7 +33,7 @@ def check(designer: Designer, names: Sequence[str] | None) -> list[Row]:
 def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     assert entry.law is not None
     certificate, failures = designer.checked(entry)
-    kept: tuple[Promise, ...] = ()
+    kept: tuple[Specification, ...] = ()
     if entry.goals is not None:
         from synth.vehicle.multi_objective import promises_of
 

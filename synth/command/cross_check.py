@@ -53,12 +53,14 @@ class CrossCheck:
     @property
     def failures(self) -> tuple[str, ...]:
         """The disagreements, in words."""
-        found = []
+        failed = []
         if self.apart is not None and abs(self.apart) > TOLERANCE:
-            found.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
+            failed.append(f"Clarabel's optimum of {self.problem} is {self.theirs:.9g}, ours is {self.ours:.9g}")
         if self.above is not None and not -TOLERANCE <= self.above <= self.optimum_gap + TOLERANCE:
-            found.append(f"our gain attains {self.attained:.9g} in Clarabel's {self.problem}, whose optimum is {self.theirs:.9g}")
-        return tuple(found)
+            failed.append(
+                f"our gain attains {self.attained:.9g} in Clarabel's {self.problem}, whose optimum is {self.theirs:.9g}"
+            )
+        return tuple(failed)
 
     @property
     def text(self) -> str:
@@ -121,7 +123,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         D=plant.D * output_unit * input_unit,
         Dw=plant.Dw * output_unit * disturbance_unit,
     )
-    found: list[float | None] = [None, None]
+    optima: list[float | None] = [None, None]
     said = []
     for i, gain in enumerate((None, K @ scaling[a:, a:] / input_unit)):
         what = "" if gain is None else " with our gain"
@@ -130,7 +132,7 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         except DesignError as error:
             said.append(f"{which}{what}: {error}")
             continue
-        found[i] = solved.gamma / (disturbance_unit * output_unit)
+        optima[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
             said.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return CrossCheck(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, found[0], found[1], "; ".join(said))
+    return CrossCheck(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, optima[0], optima[1], "; ".join(said))

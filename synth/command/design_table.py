@@ -16,7 +16,7 @@ from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.invariant_point import is_pole
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, detail_lines, refine_lines, row_object, table_lines, verdict_lines
+from synth.command.table import Row, detail_lines, refine_lines, ride_lines, row_object, table_lines, verdict_lines
 from synth.controller.controller import InterruptedDesign
 from synth.controller.problem import measurements
 from synth.controller.report import (
@@ -32,6 +32,7 @@ from synth.controller.report import (
 from synth.design.descent.flatness import free_moves
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
+from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
@@ -89,6 +90,8 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     moved = {}
     with parts.part("what else is said"):
         moved = {} if options.check or parts.cut else _flatness(designer, rows)
+    rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+    passive = expected_ride(vehicle, designer.design("passive"))
     with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
         designs = [row.controller for row in rows if row.controller is not None]
         saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
@@ -104,6 +107,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 "vehicle": vehicle.kind.name,
                 "controllers": [row_object(row) for row in rows],
                 "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
+                "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": "m/s2", "passive": passive},
                 "flat": {"gamma": FLAT, "gain_down_up": moved},
                 "saved": str(options.save) if saved else None,
                 **({"picture": str(options.picture) if drawn else None} if options.picture else {}),
@@ -126,7 +130,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             if options.picture:
                 lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
             about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
-            say([*lines, "", *table_lines(rows), *about, "", *verdict_lines(rows)])
+            given = ", every force given" if vehicle.dampers else ""
+            rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given)
+            say([*lines, "", *table_lines(rows), *about, *rides, "", *verdict_lines(rows)])
     if parts.cut:
         raise KeyboardInterrupt
     return 1 if any(row.failures for row in rows) else 0

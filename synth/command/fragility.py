@@ -42,6 +42,6 @@ def fragile(vehicle: Vehicle, controller: Controller | None) -> Fragile | None:
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
     posed = controller.problem(vehicle)
-    found = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.through))
+    borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.through))
     forces = tuple(vehicle.linear_model.inputs)
-    return Fragile(found, rounding(controller.law, posed.closed, posed.plant), controller.measured, forces)
+    return Fragile(borne, rounding(controller.law, posed.closed, posed.plant), controller.measured, forces)

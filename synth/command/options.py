@@ -33,7 +33,7 @@ examples:
 """
 
 
-def asked(arguments: Sequence[str] | None) -> Namespace:
+def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """Parses and checks the options.
 
     Raises:

@@ -52,12 +52,12 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
 
 def _bands(vehicle: Vehicle, rows: Sequence[Row]) -> list[tuple[float, float]]:
     """The bands of the rows' goals of `[performance]` [Hz], each once."""
-    found = {}
+    bands = {}
     for row in rows:
         goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
         norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))] if goals else []
-        found |= dict.fromkeys(norm.band for norm in norms if norm.narrow and norm.signals is None)
-    return list(found)
+        bands |= dict.fromkeys(norm.band for norm in norms if norm.narrow and norm.signals is None)
+    return list(bands)
 
 
 def _levels(vehicle: Vehicle, row: Row) -> list[tuple[tuple[float, float], float]]:

@@ -47,17 +47,17 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     check_outputs(outputs, vehicle.files)
     tried = drawn_periods(periods) if options.picture else periods
     stage = Stages(*(f"controller {name}" for name in names))
-    designer, found, undesigned = Designer(vehicle), [], {}
+    designer, costs, undesigned = Designer(vehicle), [], {}
     for name in names:
         done = stage.counted(f"controller {name}", len(tried), "rates")
         try:
-            found.append(cost(vehicle, designer.design(name), tried, periods, done))
+            costs.append(cost(vehicle, designer.design(name), tried, periods, done))
         except DesignError as error:
             undesigned[name] = str(error)
     stage.end()
-    if options.picture and found:
-        write_picture(rates_figure(vehicle, found, periods), options.picture)
-    asked = [_only(one, periods) for one in found]
+    if options.picture and costs:
+        write_picture(rates_figure(vehicle, costs, periods), options.picture)
+    asked = [_only(one, periods) for one in costs]
     failed = [text for one in asked for text in failures(one)]
     if options.json:
         rows = [cost_object(one) for one in asked]

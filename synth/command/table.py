@@ -18,6 +18,8 @@ from synth.controller.report import (
     NORM,
     PEAK,
     SLOWEST_POLE,
+    growth_lines,
+    growth_object,
     heading_lines,
     norm_lines,
     norm_object,
@@ -27,6 +29,9 @@ from synth.controller.report import (
 if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
     from synth.command.fragility import Fragile
+
+
+WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,7 @@ class Row:
         witness: result of a second solver, if requested.
         sampled: the norm as implemented, if the vehicle file has an implementation.
         fragile: the tolerated errors, if requested.
+        ride: expected weighted acceleration on an average road [m/s2], or None.
     """
 
     name: str
@@ -52,6 +58,7 @@ class Row:
     witness: "CrossCheck | None" = None
     sampled: SampledNorm | None = None
     fragile: "Fragile | None" = None
+    ride: float | None = None
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -72,7 +79,9 @@ def row_object(row: Row) -> dict[str, Any]:
         **json_object((PEAK,), certificate),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
         **json_object((LOWER_BOUND, GAP), certificate),
+        "expected_ride": row.ride,
         "stability": certificate.stability.verdict,
+        **growth_object(controller),
         "lmi": _lmi_object(certificate.proof),
         "certificate": to_record(certificate) | norm_record(row.sampled),
         "notes": [*row.notes, *certificate.remarks],
@@ -144,7 +153,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         lines.append(f"  {row.witness.text}")
     if row.fragile is not None:
         lines += [f"  {line}" for line in row.fragile.lines]
-    said = (*row.notes, *certificate.remarks)
+    said = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
@@ -168,6 +177,30 @@ def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
         f"refine: --refine lowers the norm of {shares}:",
         *command(["python -m synth", option("--vehicle", vehicle), *named, "--refine"]),
     ]
+
+
+def ride_lines(rows: Sequence[Row], passive: float | None, road: str, given: str) -> list[str]:
+    """Returns the expected ride of every controller, and those that ride worse than the passive suspension; empty if unknown.
+
+    Args:
+        passive: of the passive suspension [m/s2], or None.
+        road: in words.
+        given: what is assumed of the forces, in words after a comma; empty for nothing.
+    """
+    rides = {row.name: row.ride for row in rows if row.ride is not None}
+    if not rides:
+        return []
+    rides = ({"passive": passive} if passive is not None else {}) | rides
+    said = {name: "" if not passive or name == "passive" else f" ({_change(ride / passive)})" for name, ride in rides.items()}
+    listed = ", ".join(f"{name} {ride:.3g}{said[name]}" for name, ride in rides.items())
+    lines = [f"ride: expected weighted acceleration, {road}, of the ideal loop{given} [m/s2]: {listed}"]
+    worse = [name for name, ride in rides.items() if passive and ride > WORSE * passive]
+    lines += [f"ride: WORSE than passive: {', '.join(worse)}; the norm weighs other things than comfort"] if worse else []
+    return lines
+
+
+def _change(ratio: float) -> str:
+    return f"{100 * (ratio - 1):+.0f} %"
 
 
 def verdict_lines(rows: Sequence[Row]) -> list[str]:

@@ -43,9 +43,9 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     stage = Stages("designs", "the picture")
     told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:
-        found = front(vehicle, name, axes, others_of(vehicle), DESIGNS, told)
-        if not found.points:
-            raise DesignError(f"of {found.tried} designs there is none whose claims could all be proved; give other axes")
+        trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, told)
+        if not trade_off.points:
+            raise DesignError(f"of {trade_off.tried} designs there is none whose claims could all be proved; give other axes")
     except DesignError as error:
         stage.end()
         if options.json:
@@ -54,29 +54,31 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
             say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
     with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
-        numbers = _numbers(found, options.point) if options.save else []
+        numbers = _numbers(trade_off, options.point) if options.save else []
         stage("the picture")
         with together():
             if options.picture:
-                write_picture(front_figure(found), options.picture)
+                write_picture(front_figure(trade_off), options.picture)
             if options.csv:
-                write_csv(found, options.csv)
+                write_csv(trade_off, options.csv)
             if options.save:
                 save(
-                    options.save, vehicle, [replace(found.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers]
+                    options.save,
+                    vehicle,
+                    [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers],
                 )
         stage.end()
         saved = str(options.save) if options.save else None
         if options.json:
-            result = {"vehicle": vehicle.kind.name, **front_object(found), **written(outputs), "saved": saved}
+            result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
             print(json.dumps(result, allow_nan=False))
         else:
-            lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(found), *written_lines(outputs)]
+            lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(trade_off), *written_lines(outputs)]
             lines += ["", "saved", Whole(f"  {saved}")] if saved else []
-            say([*lines, "", *(part for line in sentences(found) for part in wrapped(line, hang=4))])
-    if found.interrupted:
+            say([*lines, "", *(part for line in sentences(trade_off) for part in wrapped(line, hang=4))])
+    if trade_off.interrupted:
         raise KeyboardInterrupt
-    return 1 if found.unproved else 0
+    return 1 if trade_off.unproved else 0
 
 
 def others_of(vehicle: Vehicle) -> list[str]:
@@ -102,9 +104,11 @@ def usual(vehicle: Vehicle) -> str:
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
-def _numbers(found: Front, asked: Sequence[int] | None) -> list[int]:
+def _numbers(trade_off: Front, asked: Sequence[int] | None) -> list[int]:
     """The points that are saved."""
     for i in asked or ():
-        if i > len(found.points):
-            raise InputError(f"--point {i}: the front has {len(found.points)} points; give one from 1 to {len(found.points)}")
-    return sorted({*asked}) if asked else list(range(1, len(found.points) + 1))
+        if i > len(trade_off.points):
+            raise InputError(
+                f"--point {i}: the front has {len(trade_off.points)} points; give one from 1 to {len(trade_off.points)}"
+            )
+    return sorted({*asked}) if asked else list(range(1, len(trade_off.points) + 1))

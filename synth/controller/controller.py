@@ -1,12 +1,13 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.checks import Checked, at_the_door
+from models.common.errors import InputError, listing
 from models.common.printed import Shown
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware
@@ -18,7 +19,7 @@ from synth.controller.problem import Problem, problem
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
-    from synth.analysis.specification import Promise
+    from synth.analysis.specification import Specification
 
 
 class Law(Protocol):
@@ -30,6 +31,7 @@ class Law(Protocol):
         ...
 
 
+@runtime_checkable
 class Driver(Protocol):
     """A controller that drives a vehicle: a linear `Controller`, a `Programmed` law in Python, or a `SemiActive` law.
 
@@ -71,7 +73,7 @@ class Driver(Protocol):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Controller(Shown):
+class Controller(Checked, Shown):
     """A linear controller with its certificate and the notes of its design.
 
     Attributes:
@@ -110,19 +112,22 @@ class Controller(Shown):
     false_claims: tuple[str, ...] = ()
     hardware: Hardware = IDEAL
     sampled: bool = False
-    promises: "tuple[Promise, ...]" = ()
+    promises: "tuple[Specification, ...]" = ()
     kind: ClassVar[str] = "a linear law"
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:
         """Measured signals, law and certificate."""
         title, proved = self.certificate.shown
-        law = f"{self.law.states} states" if self.law.states else f"gain {self.gain.tolist()}" if self.measured else "no force"
+        law = f"{self.law.states} states" if self.law.states else self.text if self.measured else "no force"
         return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
             "measures": ", ".join(self.measured) or "nothing",
             "law": law,
             **proved,
         }
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() + self.certificate.figure
 
     @property
     def states(self) -> int:
@@ -149,8 +154,14 @@ class Controller(Shown):
         """The specifications that are not kept, or not proved, in words."""
         return tuple(f"not kept: {promise.text}" for promise in self.promises if not promise.holds)
 
+    @at_the_door
     def problem(self, vehicle: Vehicle) -> Problem:
-        """Returns the problem that the controller is judged with, for a vehicle that has these signals."""
+        """Returns the problem that the controller is judged with, for a vehicle that has these signals.
+
+        Raises:
+            InputError: the vehicle has other signals or forces.
+        """
+        check_fits(vehicle, self)
         return problem(vehicle, self.measured, self.hardware)
 
     def law_on_states(self, vehicle: Vehicle) -> LinearLaw:
@@ -176,6 +187,25 @@ class Controller(Shown):
             raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
         C, through = vehicle.linear_model.rows(self.measured)
         return self.law.continuous().fed_back(through).D @ C
+
+
+def check_fits(vehicle: Vehicle, *controllers: Driver) -> None:
+    """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
+
+    Raises:
+        InputError: it names the controller.
+    """
+    outputs, forces = vehicle.linear_model.outputs, len(vehicle.linear_model.inputs)
+    for one in controllers:
+        strange = [signal for signal in one.measured if signal not in outputs]
+        wrong = f"measures {strange[0]!r}" if strange else ""
+        if isinstance(one, Controller) and one.law.D.shape != (forces, len(one.measured)):
+            wrong = wrong or f"has a law of shape {one.law.D.shape}"
+        if wrong:
+            raise InputError(
+                f"controller {one.name!r} {wrong}, and is another vehicle's; this {vehicle.kind.name} has {forces} force(s) and "
+                f"the signals {listing(outputs)}"
+            )
 
 
 class InterruptedDesign(KeyboardInterrupt):

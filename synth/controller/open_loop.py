@@ -27,7 +27,7 @@ from synth.plant.discrete import held_inputs
 
 
 @dataclass(frozen=True, eq=False)
-class Controlled:
+class OpenLoop:
     """A vehicle with its actuators and controller states, and the gain to its inputs.
 
     Attributes:
@@ -76,7 +76,7 @@ class Controlled:
         return np.concatenate([acting, rates], axis=-2)
 
 
-def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
+def continuous(vehicle: Vehicle, controller: Controller) -> OpenLoop:
     """Returns the open loop in continuous time; a discrete law as its bilinear counterpart.
 
     Raises:
@@ -87,7 +87,7 @@ def continuous(vehicle: Vehicle, controller: Controller) -> Controlled:
     return _kept(model, controller.law.continuous().fed_back(D), C, np.zeros((len(C), 0)))
 
 
-def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controlled:
+def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop:
     """Returns the open loop for a sample period.
 
     Args:
@@ -106,7 +106,7 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> Controll
     return _kept(model, rates, C, D if np.any(D) else np.zeros((len(C), 0)), 1 / period)
 
 
-def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 0.0) -> Controlled:
+def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 0.0) -> OpenLoop:
     """Returns the open loop with the states of a law, and with the previous forces if a measurement contains them.
 
     Args:
@@ -119,7 +119,7 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     (n, m), k, held = model.B.shape, law.states, D.shape[1]
     more = k + held
     if not more:
-        return Controlled(model, law.D @ C, np.zeros((0, m)), law.D, m)
+        return OpenLoop(model, law.D @ C, np.zeros((0, m)), law.D, m)
     readings = np.hstack([C, np.zeros((len(C), k)), D])
     G = np.vstack(
         [
@@ -143,7 +143,7 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
         states=(*model.states, *names),
         inputs=(*model.inputs, *(f"rate_of_{name}" for name in names)),
     )
-    return Controlled(larger, G, hold, reading, m)
+    return OpenLoop(larger, G, hold, reading, m)
 
 
 def with_lag(vehicle: Vehicle) -> LinearModel:
@@ -179,7 +179,7 @@ class ImplementedLoop:
         parts: of the period, in their order; more than one if the delay has a fraction of a sample.
     """
 
-    cut: Controlled
+    cut: OpenLoop
     transition: Array
     added: Array
     parts: tuple[Held, ...]
@@ -217,12 +217,12 @@ class LoopModel:
         return self.steps * self.timestep
 
     @cached_property
-    def open_loop(self) -> Controlled:
+    def open_loop(self) -> OpenLoop:
         """The open loop of the vehicle and its sampled controller."""
         return sampled(self.vehicle, self.controller, self.period)
 
     @cached_property
-    def continuous(self) -> Controlled:
+    def continuous(self) -> OpenLoop:
         """The open loop in continuous time, without delay."""
         return continuous(self.vehicle, self.controller)
 
@@ -237,7 +237,7 @@ class LoopModel:
         return sampled_growth(self.closed_loop.transition) ** (1 / self.steps)
 
 
-def _implemented(cut: Controlled, how: Implementation, timestep: float) -> ImplementedLoop:
+def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> ImplementedLoop:
     held = steps_held(how, timestep)
     n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
     force, rate = np.eye(m, m + k), np.eye(m + k)[m:]

@@ -210,27 +210,44 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     asked = [one.name for one in controllers if one.hardware != IDEAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
     but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
-    found = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
+    texts = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and know no lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""
-        found.append(
+        texts.append(
             f"bound, norm and poles are of forces that are given: they hold only while the adjustable dampers give them{lag}"
         )
     if vehicle.fitted:
         from models.suspension.fitted_curves import lines_at_rest
 
         slopes = lines_at_rest(vehicle.fitted)
-        found += [f"bound, norm and poles are of the lines of [curves] at rest: {slopes}"] if slopes else []
-    return found
+        texts += [f"bound, norm and poles are of the lines of [curves] at rest: {slopes}"] if slopes else []
+    return texts
+
+
+def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
+    """Returns notes on a law that is unstable by itself, and on its anti-windup; empty of a stable one without."""
+    growth, rate = controller.law.growth, controller.law.anti_windup
+    clipped = rate is None and (vehicle.dampers or vehicle.limits.actuator_force is not None)
+    winds = " and winds up where forces are clipped; anti_windup bounds its states" if clipped else ""
+    notes = [f"this law is unstable by itself (+{growth:.4g} 1/s){winds}"] if growth else []
+    if rate is not None:
+        follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"
+        notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")
+    return notes
+
+
+def growth_object(controller: Controller) -> dict[str, float]:
+    """Returns the growth of a law that is unstable by itself as JSON has it [1/s]; empty of any other."""
+    return {"law_growth": controller.law.growth} if controller.law.growth else {}
 
 
 def filter_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the filters in z and w, if there are any, and on their poles."""
     if not vehicle.filtered:
         return []
-    found = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
-    found += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
-    return [f"norms are of {', '.join(found)}; their poles are in every loop, no control moves them, and they are left out"]
+    texts = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
+    texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
+    return [f"norms are of {', '.join(texts)}; their poles are in every loop, no control moves them, and they are left out"]
 
 
 def judged_lines(controller: Controller) -> list[str]:
@@ -238,42 +255,42 @@ def judged_lines(controller: Controller) -> list[str]:
     measured, hardware = controller.measured, controller.hardware
     pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
-    found = []
+    texts = []
     if noise:
-        found.append(
+        texts.append(
             f"norm and bounds are of road and noise together: a noise of {noise} counts as much as 1 m/s of w, which is the "
             "road's velocity, or what its filter shapes it from"
         )
     if hardware.loads:
         loads = ", ".join(f"{value:g} {UNITS[name]} of {name}" for name, value in hardware.loads)
-        found.append(
+        texts.append(
             f"norm and bounds are of road and loads together: {loads} count as much as 1 m/s of w each; a norm as implemented, "
             "and one that sim.sweep measures, is of the road alone"
         )
     if controller.law.states and controller.law.sample_period is not None:
-        found.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")
+        texts.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")
     if hardware.bandwidth is not None:
-        found.append(
+        texts.append(
             f"norm, bounds and poles are with the actuators' lag, {hardware.bandwidth:g} rad/s; the force that z weighs is the "
             "one asked for"
         )
-    return found
+    return texts
 
 
 def notes(controller: Controller) -> tuple[str, ...]:
     """Returns notes: degenerate problem, fallback method, distance from the optimum, redundant measurements."""
-    found = [*judged_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
+    texts = [*judged_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
-        found.append(f"from an X {gap} short of the best state feedback; from the best there is no design")
+        texts.append(f"from an X {gap} short of the best state feedback; from the best there is no design")
     if controller.optimum_gap > SHORT:
         gap = percent(controller.optimum_gap)
-        found.append(f"bound {gap} short of the optimum, which only a gain beyond any actuator reaches")
+        texts.append(f"bound {gap} short of the optimum, which only a gain beyond any actuator reaches")
     elif controller.moved > SETTLED:
-        found.append(
+        texts.append(
             f"gain not settled: over the last step of its path it moved by {percent(controller.moved)} of its largest entry, so "
             "that its digits are not those of the optimum; the norm and its bound hold for it as it is"
         )
     if controller.redundant:
-        found.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
-    return tuple(found)
+        texts.append(f"measures in vain: {', '.join(controller.redundant)} follows from the other signals and is given no gain")
+    return tuple(texts)

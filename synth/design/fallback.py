@@ -22,17 +22,17 @@ KNOW_NO_NOISE = "they know no noise on what is measured"
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
-def _lost(plant: GeneralizedPlant, found: Design) -> str:
+def _lost(plant: GeneralizedPlant, steps: Design) -> str:
     """Why a design of the two steps is not left at that, in words; empty where it is.
 
     The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
     to that X all the same. So with filters, and with them alone, the two steps are mended rather than believed.
     """
-    gap = found.certificate.gap
+    gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
-    return f"they come to {found.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
+    return f"they come to {steps.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
 
 
 def two_steps_or_descent(
@@ -72,13 +72,13 @@ def two_steps_or_descent(
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else str(reason)
     noise = Dyw[kept] if Dyw is not None else None
     try:
-        found = descended(plant, rows[kept], start, lower_bound=lower_bound, Dyw=noise)
+        by_descent = descended(plant, rows[kept], start, lower_bound=lower_bound, Dyw=noise)
     except DesignError as error:
         raise DesignError(f"{reason}; descent on the norm: {error}") from error
-    certificate = found.certificate
+    certificate = by_descent.certificate
     if certificate.failures:
         raise DesignError(f"{reason}; descent on the norm: {'; '.join(certificate.failures)}")
-    how = f"by descent on the norm from {found.origin}, no gain larger than {LARGEST_GAIN:g}"
+    how = f"by descent on the norm from {by_descent.origin}, no gain larger than {LARGEST_GAIN:g}"
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
-    return widened(Design(found.gain, certificate, instead=instead), kept, len(rows), 0.0)
+    return widened(Design(by_descent.gain, certificate, instead=instead), kept, len(rows), 0.0)

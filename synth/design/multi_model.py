@@ -94,7 +94,7 @@ def slack_design(
     Cys, allowed = _checked(plants, Cys, structure, f)
     kept = independent_rows(plants[0], Cys[0])
     problem = _Problem(plants, [Cy[kept] for Cy in Cys], allowed[:, kept])
-    found: list[tuple[float, float, float, Array]] = []
+    candidates: list[tuple[float, float, float, Array]] = []
     failures: list[DesignError] = []
     for each in f:
         try:
@@ -105,10 +105,10 @@ def slack_design(
         gain = np.zeros(allowed.shape)
         gain[:, kept] = K
         norms = [hinf_norm(plant.closed_loop(Feedback(gain, Cy))).value for plant, Cy in zip(plants, Cys, strict=True)]
-        found.append((max(norms), each, bound, gain))
+        candidates.append((max(norms), each, bound, gain))
     redundant = tuple(i for i in range(len(Cys[0])) if i not in kept)
     best: list[SlackDesign] = []
-    for worst, each, bound, gain in sorted(found, key=lambda one: one[0]):
+    for worst, each, bound, gain in sorted(candidates, key=lambda one: one[0]):
         if not np.isfinite(worst):
             failures.append(DesignError(f"with f = {each:g} the gain that Clarabel proposes leaves a plant unstable"))
             continue
@@ -130,7 +130,7 @@ def _checked(
 ) -> tuple[list[Array], Array]:
     """Returns the checked C_y of each plant, and the structure of K as bools, shape (m, q)."""
     if not plants or len(plants) != len(Cys):
-        raise InputError(f"{len(plants)} plants and {len(Cys)} matrices C_y; give at least one plant, and a C_y for each")
+        raise InputError(f"{len(plants)} plants and {len(Cys)} matrices in Cys; give at least one plant, and a C_y for each")
     for plant in plants:
         check_continuous(plant)
         check_posed(plant)
@@ -181,6 +181,6 @@ class _Problem:
         Q = nullspace(self.Cy)
         R = r_matrix(self.Cy, Q, l_matrix(W.T, self.Cy, Q))
         scaled, a = Scaled(self.plants, rate, Q, R, blocks), Q.shape[1]
-        found = second_step(scaled.plants, SOLVED_AT, eye[:, :a], eye[:, a:], self.pattern)
-        K = np.where(self.pattern, scaled.force * found.K @ np.linalg.inv(scaled.measured), 0.0)
-        return self.input_units[:, None] * K / self.lengths, found.eta**-0.5 / scaled.gain
+        second = second_step(scaled.plants, SOLVED_AT, eye[:, :a], eye[:, a:], self.pattern)
+        K = np.where(self.pattern, scaled.force * second.K @ np.linalg.inv(scaled.measured), 0.0)
+        return self.input_units[:, None] * K / self.lengths, second.eta**-0.5 / scaled.gain

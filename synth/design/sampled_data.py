@@ -39,7 +39,7 @@ from synth.plant.units import own_units
 
 
 @dataclass(frozen=True, eq=False)
-class HeldProblem:
+class SampledDataProblem:
     """A plant whose m forces are held from sample to sample and delayed by some samples.
 
     The states of a level's plant are the plant's, and the previous forces that are still delayed or part of a measurement, the
@@ -82,7 +82,7 @@ class HeldProblem:
         return np.hstack([self.Cy, past])
 
     @property
-    def at_once(self) -> "HeldProblem":
+    def at_once(self) -> "SampledDataProblem":
         """The same with forces that act at the sample, and in nothing that is measured."""
         return replace(self, through=np.zeros_like(self.through), pieces=(Piece(self.period, 0),))
 
@@ -98,8 +98,8 @@ class HeldProblem:
         (n, m), k = self.plant.B.shape, self.remembered
         count = len(self.pieces)
         held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
-        found = lifted(self.plant, held, gamma)
-        if found is None:
+        lifted_loop = lifted(self.plant, held, gamma)
+        if lifted_loop is None:
             return None
         start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
         start[:n, :n] = np.eye(n)
@@ -107,12 +107,12 @@ class HeldProblem:
             acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
             start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
         moved = np.zeros((n + k * m, n + (k + 1) * m))
-        moved[:n] = found.Ad[:n] @ start
+        moved[:n] = lifted_loop.Ad[:n] @ start
         if k:
             moved[n : n + m, n + k * m :] = np.eye(m)
             moved[n + m :, n : n + (k - 1) * m] = np.eye((k - 1) * m)
-        seen, driven = found.Cd @ start, np.zeros((n + k * m, found.Bd.shape[1]))
-        driven[:n] = found.Bd[:n]
+        seen, driven = lifted_loop.Cd @ start, np.zeros((n + k * m, lifted_loop.Bd.shape[1]))
+        driven[:n] = lifted_loop.Bd[:n]
         states = n + k * m
         return GeneralizedPlant(
             A=moved[:, :states],
@@ -120,7 +120,7 @@ class HeldProblem:
             Bw=driven,
             C=seen[:, :states],
             D=seen[:, states:],
-            Dw=np.zeros((len(seen), found.Bd.shape[1])),
+            Dw=np.zeros((len(seen), lifted_loop.Bd.shape[1])),
             dt=self.period,
         )
 
@@ -132,12 +132,12 @@ STARTS = 3  # the best of them
 MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
 
 
-def norm_of(problem: HeldProblem, K: Array, near: float) -> float:
+def norm_of(problem: SampledDataProblem, K: Array, near: float) -> float:
     """The exact norm of a gain, shape (m, q); infinite where its loop is not stable."""
     return sampled_norm(problem.loop(K), near).value
 
 
-def descended(problem: HeldProblem, known: Sequence[Array], near: float) -> tuple[Array, float]:
+def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) -> tuple[Array, float]:
     """The best gain that descent finds, and its norm, infinite where no start is stable.
 
     Args:
@@ -157,7 +157,7 @@ def descended(problem: HeldProblem, known: Sequence[Array], near: float) -> tupl
     )
 
 
-def _down(problem: HeldProblem, K: Array, norm: float) -> tuple[Array, float]:
+def _down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, float]:
     """Descends from a stable K by `refine` on the plants of falling levels."""
     for _ in range(DESCENTS):
         plant = problem.at(norm)
@@ -174,7 +174,7 @@ def _down(problem: HeldProblem, K: Array, norm: float) -> tuple[Array, float]:
     return K, norm
 
 
-def check_size(problem: HeldProblem) -> None:
+def check_size(problem: SampledDataProblem) -> None:
     """Raises a TooLargeError for a loop whose forces on their way are too many states."""
     (n, m), late = problem.plant.B.shape, problem.remembered
     if n + m * late > MOST_STATES:
@@ -194,7 +194,7 @@ ROUNDING = 1e-7  # relative; how far a norm may lie above a level that is reache
 
 
 @dataclass(frozen=True, eq=False)
-class HeldDesign:
+class SampledDataDesign:
     """A gain for the loop that a computer closes.
 
     Attributes:
@@ -213,7 +213,7 @@ class HeldDesign:
 
 
 @numerics()
-def held_design(problem: HeldProblem, near: float, known: Sequence[Array] = ()) -> HeldDesign:
+def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array] = ()) -> SampledDataDesign:
     """The two steps, or the first alone where all states are measured.
 
     Args:
@@ -239,10 +239,10 @@ def held_design(problem: HeldProblem, near: float, known: Sequence[Array] = ()) 
         raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
     gain = np.zeros((len(K), len(problem.Cy)))
     gain[:, kept] = K
-    return HeldDesign(gain, norm, level, tuple(kept), instead)
+    return SampledDataDesign(gain, norm, level, tuple(kept), instead)
 
 
-def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
+def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
     """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not."""
     undelayed = failure = K = level = None
     norm = np.inf
@@ -273,7 +273,7 @@ def _gain(problem: HeldProblem, near: float, known: Sequence[Array]) -> tuple[Ar
     )
 
 
-def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
+def _two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
     """Returns K by the two steps and its level; L (14) is also chosen so that delayed forces follow an undelayed gain."""
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
@@ -302,7 +302,7 @@ def _two_steps(problem: HeldProblem, near: float, undelayed: Array | None) -> tu
 class _Tries:
     """Second steps with one R after another: what they reach, and why those that reach nothing do not."""
 
-    def __init__(self, problem: HeldProblem, level: float) -> None:
+    def __init__(self, problem: SampledDataProblem, level: float) -> None:
         self.problem, self.level = problem, level
         self.found = list[tuple[float, CentralPoint]]()
         self.failures = list[DesignError]()
@@ -339,7 +339,7 @@ def _second(plant: GeneralizedPlant, rows: Array, R: Array, slack: bool) -> Cent
 
 
 def _level(
-    problem: HeldProblem, path: Callable[[GeneralizedPlant], list[CentralPoint]], start: float
+    problem: SampledDataProblem, path: Callable[[GeneralizedPlant], list[CentralPoint]], start: float
 ) -> tuple[float, list[CentralPoint]]:
     """The level for whose plant a path ends at a norm of 1, and that path.
 
@@ -350,13 +350,13 @@ def _level(
     seen = list[tuple[float, float]]()
     best: tuple[float, list[CentralPoint]] | None = None
     for _ in range(ROUNDS):
-        plant, failure, found = problem.at(level), None, list[CentralPoint]()
+        plant, failure, followed = problem.at(level), None, list[CentralPoint]()
         if plant is not None:
             try:
-                found = path(plant)
+                followed = path(plant)
             except DesignError as error:
                 failure = error
-        if not found:
+        if not followed:
             if isinstance(failure, InfeasibleError) and not below and (loosest := problem.at(FAR * start)) is not None:
                 try:
                     path(loosest)
@@ -369,11 +369,11 @@ def _level(
                 raise failure or DesignError("the L2 gain of the loop has no level")
             level, grow = (level * grow, grow**2) if math.isinf(above) else (math.sqrt(level * above), grow)
         else:
-            norm = found[-1].gamma
+            norm = followed[-1].gamma
             if abs(math.log(norm)) <= CLOSE:
-                return level * norm, found
+                return level * norm, followed
             if norm < 1:
-                above, best = level, (level, found)
+                above, best = level, (level, followed)
             else:
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import Bound
 from models.common.errors import InputError
 from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
@@ -90,7 +91,7 @@ Descent = Callable[[Array, int], Array]
 def static_output_feedback(
     plant: GeneralizedPlant,
     Cy: Array,
-    largest_gain: float = LARGEST_GAIN,
+    largest_gain: Bound = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
 ) -> StaticDesign:
@@ -150,9 +151,9 @@ def descended(
         )
     best = search.best(candidates)
     K = search.landscape.gain(best.x)
-    found, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
+    steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
-    return StaticDesign(K, certificate, found, without, best.origin, starts)
+    return StaticDesign(K, certificate, steps, without, best.origin, starts)
 
 
 class _Search:
@@ -181,19 +182,19 @@ class _Search:
     def starts(self) -> list[Candidate]:
         """Stable points of many sizes."""
         sampled = survey(self.landscape, self.limit)
-        found = [
+        candidates = [
             each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
-        numbers = range(FEW if len(found) >= ENOUGH_SAMPLES else MANY)
+        numbers = range(FEW if len(candidates) >= ENOUGH_SAMPLES else MANY)
         if len(self.plant.A) > LARGE:
             for x in projected_starts(self.landscape):
-                found += self.admitted(x, "a projected state feedback")
-            numbers = range(0 if found else MANY)
+                candidates += self.admitted(x, "a projected state feedback")
+            numbers = range(0 if candidates else MANY)
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
-                found += self.admitted(x, "a stabilising start")
-            if found or numbers.stop >= MOST:
-                return found
+                candidates += self.admitted(x, "a stabilising start")
+            if candidates or numbers.stop >= MOST:
+                return candidates
             numbers = range(numbers.stop, MOST)
 
     def admitted(self, x: Array, origin: str) -> list[Candidate]:
@@ -222,13 +223,13 @@ class _Search:
             if near is None:
                 continue
             start = Candidate(near, self.landscape.norm(near)[0], best.origin)
-            found = self.step(start, self.plain if number % 2 else self.whitened, 60)
-            if found.norm < best.norm * (1 + 10 * SAME):
-                found = self.step(found, self.edges, 60)
+            reached = self.step(start, self.plain if number % 2 else self.whitened, 60)
+            if reached.norm < best.norm * (1 + 10 * SAME):
+                reached = self.step(reached, self.edges, 60)
             idle += 1
-            if found.norm < best.norm * (1 - SAME):
-                found, idle = self.followed(found), 0
-            best = min(best, found, key=lambda each: each.norm)
+            if reached.norm < best.norm * (1 - SAME):
+                reached, idle = self.followed(reached), 0
+            best = min(best, reached, key=lambda each: each.norm)
             if self.reached(best) or idle == enough:
                 break
         return self.step(best, self.edges, 150)

@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import Shown
+from models.laws.linear import gain_text
 from synth.analysis.certificate import FASTEST, Certificate, certify
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import balance, is_stable, pole_text
@@ -176,8 +178,8 @@ MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
+@dataclass(frozen=True, eq=False, repr=False)
+class Design(Shown):
     """A certified gain u = K y.
 
     Attributes:
@@ -204,6 +206,13 @@ class Design:
     redundant: tuple[int, ...] = ()
     case: str = ""
     instead: str = ""
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns gain and certificate as text."""
+        title, proved = self.certificate.shown
+        said = {"case": self.case, "instead": self.instead}
+        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in said.items() if text}
 
 
 @numerics()
@@ -297,16 +306,16 @@ def two_step_design(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> Design:
-    """The paper's two steps: L (14) from the X of (22), then (25).
+    """Returns the static gain of the paper's two steps, with its certificate: L (14) from the X of (22), then (25).
 
-    From the optimal X the second problem can be infeasible where from a point a little short of it it is not: then X comes from
-    there. All is done in the plant's own units, so that rounding is the same in whatever units it is given.
+    The second problem (25) can be infeasible from the optimal X, and feasible from a point of the central path shortly before it.
+    Then that point gives X. The plant is scaled to its own units first, so that the result does not depend on the given ones.
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n). Rows that follow from others are left out, and said in the result.
-        path: of (22), if it is there already.
-        lower_bound: what no controller of this kind can beat, for the certificate.
+        Cy: what is measured, y = C_y x, shape (q, n). Rows that depend on others are left out, and the result names them.
+        path: the central path of (22); computed if empty.
+        lower_bound: of the norm, over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
 
     Raises:

@@ -1,1 +1,1 @@
-"""Problems (22) and (25): their barriers, their central path, and the same by Clarabel."""
+"""Problems (22) and (25): barriers, central paths, and solutions by Clarabel."""

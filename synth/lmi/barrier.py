@@ -1,9 +1,9 @@
-"""Newton's method on a sum of log-determinants, with what it needs to be quick and to lose few digits.
+"""Newton's method on a logarithmic barrier,
 
     minimise   c' p - sum_b log det(F0_b + sum_i p_i F_bi)
 
-(Boyd, Vandenberghe, Convex Optimization, sections 9.6 and 11.6). LAPACK is called directly: the matrices are small, and the
-checks of its usual wrappers cost more than its work.
+(Boyd, Vandenberghe, Convex Optimization, sections 9.6 and 11.6). LAPACK is called directly: for small matrices the checks of its
+usual wrappers take longer than its work.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -25,33 +25,32 @@ Block = tuple[Array, Array]  # an affine matrix F0 + sum_i p_i F_i that must sta
 
 QUADRATIC = 0.25  # a Newton decrement from which full steps converge quadratically (Boyd, Vandenberghe, 9.6.4)
 STEPS = 200
-TOGETHER = 24  # rows: so small blocks are one, for calls cost more than their work
-PANEL = 64  # columns that a QR turns at once, where there are so many
+TOGETHER = 24  # rows in all, up to which the blocks are joined: fewer calls are faster
+PANEL = 64  # columns of a QR's panel
 
 
 class Barrier:
-    """The blocks, laid out for what is computed from them again and again."""
+    """The barrier of one or more blocks over the same unknowns."""
 
     def __init__(self, blocks: Sequence[Block]) -> None:
-        """Args:
-        blocks: at least one, over the same unknowns.
+        """Prepares the blocks for repeated evaluation.
 
         Raises:
-            LinAlgError: they have fewer entries than there are unknowns, so that there is no one minimum.
+            LinAlgError: the blocks have fewer entries than there are unknowns, so the minimum is not unique.
         """
         if sum(len(F0) * (len(F0) + 1) // 2 for F0, _ in blocks) < len(blocks[0][1]):
             raise np.linalg.LinAlgError("some change of the unknowns changes no constraint")
         sizes = tuple(len(F0) for F0, _ in blocks)
         parts = [((size,), block) for size, block in zip(sizes, blocks, strict=True)]
         if sum(sizes) <= TOGETHER:
-            parts = [(sizes, _beside(blocks))]
+            parts = [(sizes, _block_diagonal(blocks))]
         self.blocks = [(F0, F, F.reshape(len(F), -1), *_upper(each)) for each, (F0, F) in parts]
 
     def at(self, p: Array) -> "Local | None":
-        """The derivatives at a point, or None outside the feasible set.
+        """Returns the derivatives at a point, or None outside the feasible set.
 
         Raises:
-            LinAlgError: some change of the unknowns changes no constraint, but for what underflows.
+            LinAlgError: some change of the unknowns changes no constraint, except by an underflow.
         """
         W, rows, trace = [], [], 0.0
         for F0, F, flat, upper, diagonal, weights in self.blocks:
@@ -61,11 +60,11 @@ class Barrier:
             inverse, singular = lapack.dtrtri(factor, lower=1)
             if singular:
                 return None
-            moved = (inverse @ F @ inverse.T).reshape(flat.shape)
-            W.append(moved)
-            rows.append(moved.take(upper, axis=1) * weights)
-            trace = trace + moved.take(diagonal, axis=1).sum(axis=1)
-        # The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T): a QR of G' gives its factor with half the digits lost.
+            scaled = (inverse @ F @ inverse.T).reshape(flat.shape)
+            W.append(scaled)
+            rows.append(scaled.take(upper, axis=1) * weights)
+            trace = trace + scaled.take(diagonal, axis=1).sum(axis=1)
+        # The Hessian is G G' with rows G_i = vec(L^-1 F_i L^-T). A QR of G' gives its factor, and loses half as many digits.
         G = np.concatenate(rows, axis=1)
         squares = np.einsum("ij,ij->i", G, G)
         if not squares.all():
@@ -75,8 +74,8 @@ class Barrier:
         return Local(np.asarray(trace), scale, np.asfortranarray(triangle), W)
 
 
-def _beside(blocks: Sequence[Block]) -> Block:
-    """Blocks as one along its diagonal."""
+def _block_diagonal(blocks: Sequence[Block]) -> Block:
+    """Returns the blocks as one block-diagonal block."""
     size = sum(len(F0) for F0, _ in blocks)
     F0, F, at = np.zeros((size, size)), np.zeros((len(blocks[0][1]), size, size)), 0
     for first, each in blocks:
@@ -101,7 +100,7 @@ class Factored(ABC):
     Attributes:
         trace: the gradient, shape (N,).
         scale: S, shape (N,).
-        triangle: R, shape (N, N), by rows or by columns; what lies below its diagonal means nothing.
+        triangle: upper triangular R, shape (N, N), in C or Fortran order; entries below its diagonal are arbitrary.
     """
 
     trace: Array
@@ -109,16 +108,16 @@ class Factored(ABC):
     triangle: Array
 
     def half(self, c: Array) -> Array:
-        """R^-T S c: its norm is that of c in the metric of the inverse Hessian."""
+        """Returns R^-T S c, whose length is that of c in the metric of the inverse Hessian."""
         return _triangular(self.triangle, c * self.scale, transposed=True)
 
     def solve(self, half: Array) -> Array:
-        """S R^-1 half, which with `half` above is the inverse Hessian times c."""
+        """Returns S R^-1 half: for `half(c)` the inverse Hessian times c."""
         return self.scale * _triangular(self.triangle, half, transposed=False)
 
     @abstractmethod
     def rates(self, step: Array) -> Array:
-        """Eigenvalues r of the blocks' change in their own metric: along p + t step, log det changes by sum log(1 + t r)."""
+        """Returns the eigenvalues r for which log det changes by sum log(1 + t r) along p + t step."""
 
     def lowest(self, slope: float, step: Array) -> float:
         """Returns the step length that minimises the sum with an added slope."""
@@ -126,7 +125,7 @@ class Factored(ABC):
 
 
 def _triangular(R: Array, x: Array, transposed: bool) -> Array:
-    """R^-1 x or R^-T x of an upper triangle. LAPACK counts by columns: one that lies by rows is its lower one, transposed."""
+    """Returns R^-1 x or R^-T x for an upper triangular R; in C order R is, to LAPACK, the transpose of a lower one."""
     if R.flags.f_contiguous:
         return lapack.dtrtrs(R, x, trans=int(transposed))[0]
     return lapack.dtrtrs(R.T, x, lower=1, trans=int(not transposed))[0]
@@ -134,7 +133,11 @@ def _triangular(R: Array, x: Array, transposed: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Local(Factored):
-    """Derivatives at a point; L^-1 F_i L^-T of every block, shapes (N, k k)."""
+    """Derivatives of a `Barrier` at a point.
+
+    Attributes:
+        W: L^-1 F_i L^-T of every block, shapes (N, k k).
+    """
 
     W: list[Array]
 
@@ -144,63 +147,63 @@ class Local(Factored):
 
 
 class Derivatives(Protocol):
-    """A barrier with derivatives at a point: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
+    """A barrier with derivatives: `Barrier`, `Raised`, or `structured_barrier.StructuredBarrier`."""
 
     def at(self, p: Array) -> Factored | None:
-        """The derivatives at a point, or None outside the feasible set."""
+        """Returns the derivatives at a point, or None outside the feasible set."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Raised:
-    """A barrier with a weight times the logarithm of the last unknown, which must be positive.
+    """A barrier plus weight * log(p_N), where the last unknown p_N must be positive.
 
-    Where it is at rest the slope of the barrier alone is weight / p_N: the ratio of p_N to that slope's inverse is the weight.
+    At its maximum the barrier alone has the slope -weight / p_N along p_N.
     """
 
     barrier: Derivatives
     weight: float
 
     def at(self, p: Array) -> "RaisedLocal | None":
-        """The derivatives at a point, or None outside the feasible set."""
+        """Returns the derivatives at a point, or None outside the feasible set."""
         here = self.barrier.at(p) if p[-1] > 0 else None
         if here is None:
             return None
-        trace, per = here.trace.copy(), 1 / float(p[-1])
-        trace[-1] += self.weight * per
-        # The logarithm adds to the Hessian's last entry alone, and so to that of its factor.
+        trace, slope = here.trace.copy(), 1 / float(p[-1])
+        trace[-1] += self.weight * slope
+        # The logarithm changes only the last diagonal entry of the Hessian, and so of its factor.
         corner = abs(float(here.triangle[-1, -1]))
-        less = corner / math.hypot(corner, self.weight**0.5 * per * float(here.scale[-1]))
-        return RaisedLocal(trace, here.scale, here.triangle, here, self.weight, per, less)
+        ratio = corner / math.hypot(corner, self.weight**0.5 * slope * float(here.scale[-1]))
+        return RaisedLocal(trace, here.scale, here.triangle, here, self.weight, slope, ratio)
 
 
 @dataclass(frozen=True, eq=False)
 class RaisedLocal(Factored):
-    """Derivatives of both at a point; `triangle` is that of the barrier alone.
+    """Derivatives of a `Raised` barrier at a point; `triangle` is that of the barrier without the logarithm.
 
     Attributes:
-        here: those of the barrier alone.
+        alone: derivatives without the logarithm.
         weight: of the logarithm.
-        per: 1 / p_N.
-        less: the last entry of R over that of both.
+        slope: 1 / p_N.
+        ratio: last diagonal entry of R without the logarithm, over that with it.
     """
 
-    here: Factored
+    alone: Factored
     weight: float
-    per: float
-    less: float
+    slope: float
+    ratio: float
 
     def half(self, c: Array) -> Array:
         """Returns `Factored.half`."""
-        return self._lessened(self.here.half(c))
+        return self._scaled(self.alone.half(c))
 
     def solve(self, half: Array) -> Array:
         """Returns `Factored.solve`."""
-        return self.here.solve(self._lessened(half.copy()))
+        return self.alone.solve(self._scaled(half.copy()))
 
     def rates(self, step: Array) -> Array:
-        """Returns `Factored.rates` and that of the logarithm, once."""
-        return np.append(self.here.rates(step), self.per * step[-1])
+        """Returns `Factored.rates`, with the rate of the logarithm as the last."""
+        return np.append(self.alone.rates(step), self.slope * step[-1])
 
     def lowest(self, slope: float, step: Array) -> float:
         """Returns `Factored.lowest` with the weight of the logarithm."""
@@ -209,8 +212,8 @@ class RaisedLocal(Factored):
         weights[-1] = self.weight
         return _lowest(slope, rates, weights)
 
-    def _lessened(self, half: Array) -> Array:
-        half[-1] *= self.less
+    def _scaled(self, half: Array) -> Array:
+        half[-1] *= self.ratio
         return half
 
 
@@ -219,7 +222,7 @@ def _eigenvalues(flat: Array) -> Array:
     return lapack.dsyevd(flat.reshape(size, size), compute_v=0)[0]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a step too far: what is not finite has no Cholesky factor, and is halved
+@np.errstate(over="ignore", invalid="ignore")  # a step to infinity has no Cholesky factor, and is halved
 def newton(
     barrier: Derivatives,
     p: Array,
@@ -228,16 +231,16 @@ def newton(
     leave: Callable[[Array], bool] = lambda p: False,
     here: Factored | None = None,
 ) -> tuple[Array, float, Factored]:
-    """Minimises from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
+    """Minimises c' p plus the barrier from a feasible p until the Newton decrement is below the tolerance, or rounding stops it.
 
     Args:
-        c: the slope of what is minimised beside the barrier.
-        leave: whether a point that short steps led to is too far away for these coordinates.
-        here: the barrier's derivatives at the start, where they are known.
+        c: linear cost, shape (N,).
+        leave: returns True if a point needs other coordinates; the iteration then stops.
+        here: the barrier's derivatives at the start, if they are known.
 
     Returns:
-        The minimiser, its Newton decrement, and the derivatives there. The caller looks at the decrement, which is infinite where
-        rounding leaves none.
+        The minimiser, its Newton decrement, which callers must check, and the derivatives there. The decrement is infinite if
+        rounding makes it so.
     """
     here = here or barrier.at(p)
     assert here is not None, "the starting point is feasible"
@@ -265,7 +268,7 @@ def newton(
 
 
 def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
-    """The t > 0 that minimises slope t - sum weights log(1 + t rates), by Newton's method within the bracket that it narrows."""
+    """Returns the t > 0 that minimises slope t - sum weights log(1 + t rates), by a bracketed Newton method."""
     high = 1 / -rates.min() if rates.min() < 0 else np.inf
     low, t = 0.0, min(1.0, 0.5 * high)
     for _ in range(30):
@@ -277,7 +280,7 @@ def _lowest(slope: float, rates: Array, weights: Any = 1.0) -> float:
         else:
             high = t
         curvature = float(weighted @ terms)
-        if curvature == 0 or abs(rise) <= 0.1 * curvature * t:  # a tenth of the way: more does not pay
+        if curvature == 0 or abs(rise) <= 0.1 * curvature * t:  # accurate to a tenth: more saves no Newton step
             break
         t = t - rise / curvature
         if not low < t < high:

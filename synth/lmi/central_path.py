@@ -1,20 +1,20 @@
-"""The central path of the design problem, followed to its limit: the one optimal solution that is unique.
+"""The central path of the design problem, followed to its limit: a unique optimal solution.
 
-The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). So gamma is well defined, and the gain is not: an
-interior-point solver returns whichever point of the face its scaling and tolerance lead to. The limit of
+The optimum of (22) or (25) is attained on a whole face of pairs (X, Y). So gamma is unique, but the gain is not: an
+interior-point solver returns a point of the face that depends on its scaling and tolerance. The limit of
 
     maximise   eta / mu + log det X_Q + log det X_R + log det(-F(X_Q, X_R, Y_R, eta)),     mu -> 0,
 
-is unique, and depends on no solver and no choice of state coordinates, input units or time unit: changing them only adds
-constants to the logarithms. It is what the paper printed.
+is unique. It depends neither on a solver nor on state coordinates, input units or the time unit: these only add constants to the
+logarithms. The paper prints this limit.
 
-It is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent in
-mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads
-X = diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. And at every stage the coordinates are
-moved to the current point, where X = I and, with the current gain absorbed in the plant, Y = 0.
+The path is followed by Newton's method (Boyd, Vandenberghe, Convex Optimization, chapter 11) with a predictor along its tangent
+in mu. Two changes of coordinates keep every number of order one. In the state coordinates T = [Q R], equation (12) reads X =
+diag(X_Q, X_R) and Y = [0 Y_R]; state feedback is the case of an empty Q and R = I. At each point of the path the coordinates are
+changed so that X = I and, with the current gain absorbed in the plant, Y = 0.
 
-Of a discrete plant log det of the bordered matrix of `certificate.py` takes the place of the last two logarithms, for it holds X
-already: log det(-F) of the continuous limit, and log det X. So as the step falls this path becomes that of the continuous plant.
+For a discrete plant, log det of the bordered matrix of `certificate.py` replaces the last two logarithms: it contains both. As
+the step falls, this path tends to that of the continuous plant.
 """
 
 import contextlib
@@ -37,22 +37,22 @@ from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
 from synth.plant.units import reachable, size
 
 LIMIT = 1e-9
-"""Distance mu / eta at which the path counts as having arrived: gains are within 3e-6 of the limit for the paper's problem."""
+"""Value of mu / eta at which the path ends: for the paper's problem, gains are within 3e-6 of the limit."""
 
 
 CENTRED = 1e-6  # Newton decrement at the points of the path: close enough for the duals that prove lower bounds
-RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu over eta
-FIRST = 1.0  # the rest where the path is entered, far from any optimum
-FAR = 1e5  # condition of X from which the coordinates, in which it was I, no longer fit
-MOST_MOVES = 12  # to other coordinates off the path; a larger X grows without end, and there is no centre
-DENSE = 200  # unknowns; up to so many a dense basis is quicker, for it takes fewer calls
+RESTS = (1e-7, 1e-5, *(10.0**exponent for exponent in range(-3, 20)))  # mu / eta of the points computed
+FIRST = 1.0  # mu / eta of the first point, far from any optimum
+FAR = 1e5  # condition of X, once I, from which new coordinates are taken
+MOST_MOVES = 12  # changes of coordinates at one point; if X still grows, no centre exists
+DENSE = 200  # unknowns up to which a dense basis is quicker, as it takes fewer calls
 MOST = 2000  # unknowns, 62 states with one input: half a minute for a path; time grows with the cube, memory with the square
-MOST_BORDERED = 600  # likewise of a discrete plant, whose matrices are larger and have no structure that is made use of
-LARGEST_Y = 10.0  # in the search for a feasible point
-INSIDE = 0.95  # of the way to the boundary, where a step along the path would leave
+MOST_BORDERED = 600  # unknowns of a discrete plant, whose matrices are larger and treated as dense
+LARGEST_Y = 10.0  # bound on |Y| in the search for a feasible point
+INSIDE = 0.95  # share of the distance to the boundary that a predictor step takes at most
 BREAKS_OFF = (
-    "rounding ends it there, as it does where the optimum is reached only by an infinite gain; weigh the control force more, or "
-    "give other units"
+    "rounding ends it there, as happens if only an infinite gain reaches the optimum; weight the control force more, or give "
+    "other units"
 )
 
 
@@ -65,7 +65,7 @@ class CentralPoint:
         K: gain Y_R X_R^-1, shape (m, q), by (13). It acts on the q coordinates that R spans.
         eta: gamma^-2 of the point; the optimum lies above it, by at most (2 n + d) mu.
         mu: the parameter of the path, relative to eta.
-        proof: an X that proves the bound where X itself does not, for what z does not see only follows the rest in it; else None.
+        proof: an X that proves the bound if X itself does not, because of states that are unobservable in z; else None.
     """
 
     X: Array
@@ -80,12 +80,12 @@ class CentralPoint:
         return self.eta**-0.5
 
     def in_units(self, states: Array, inputs: Array, measured: Array) -> "CentralPoint":
-        """The point of the same plant in other units.
+        """Returns the point in other units.
 
         Args:
-            states: what this plant's unit of each state counts in the other, shape (n,).
-            inputs: likewise, shape (m,).
-            measured: likewise of what K acts on, shape (q,); or S, where that is S times what K acts on here, shape (q, q).
+            states: present unit of each state, in the new one, shape (n,).
+            inputs: present unit of each input, in the new one, shape (m,).
+            measured: the same for the inputs of K, shape (q,); or S, if the new inputs of K are S times the present ones, (q, q).
         """
         square = np.outer(states, states)
         proof = None if self.proof is None else square * self.proof
@@ -95,27 +95,27 @@ class CentralPoint:
 
 
 def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT) -> list[CentralPoint]:
-    """Points along the central path of (25), or of (22) with an empty Q and R = I. The last, at mu, is the design.
+    """Returns points along the central path of (25), or of (22) with an empty Q and R = I. The last is the design.
 
     Args:
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        mu: where the path ends, relative to eta. The default is its limit; a larger one stays short of the optimum.
+        mu: end of the path, relative to eta. The default is its limit; a larger mu ends further from the optimum.
 
     Returns:
-        Points with eta > 0, in the order of falling mu, each a tenth to a hundredth of the one before.
+        Points with eta > 0 by falling mu, each mu a tenth to a hundredth of the previous one.
 
     Raises:
         InputError: nothing disturbs the plant, or nothing is weighed.
         InfeasibleError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
-        DesignError: Newton's method broke down short of mu.
+        DesignError: Newton's method failed before mu.
     """
     return list(along_path(plant, Q, R, mu))
 
 
 def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float) -> Iterator[CentralPoint]:
-    """The same points one by one, for those who can use the first where the last cannot be reached."""
+    """Yields the points of `central_path` one by one, so that the first ones are available if the last cannot be reached."""
     if plant.dt is None:
         yield from _in_differences(plant, Q, R, mu, 0.0)
     else:
@@ -124,12 +124,12 @@ def along_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float) -> Iterat
 
 
 def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step: float) -> Iterator[CentralPoint]:
-    """The same of a plant in differences over a step; over a step of 0 of a continuous one."""
+    """Yields the points for a plant in differences over a step; a step of 0 means a continuous plant."""
     check_posed(plant)
     if not len(plant.A):
-        raise DesignError("z sees no state that a gain does not keep out of it: every such gain is an optimum")
+        raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
     part = unseen(plant, Q, R, step)
-    if part is not None:  # X may grow there without bound: the path is that of the rest
+    if part is not None:  # X may grow there without bound: the path is that of the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
         return
@@ -140,8 +140,8 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
             path.find_feasible_point()
         except np.linalg.LinAlgError as error:
             raise InfeasibleError(
-                f"the LMI problem has no feasible point that is one beyond rounding ({error}): at best a mode stays on the "
-                f"{_border(step)}; measure more signals, or give other units"
+                f"the LMI problem has no feasible point beyond rounding ({error}): a mode stays on the {_border(step)}; measure "
+                "more signals, or give other units"
             ) from error
         try:
             yield from path.follow(mu)
@@ -155,40 +155,40 @@ def _border(step: float) -> str:
 
 
 def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
-    """A point of the path of what z sees as one of the whole plant."""
+    """Returns a point of the path without the unobservable states as a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)
         return CentralPoint(part.followed(point.K, point.X, point.eta), part.gain(point.K), point.eta, point.mu, proof)
-    except (np.linalg.LinAlgError, ValueError) as error:  # scipy's word for what is not finite
-        raise DesignError(f"rounding leaves no X of the states that z does not see ({error}); give other units") from error
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy raises a ValueError for NaN and infinity
+        raise DesignError(f"rounding prevents an X of the states unobservable in z ({error}); give other units") from error
 
 
 def unknowns(plant: GeneralizedPlant, free: int = 0) -> int:
-    """Returns the number of unknowns in X, Y and eta of (12): of (22), or of (25) with `free` columns of Q."""
+    """Returns the number of unknowns of (22), or of (25) with `free` columns of Q."""
     n, m = len(plant.A), plant.independent_inputs().shape[1]
     q = n - free
     return free * (free + 1) // 2 + q * (q + 1) // 2 + m * q + 1
 
 
 def fits(count: int, most: int, what: str) -> None:
-    """Raises a TooLargeError for more unknowns than `what` is done with."""
+    """Raises a TooLargeError if there are more unknowns than `what` allows."""
     if count > most:
         raise TooLargeError(f"the LMI problem has {count} unknowns, and {what} with at most {most}; take states out of the model")
 
 
 class _Path:
-    """A point that walks along the path. It is mutable, and lives inside `central_path`."""
+    """The current point of a central path, and its coordinates."""
 
     def __init__(self, plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> None:
         self.free = Q.shape[1]  # a = n - q
         T = np.hstack([Q, R])
-        # Inputs that do nothing are left at zero, and those that do the same share it.
+        # Inputs without effect stay zero, and linearly dependent inputs share their effect.
         self.inputs = plant.independent_inputs()
         plant = plant.with_inputs(self.inputs).in_coordinates(T)
-        # Only numerics from here on: states scaled by what the inputs can reach, and units in which A, B, Bw, C have size one.
+        # For numerics only: states scaled by their controllability, and units in which A, B, Bw, C have size one.
         scaling = reachable(plant, self.free)
         plant = plant.in_coordinates(scaling)
-        # Without dynamics of its own a plant has the rate at which motion and force weigh alike in z.
+        # For A = 0 the rate is that at which motion and force have equal weight in z.
         self.rate = size(plant.A) if plant.A.any() else size(plant.B) * size(plant.C) / size(plant.D)
         self.step = step * self.rate
         self.input_unit = self.rate / size(plant.B)
@@ -200,10 +200,10 @@ class _Path:
         system[:, n : n + m] *= self.input_unit
         system[:, n + m :] *= self.disturbance_unit
         self.basis = Basis(system, n, m, self.free, self.step)  # of the plant in the current coordinates
-        self.start = T @ scaling  # from the scaled coordinates of the beginning to the user's
+        self.start = T @ scaling  # from the initial coordinates to the user's
         self.block_start = scaling[self.free :, self.free :]
-        self.V = np.eye(len(T))  # from the current coordinates to those of the beginning
-        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in those of the beginning
+        self.V = np.eye(len(T))  # from the current coordinates to the initial ones
+        self.K = np.zeros((plant.B.shape[1], R.shape[1]))  # the gain absorbed so far, in the initial coordinates
         self.eta = 0.0
 
     @property
@@ -214,9 +214,9 @@ class _Path:
     def find_feasible_point(self) -> None:
         """Finds a strictly feasible point, or raises if none exists.
 
-        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): scaled down far enough, any
-        such pair satisfies (24) with some eta > 0. So: minimise s over He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until
-        s < 0.
+        Feasible points exist if and only if He(A X + B Y) < 0 has a solution of the structure (12): small enough, any such pair
+        satisfies (24) with some eta > 0. So s is minimised subject to He(A X + B Y) < s I, 0 < X < I, |Y| < LARGEST_Y, until s <
+        0.
         """
         basis, n, m = self.basis, self.basis.n, self.basis.m
         p = basis.pack(np.eye(n) / 2, np.zeros((m, n)), 0.0)
@@ -234,7 +234,7 @@ class _Path:
                 # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
                 raise InfeasibleError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
-                    f"definite (smallest largest eigenvalue found: {p[-1]:.0e}, in units of |A||X|)"
+                    f"definite (its largest eigenvalue is at least {p[-1]:.0e}, in units of |A||X|)"
                     + (
                         ". The measured signals may not suffice, or L does not fit the problem; measure more signals"
                         if self.free
@@ -250,11 +250,11 @@ class _Path:
         self._move_to(X, Y)
 
     def _scaled(self, X: Array, Y: Array) -> tuple[Array, Array, float]:
-        """A pair with He(A X + B Y) < 0, scaled to fit (24), and the largest eta that it then allows."""
+        """Returns a pair with He(A X + B Y) < 0, scaled to satisfy (24), and the largest eta that it then allows."""
         plant, n, k = self.plant, self.basis.n, len(self.basis.system)
 
         def inner() -> Array:
-            """(24) without the border of a step, which is taken out by its Schur complement."""
+            """Returns the matrix of (24), the border of a step eliminated by its Schur complement."""
             F = bounded_real_matrix(plant, X, Y, 0.0, self.step)
             return F[:k, :k] - F[:k, k:] @ np.linalg.solve(F[k:, k:], F[k:, :k]) if self.step else F
 
@@ -271,21 +271,21 @@ class _Path:
         return X, Y, 1 / linalg.eigh(disturbance @ disturbance.T, -F, eigvals_only=True)[-1]
 
     def follow(self, mu_end: float) -> Iterator[CentralPoint]:
-        """Walks along the path from the first rest to mu = mu_end eta; yields the points it rests at.
+        """Follows the path to mu = mu_end eta; yields the points at `RESTS`.
 
-        At a rest mu / eta is given, not mu: the point maximises log(eta) eta / mu in the place of eta / mu. So points are the
-        same in whatever units and from wherever the path is entered; some of them are designs, or where L (14) comes from.
+        There mu / eta is fixed, not mu: log(eta) eta / mu replaces eta / mu. So the points, some of which are designs or define
+        L (14), depend neither on units nor on the first point.
         """
         rest, moves = max(FIRST, mu_end), 0
         barrier, start, here = self._entered(rest)
-        if here is None:  # to rounding, in coordinates that were left far away
-            raise DesignError(f"the central path could not be entered: {BREAKS_OFF}")
+        if here is None:  # infeasible by rounding
+            raise DesignError(f"the central path could not be started: {BREAKS_OFF}")
         while True:
             p, decrement, here = newton(barrier, start, np.zeros(len(start)), CENTRED, self._far, here)
             if decrement > 0.5 and moves < MOST_MOVES and self._far(p) and (moved := self._moved(p, rest)):
                 moves += 1
                 barrier, start, here = moved
-                continue  # from there, in its own coordinates
+                continue
             if decrement > 0.5:
                 raise DesignError(
                     f"the central path could not be followed below mu = {rest:.1e} (Newton decrement {decrement:.1e}): "
@@ -296,7 +296,7 @@ class _Path:
             if rest <= mu_end:
                 return
             following = next_rest(rest, mu_end)
-            # Along the tangent of the path in mu, but inside.
+            # A step along the tangent of the path in mu that stays feasible.
             step = here.solve(here.half(direction(len(p), 1 / (rest * self.eta))))
             step = min(1 - following / rest, INSIDE * boundary(here, step)) * step
             moved = next(filter(None, (self._moved(p + part * step, following) for part in (1.0, 0.5, 0.1, 0.0))), None)
@@ -311,10 +311,10 @@ class _Path:
         return barrier, start, barrier.at(start)
 
     def _moved(self, p: Array, rest: float) -> tuple[Raised, Array, Factored] | None:
-        """The same after a move to a point; none is made where rounding puts that outside the feasible set in its coordinates."""
+        """Changes to the coordinates of a point and returns `_entered`; None, unchanged, if rounding makes it infeasible."""
         before = self.V, self.K, self.basis, self.eta
         X, Y, self.eta = self.basis.unpack(p)
-        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # or where numbers leave all range
+        with contextlib.suppress(np.linalg.LinAlgError, InputError):  # singular, or out of range
             self._move_to(X, Y)
             barrier, start, here = self._entered(rest)
             if here is not None:
@@ -328,7 +328,7 @@ class _Path:
         return bool(sizes[-1] > FAR * sizes[0])
 
     def _barrier(self) -> Derivatives:
-        """The barrier of (24) and X > 0."""
+        """Returns the barrier of (24) and X > 0."""
         basis, n = self.basis, self.basis.n
         if self.step:
             return Barrier([(-basis.F0, -basis.F)])
@@ -337,19 +337,19 @@ class _Path:
         return Barrier([(-basis.F0, -basis.F), (np.zeros((n, n)), basis.X)])
 
     def _start_barrier(self) -> Derivatives:
-        """The barrier of the search for a feasible point, in which the last unknown is s."""
+        """Returns the barrier of the search for a feasible point, in which the last unknown is s."""
         basis, n, m = self.basis, self.basis.n, self.basis.m
         if basis.size > DENSE and not self.step:
             return self._structured(start_constraints(self.plant, LARGEST_Y))
-        inside = np.r_[:n, len(basis.system) : len(basis.F0)]  # all but z
-        lyapunov = np.ascontiguousarray(basis.F[:, inside[:, None], inside])
+        without_z = np.r_[:n, len(basis.system) : len(basis.F0)]
+        lyapunov = np.ascontiguousarray(basis.F[:, without_z[:, None], without_z])
         lyapunov[-1] = 0.0
         lyapunov[-1, :n, :n] = -np.eye(n)
         box = np.zeros((basis.size, m + n, m + n))
         box[:, :m, m:], box[:, m:, :m] = basis.Y, basis.Y.transpose(0, 2, 1)
         return Barrier(
             [
-                (np.zeros((len(inside), len(inside))), -lyapunov),
+                (np.zeros((len(without_z), len(without_z))), -lyapunov),
                 (np.zeros((n, n)), basis.X),
                 (np.eye(n), -basis.X),
                 (LARGEST_Y * np.eye(m + n), box),
@@ -360,7 +360,7 @@ class _Path:
         return StructuredBarrier(constraints, self.basis.n, self.basis.m, self.free)
 
     def point(self, X: Array, Y: Array, rest: float) -> CentralPoint:
-        """A pair of the current coordinates, at a rest, as a point in the user's coordinates and units."""
+        """Returns a pair in the current coordinates as a point in the user's coordinates and units."""
         T = self.start @ self.V
         return CentralPoint(
             X=T @ X @ T.T * (self.rate * self.output_unit**2),  # the units follow from (21)
@@ -374,21 +374,21 @@ class _Path:
         a, n, m = self.free, self.basis.n, self.basis.m
         S = np.zeros_like(X)
         S[:a, :a], S[a:, a:] = np.linalg.cholesky(X[:a, :a]), np.linalg.cholesky(X[a:, a:])
-        # A gain that cancels much of A would leave what rounding did.
+        # `fed_back` keeps the digits of A + B G if the gain cancels much of A.
         system = self.basis.system.copy()
         system[:, :n] = fed_back(system[:, :n], system[:, n : n + m], Y @ np.linalg.inv(X))[0] @ S
         system[:n] = lapack.dtrtri(S, lower=1)[0] @ system[:n]  # pyright: ignore[reportAttributeAccessIssue]
         if not np.isfinite(system).all():
-            raise np.linalg.LinAlgError("numbers leave all range")
+            raise np.linalg.LinAlgError("numbers are out of range")
         self.K, self.V = self._gain(X, Y), self.V @ S
         self.basis = Basis(system, n, m, a, self.step)
 
     def _gain(self, X: Array, Y: Array) -> Array:
-        """Y_R X_R^-1 with all the gain absorbed before, in the coordinates of the beginning."""
+        """Returns Y_R X_R^-1 plus the gain absorbed so far, in the initial coordinates."""
         a = self.free
         return self.K + Y[:, a:] @ np.linalg.inv(X[a:, a:]) @ np.linalg.inv(self.V[a:, a:])
 
 
 def next_rest(mu: float, mu_end: float) -> float:
-    """Returns the next mu over eta of the path: hundredfold steps if it is nearly straight, the same rests for every plant."""
+    """Returns the next mu / eta of `RESTS`, or one that leads to mu_end: the same values for every plant."""
     return min(max((rest for rest in RESTS if mu_end < rest < 0.5 * mu), default=mu_end), 0.5 * mu)

@@ -11,7 +11,7 @@ from synth.plant.units import independent, own_units, unit_rows
 
 
 def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPoint]:
-    """The central path of (22). Its last point is the optimal state-feedback controller u = G_s x, with G_s = Y X^-1 (3) as K.
+    """Returns the central path of (22). Its last point is the optimal state feedback u = G_s x, with G_s = Y X^-1 (3) as K.
 
     Args:
         mu: see `central_path`.
@@ -24,14 +24,14 @@ def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPo
 
 
 def nullspace(Cy: Array) -> Array:
-    """Q: an orthonormal basis of the nullspace of C_y, shape (n, n - q). Its signs and order are arbitrary; K is not affected."""
+    """Returns Q, an orthonormal basis of the nullspace of C_y, shape (n, n - q). K does not depend on the choice of basis."""
     return linalg.null_space(unit_rows(Cy)[0])
 
 
 def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
-    """Returns the indices of rows of C_y that do not follow from earlier ones, ascending; (9) needs full row rank.
+    """Returns the indices of rows of C_y that are linearly independent of earlier ones, ascending; (9) needs full row rank.
 
-    The states have the plant's own units and the rows length one, so that no unit decides.
+    The states are scaled by `own_units` and the rows to length one, so that the result does not depend on units.
 
     Args:
         Cy: shape (q, n), no row zero.
@@ -40,7 +40,7 @@ def independent_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
 
 
 def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
-    """L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
+    """Returns L = Q^+ X C_y' (C_y X C_y')^-1, shape (n - q, q), equation (14).
 
     Args:
         X: the state-feedback X, shape (n, n).
@@ -48,30 +48,30 @@ def l_matrix(X: Array, Cy: Array, Q: Array) -> Array:
         Q: shape (n, n - q).
 
     Raises:
-        DesignError: rounding leaves C_y X C_y' no inverse.
+        DesignError: C_y X C_y' is singular to rounding.
     """
     rows, lengths = unit_rows(Cy)
     try:
         return np.linalg.pinv(Q) @ X @ rows.T @ np.linalg.inv(rows @ X @ rows.T) / lengths
     except np.linalg.LinAlgError as error:
         raise DesignError(
-            f"L (14) could not be computed: rounding leaves C_y X C_y' no inverse ({error}), for X grows without bound in "
-            "some of what is measured, or vanishes there; weigh it, or the control force, more"
+            f"L (14) could not be computed: C_y X C_y' is singular to rounding ({error}), as X grows without bound or vanishes "
+            "in a measured signal; weight that signal, or the control force, more"
         ) from error
 
 
 def r_matrix(Cy: Array, Q: Array, L: Array) -> Array:
-    """R = C_y^+ + Q L, shape (n, q), equation (9)."""
+    """Returns R = C_y^+ + Q L, shape (n, q), equation (9)."""
     rows, lengths = unit_rows(Cy)
     return np.linalg.pinv(rows) / lengths + Q @ L
 
 
 def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: float = LIMIT) -> list[CentralPoint]:
-    """The central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
+    """Returns the central path of (25) for a given L. Its last point is the controller u = K y, with K = Y_R X_R^-1 (13).
 
     Args:
-        Cy: observed output y = C_y x, shape (q, n), full row rank.
-        L: shape (n - q, q): (14), or zero for the one-step design that remark 4 speaks of.
+        Cy: measured output y = C_y x, shape (q, n), full row rank.
+        L: shape (n - q, q): (14), or zero for the one-step design of remark 4.
         Q: basis of the nullspace of C_y, shape (n, n - q).
         mu: see `central_path`.
 

@@ -1,19 +1,18 @@
-"""LMI problems as they read, solved by Clarabel through cvxpy: the paper's, and for several plants.
+"""LMI problems solved by Clarabel through cvxpy: the paper's, and a common gain for several plants.
 
-An independent route to every bound: the designs come from the central path (`central_path.py`), which needs no solver.
+This is an independent route to every bound: the designs come from the central path (`central_path.py`), which needs no solver.
 
-For several plants i, with one W and one Y for all and an X_i of its own,
+For several plants i, with common W and Y and an X_i for each,
 
     [ -f He(W)     X_i - W + f (A_i W + B_i Y)'            f (C_i W + D_i Y)'                      ]
     [ *            He(A_i W + B_i Y) + eta Bw_i Bw_i'      (C_i W + D_i Y)' + eta Bw_i Dw_i'       ]
     [ *            *                                       -I + eta Dw_i Dw_i'                     ]  < 0,      X_i > 0.
 
 Multiplied from the left by [A_i + B_i G, I, 0; C_i + D_i G, 0, I], G = Y W^-1, and from the right by its transpose, it is (20)
-with X_i: so each X_i proves the bound eta^-1/2 of its own loop. The gain is Y W^-1, and no X is in it: a common X would have to
-fit all plants, and here only W has to.
+with X_i: so each X_i proves the bound eta^-1/2 of its loop. The gain Y W^-1 contains no X, so the plants need not share one.
 
-W = Q W_Q + R W_R R' with any W_Q and any regular W_R, and Y = Y_R R', take the place of (12): C_y Q = 0 and C_y R = I give
-C_y W = W_R R', hence Y W^-1 = K C_y with K = Y_R W_R^-1 (13). With W_R block-diagonal and Y_R zero in places K is zero in them.
+W = Q W_Q + R W_R R' with any W_Q and any regular W_R, and Y = Y_R R', replace (12): C_y Q = 0 and C_y R = I give C_y W = W_R R',
+hence Y W^-1 = K C_y with K = Y_R W_R^-1 (13). If W_R is block-diagonal, the zeros of Y_R are zeros of K.
 """
 
 import warnings
@@ -36,7 +35,7 @@ class LmiSolution:
         X: shape (n, n).
         Y: shape (m, n).
         eta: gamma^-2.
-        status: the solver's own word, "optimal" or "optimal_inaccurate".
+        status: of the solver, "optimal" or "optimal_inaccurate".
     """
 
     X: Array
@@ -53,16 +52,16 @@ class LmiSolution:
 def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = None) -> LmiSolution:
     """Solves (25): maximise eta subject to (24) with X = Q X_Q Q' + R X_R R', Y = Y_R R' (12), X_Q > 0, X_R > 0.
 
-    With an empty Q and R = I it is (22); if the plant is a closed loop whose B is zero, it is (27). Of a discrete plant it is the
-    bordered matrix of `certificate.py` that is to be negative.
+    With an empty Q and R = I it is (22); for a closed loop with B = 0 it is (27). For a discrete plant, the bordered matrix of
+    `certificate.py` replaces (24).
 
     Args:
         Q: shape (n, n - q).
         R: shape (n, q).
-        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound that (25) has for that gain.
+        gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound of (25) for that gain.
 
     Raises:
-        InfeasibleError: the solver says so, or answers "optimal" with an eta that is zero to its tolerance.
+        InfeasibleError: the solver reports it, or an eta that is zero to its tolerance.
         DesignError: the solver gave up.
     """
     import cvxpy as cp  # 0.9 s, and only this function needs it
@@ -89,7 +88,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
     problem = cp.Problem(cp.Maximize(eta), [F << 0, *positive])
     answered(problem)
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
-    # Against the X that comes with it, what Clarabel's tolerance of 1e-8 cannot tell from zero is zero.
+    # Clarabel's tolerance of 1e-8, relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
         raise InfeasibleError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
@@ -99,21 +98,21 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
 
 
 def answered(problem: Any, **settings: float) -> None:
-    """Has Clarabel solve a `cvxpy.Problem`; its unknowns have values then, and what they are worth the caller finds out.
+    """Solves a `cvxpy.Problem` by Clarabel. The caller checks the values of its unknowns.
 
     Args:
         problem: with an objective.
-        settings: Clarabel's own, where its usual ones do not do.
+        settings: of Clarabel, other than its defaults.
 
     Raises:
-        InfeasibleError: the solver says so.
+        InfeasibleError: the solver reports it.
         DesignError: the solver gave up.
     """
     import cvxpy as cp
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so too, and callers look at the values
+            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so, too
             problem.solve(solver=cp.CLARABEL, **settings)
     except cp.SolverError as error:
         raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
@@ -121,8 +120,8 @@ def answered(problem: Any, **settings: float) -> None:
         raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
 
 
-REGULARIZED = 1e-6  # of Clarabel's linear systems; its own 1e-8 is too little for a full car
-NOTHING = 1e-8  # of the size of X: an eta below that is zero to Clarabel's tolerance
+REGULARIZED = 1e-6  # static regularisation of Clarabel's linear systems; the default 1e-8 is too small for a full car
+NOTHING = 1e-8  # relative to X: a smaller eta is zero to Clarabel's tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +145,13 @@ def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: 
     W_R = C_y W C_y' must have the blocks that the second step needs: this is a constraint here.
 
     Args:
-        plants: continuous, alike in states and inputs.
+        plants: continuous, with the same states and inputs.
         f: above 0 [s].
-        Cy: what the second step measures, shape (q, n).
-        blocks: which measurements a block of W_R joins, see `together`, shape (q, q).
+        Cy: measurements of the second step, shape (q, n).
+        blocks: mask of the entries of W_R that may be nonzero, see `together`, shape (q, q).
 
     Raises:
-        InfeasibleError: the solver says so, or its eta is zero to its tolerance.
+        InfeasibleError: the solver reports it, or its eta is zero to its tolerance.
         DesignError: the solver gave up.
     """
     import cvxpy as cp  # 0.9 s, and only this function and the next need it
@@ -165,14 +164,14 @@ def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: 
 
 
 def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array, pattern: Array) -> SlackSolution:
-    """Output feedback: the same with W = Q W_Q + R W_R R' and Y = Y_R R'.
+    """Maximises eta subject to the same LMIs for output feedback, with W = Q W_Q + R W_R R' and Y = Y_R R'.
 
     Args:
-        plants: continuous, alike in states and inputs.
+        plants: continuous, with the same states and inputs.
         f: above 0 [s].
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        pattern: where K may be other than zero, of bools, shape (m, q).
+        pattern: mask of the entries of K that may be nonzero, shape (m, q).
     """
     import cvxpy as cp
 
@@ -187,17 +186,17 @@ def second_step(plants: Sequence[GeneralizedPlant], f: float, Q: Array, R: Array
 
 
 def _ratio(Y: Any, W: Any) -> Array:
-    """Y W^-1 of cvxpy's expressions."""
+    """Returns the value of Y W^-1 of cvxpy expressions."""
     return np.linalg.solve(np.asarray(W.value).T, np.asarray(Y.value).T).T
 
 
 def together(pattern: Array) -> Array:
-    """Returns a mask of the measurements that one block of W_R may join, as the same inputs use them, shape (q, q)."""
+    """Returns a mask of the entries of W_R that may be nonzero: between measurements used by the same inputs, shape (q, q)."""
     return np.all(pattern[:, :, None] == pattern[:, None, :], axis=0).astype(float)
 
 
 def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constraints: list[Any]) -> float:
-    """The largest eta for which all LMIs hold, of cvxpy's expressions W and Y."""
+    """Solves for W and Y, cvxpy expressions; returns the largest eta for which all LMIs hold."""
     import cvxpy as cp
 
     eta, X = cp.Variable(), [cp.Variable(W.shape, symmetric=True) for _ in plants]
@@ -215,7 +214,7 @@ def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constr
         constraints += [F + eta * (disturbance @ disturbance.T) << 0, X_i >> 0]
     answered(cp.Problem(cp.Maximize(eta), constraints), static_regularization_constant=REGULARIZED)
     size = max(float(np.linalg.norm(X_i.value, 2)) for X_i in X)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    found = float(eta.value)  # pyright: ignore[reportArgumentType]
-    if found <= NOTHING * size:
-        raise InfeasibleError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {found:.1e}")
-    return found
+    optimum = float(eta.value)  # pyright: ignore[reportArgumentType]
+    if optimum <= NOTHING * size:
+        raise InfeasibleError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {optimum:.1e}")
+    return optimum

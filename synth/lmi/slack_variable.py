@@ -1,17 +1,17 @@
-"""The second step of a discrete plant with a slack variable: (25) with W in the place of one X, and no tighter than it.
+"""The second step for a discrete plant with a slack variable: a relaxation of (25), in which W replaces one X.
 
-Where some W satisfies [-X + eta Bw Bw', 0, A W + B Y; *, -I, C W + D Y; *, *, X - W - W'] < 0, X proves the bound eta^-1/2 of the
-gain Y W^-1 (de Oliveira, Bernussou, Geromel 1999). C_y asks nothing of X then: with W = Q W_Q + R W_R R' for any W_Q and
-W_R, and Y = Y_R R', the gain is Y W^-1 = K C_y with K = Y_R W_R^-1, for C_y Q = 0 and C_y R = I. W = X is (25) itself.
+If some W satisfies [-X + eta Bw Bw', 0, A W + B Y; *, -I, C W + D Y; *, *, X - W - W'] < 0, X proves the bound eta^-1/2 of the
+gain Y W^-1 (de Oliveira, Bernussou, Geromel 1999). Then C_y does not constrain X: with W = Q W_Q + R W_R R' for any W_Q and
+W_R, and Y = Y_R R', the gain is Y W^-1 = K C_y with K = Y_R W_R^-1, as C_y Q = 0 and C_y R = I. W = X gives (25) itself.
 
-In differences over a step T, X and W over T, with the last block row and column added to the first, it is
+In differences over a step T, X and W divided by T, and the last block row and column added to the first, it is
 
     [ He(A W + B Y) + eta Bw Bw'                        *                 *            ]
     [ C W + D Y + eta Dw Bw'                            -I + eta Dw Dw'   *            ]
     [ sqrt(T) (A W + B Y)' + (X - W) / sqrt(T)          sqrt(T) (..)'     X - W - W'   ]  < 0,
 
-the bordered matrix of `certificate.py` where W = X. Its central path, of log det of this matrix alone, is entered from that of
-(25), and its limit is unique as that one's is: it depends on no coordinates.
+which for W = X is the bordered matrix of `certificate.py`. Its central path, of log det of this matrix alone, starts from a point
+of that of (25). Its limit is unique, too, and independent of coordinates.
 """
 
 import numpy as np
@@ -24,17 +24,17 @@ from synth.lmi.structured_barrier import direction
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
-ENTERED = 0.1  # mu over eta: from the point of (25) with this, well inside, the path of this problem is entered
-RATIO = 0.1  # of mu, from rest to rest
+ENTERED = 0.1  # mu / eta of the point of (25), far from the boundary, at which the path starts
+RATIO = 0.1  # of mu, from point to point
 
 
 def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[CentralPoint]:
-    """Points of the central path, to its limit; X of each proves its bound.
+    """Returns points of the central path up to its limit; the X of each proves its bound.
 
     Args:
         plant: discrete, n states, m inputs.
         Cy: shape (q, n), full row rank.
-        start: on the path of (25): its X, which says the R of (9), is W at first.
+        start: point on the path of (25): its X, which determines R (9), is the first W.
 
     Raises:
         DesignError: the path could not be followed to its limit.
@@ -45,12 +45,12 @@ def slack_path(plant: GeneralizedPlant, Cy: Array, start: CentralPoint) -> list[
             return _Slack(plant, Cy, start).follow()
         except np.linalg.LinAlgError as error:
             raise DesignError(
-                f"the central path with a slack variable could not be followed: rounding ends it ({error})"
+                f"the central path with a slack variable could not be followed: rounding prevents it ({error})"
             ) from error
 
 
 class _Slack:
-    """A point that walks along the path, in coordinates in which the first X is I and its gain is closed."""
+    """The problem in coordinates in which the first X is I, with the first gain closed."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, point: CentralPoint) -> None:
         assert plant.dt is not None
@@ -83,7 +83,7 @@ class _Slack:
         self.X, self.W, self.Y = X, W, Y
 
     def matrix(self) -> tuple[Array, Array]:
-        """The matrix is F0 + sum p_i F_i: F0 and F of shapes (k, k) and (N, k, k)."""
+        """Returns F0 and F of the matrix F0 + sum p_i F_i, shapes (k, k) and (N, k, k)."""
         plant, root = self.plant, self.step**0.5
         n, d = len(plant.A), len(plant.C)
         top, low = plant.A @ self.W + plant.B @ self.Y, plant.C @ self.W + plant.D @ self.Y
@@ -110,7 +110,7 @@ class _Slack:
         p[n * (n + 1) // 2 : self.in_wr.stop] = np.linalg.lstsq(whole, np.eye(n).ravel())[0]
         p[-1] = self.eta
         if barrier.at(p) is None:
-            raise np.linalg.LinAlgError("the point of (25) is not inside")
+            raise np.linalg.LinAlgError("the point of (25) is not strictly feasible")
         mu, points, here = self.mu * self.eta, list[CentralPoint](), None
         while True:
             p, decrement, here = newton(barrier, p, direction(self.size, -1 / mu), CENTRED, here=here)
@@ -128,7 +128,7 @@ class _Slack:
             mu *= ratio
 
     def point(self, p: Array, mu: float) -> CentralPoint:
-        """Unknowns as a point in the user's coordinates and units."""
+        """Returns a point in the user's coordinates and units."""
         q = self.R.shape[1]
         W_R, Y_R = p[self.in_wr].reshape(q, q), p[self.in_y].reshape(-1, q)
         X = self.T @ np.tensordot(p, self.X, 1) @ self.T.T

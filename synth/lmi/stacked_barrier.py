@@ -1,10 +1,10 @@
-"""The barrier of `barrier.py` where one X is to satisfy (20) of many loops, all of one shape.
+"""The barrier of `barrier.py` for one X that satisfies (20) of many loops of the same shape.
 
     S_v = -((20) of loop v) + t I > 0,    X > 0
 
 with the unknowns X (symmetric) and t. With L = -[A; C], R = [I; 0] and P = S^-1 the second derivative of -log det S along unit
-matrices e_p e_q' and e_s e_t' in the place of X is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P L and
-a = R' P R, as in `structured_barrier.py`. Summed over the loops that is one product of matrices, n^4 operations for each of them.
+matrices e_p e_q' and e_s e_t' in place of X is 2 (g[t, p] g[q, s] + r[t, p] a[q, s]), where g = R' P L, r = L' P L and
+a = R' P R, as in `structured_barrier.py`. The sum over the loops is one matrix product, with n^4 operations for each loop.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -33,18 +33,18 @@ class StackedBarrier:
         self.shape = system.shape
         self.constant, self.system = constant, system
         self.rows, self.columns = np.triu_indices(n)
-        self.weight = np.where(self.rows == self.columns, 0.5, 1.0)  # those on the diagonal would count twice
+        self.weight = np.where(self.rows == self.columns, 0.5, 1.0)  # diagonal entries would count twice
         self.upper = self.rows * n + self.columns
 
     def matrix(self, p: Array) -> Array:
-        """X of the unknowns, shape (n, n)."""
+        """Returns X of the unknowns, shape (n, n)."""
         n = self.shape[2]
         X = np.zeros((n, n))
         X[self.rows, self.columns] = X[self.columns, self.rows] = p[:-1]
         return X
 
     def unknowns(self, X: Array) -> Array:
-        """The unknowns of X, in their order."""
+        """Returns the unknowns of X."""
         return X[self.rows, self.columns]
 
     def change(self, X: Array, t: float) -> Array:
@@ -56,7 +56,7 @@ class StackedBarrier:
         return S
 
     def at(self, p: Array) -> "StackedLocal | None":
-        """The derivatives at a point, or None outside the feasible set."""
+        """Returns the derivatives at a point, or None outside the feasible set."""
         n, X = self.shape[2], self.matrix(p)
         try:
             inverse = np.linalg.inv(np.linalg.cholesky(self.change(X, p[-1]) - self.constant))
@@ -67,7 +67,7 @@ class StackedBarrier:
         PL = -P @ self.system
         g, r, a = PL[:, :n], -self.system.swapaxes(1, 2) @ PL, P[:, :n, :n]
         trace = np.append(self._both(2 * g.sum(axis=0) + of_x), np.einsum("vii->", P))
-        # X > 0 is a loop with L = R = I / 2^(1/2), but for t.
+        # X > 0 is like a loop with L = R = I / 2^(1/2), without t.
         one, two = (np.concatenate([*pair, of_x[None] / 2**0.5]).reshape(-1, n * n) for pair in ((g, r), (g, a)))
         hessian = np.empty((len(p), len(p)))
         hessian[:-1, :-1] = self._folded((one.T @ two).reshape(n, n, n, n))
@@ -83,11 +83,11 @@ class StackedBarrier:
         return None
 
     def _both(self, Z: Array) -> Array:
-        """<Z, X> of every unknown of X."""
+        """Returns the derivative of tr(Z X) with respect to every unknown of X."""
         return self.weight * (Z[self.rows, self.columns] + Z[self.columns, self.rows])
 
     def _folded(self, M: Array) -> Array:
-        """The second derivatives along the unknowns of X, from half of those along e_p e_q' and e_s e_t', by t, p, q and s."""
+        """Returns second derivatives along the unknowns of X, from half of those along e_p e_q', e_s e_t', indexed t, p, q, s."""
         n = len(M)
         both = M + M.swapaxes(1, 2)  # p and q
         both += both.transpose(3, 1, 2, 0)  # s and t
@@ -97,7 +97,7 @@ class StackedBarrier:
 
 @dataclass(frozen=True, eq=False)
 class StackedLocal(Factored):
-    """Derivatives at a point; the inverse Cholesky factors of every S, shape (V, n + d, n + d), and of X, shape (n, n)."""
+    """Derivatives at a point, with inverse Cholesky factors of every S, shape (V, n + d, n + d), and of X, shape (n, n)."""
 
     barrier: StackedBarrier
     inverse: Array

@@ -1,16 +1,16 @@
-"""The barrier of `barrier.py` where the unknowns are entries of matrices: n^4 operations where a dense basis takes n^6.
+"""The barrier of `barrier.py` for unknowns that are entries of matrices: n^4 operations instead of the n^6 of a dense basis.
 
 Every constraint of the central path has the form
 
     S = S0 + L [X; Y] R' + R [X; Y]' L' + p_N W > 0
 
 with the unknowns X (symmetric, block diagonal), Y and p_N. With P = S^-1 the second derivative of -log det S along unit matrices
-e_p e_q' and e_s e_t' in the place of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
+e_p e_q' and e_s e_t' in place of [X; Y] is 2 (g[t, p] g[q, s] + r[p, s] a[q, t]), where g = R' P L, r = L' P L, a = R' P R:
 products of entries of three small matrices.
 
-Where S is nearly singular these sums would lose what its other directions add to them. So the part of P that belongs to the
-smallest eigenvalues of S is left out of the sums, and joins their Cholesky factor as rows, by Householder's reflections: no digit
-is lost that the QR of all rows in `barrier.py` would keep.
+If S is nearly singular, the largest terms of these sums would swamp the others. So the part of P that belongs to the smallest
+eigenvalues of S is left out of the sums. Its rows are added to their Cholesky factor by Householder reflections, which keeps as
+many digits as the QR of all rows in `barrier.py`.
 """
 
 import functools
@@ -28,17 +28,17 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 class Basis:
-    """The N unknowns p = (X_Q, X_R, Y_R, eta), and the matrices they multiply, in coordinates where (12) is block diagonal.
+    """The N unknowns p = (X_Q, X_R, Y_R, eta) and their coefficient matrices, in coordinates where (12) is block diagonal.
 
-    Of one plant, or of many of the same shape side by side along leading axes (...).
+    For one plant, or for a stack of plants of the same shape along leading axes (...).
 
     Args:
         system: [A B Bw; C D Dw], shape (..., k, n + m + r).
         n, m, free: number of states, of inputs, and of columns of Q.
-        step: of a plant in differences; 0 of a continuous one.
+        step: of a plant in differences; 0 for a continuous one.
 
     Attributes:
-        places: where the unknowns but the last stand in [X; Y], those of X above its diagonal: rows and columns, shapes (N - 1,).
+        places: rows and columns in [X; Y] of all unknowns but the last, those of X above its diagonal, shapes (N - 1,).
         size: N.
     """
 
@@ -53,13 +53,13 @@ class Basis:
 
     @classmethod
     def of(cls, plant: GeneralizedPlant, free: int, step: float = 0.0) -> "Basis":
-        """The unknowns of one plant."""
+        """Returns the basis of one plant."""
         n, m = plant.B.shape
         return cls(plant.system_matrix, n, m, free, step)
 
     @property
     def plant(self) -> GeneralizedPlant:
-        """The plant, of one."""
+        """The plant, if there is only one."""
         n, m = self.n, self.n + self.m
         top, low = self.system[:n], self.system[n:]
         return GeneralizedPlant(top[:, :n], top[:, n:m], top[:, m:], low[:, :n], low[:, n:m], low[:, m:])
@@ -76,9 +76,9 @@ class Basis:
 
     @functools.cached_property
     def F(self) -> Array:
-        """The matrix (24) is F0 + sum_i p_i F_i, with F0 of shape (k, k) and F of (..., N, k, k); k + n with a step, see (21)."""
+        """Coefficients F_i of the matrix (24) = F0 + sum_i p_i F_i, shape (..., N, k, k); k + n with a step, see (21)."""
         n, m, k = self.n, self.m, self.system.shape[-2]
-        # [A B; C D] [X; Y] for every unknown: the left columns of (24), and its upper rows.
+        # [A B; C D] [X; Y] for every unknown: the left columns of (24); transposed, its upper rows.
         left = self.system[..., None, :, : n + m] @ np.concatenate([self.X, self.Y], axis=1)
         F = np.zeros((*self.system.shape[:-2], self.size, *self.F0.shape))
         F[..., :k, :n] = left
@@ -92,11 +92,11 @@ class Basis:
         return F
 
     def pack(self, X: Array, Y: Array, last: float) -> Array:
-        """The unknowns of X, Y and the last."""
+        """Returns the unknowns of X, Y and the last."""
         return np.append(np.concatenate([X, Y])[self.places], last)
 
     def unpack(self, p: Array) -> tuple[Array, Array, Any]:
-        """X, Y and the last of the unknowns, of p of shape (..., N)."""
+        """Returns X, Y and the last unknown, for p of shape (..., N)."""
         rows, columns = self.places
         unknown = np.zeros((*p.shape[:-1], self.n + self.m, self.n))
         unknown[..., rows, columns] = p[..., :-1]
@@ -132,7 +132,7 @@ def _units(n: int, m: int, free: int) -> tuple[Array, Array]:
 
 
 def direction(size: int, value: float) -> Array:
-    """Returns the vector of unknowns that is a value at the last one, eta, else 0, shape (size,)."""
+    """Returns a vector of zeros with a value for the last unknown, eta, shape (size,)."""
     c = np.zeros(size)
     c[-1] = value
     return c
@@ -142,8 +142,8 @@ def direction(size: int, value: float) -> Array:
 # scipy.linalg.lapack is made by f2py and carries no stubs.
 
 
-NEARLY_SINGULAR = 1e-7  # eigenvalues of S, relative to its largest: smaller ones square to what Cholesky's method would lose
-SHIFTS = (1e-14, 1e-12, 1e-10, 1e-8, 1e-6)  # of the diagonal, relative: the first with which the sums have a Cholesky factor
+NEARLY_SINGULAR = 1e-7  # relative; Cholesky's method would lose the squares of smaller eigenvalues of S
+SHIFTS = (1e-14, 1e-12, 1e-10, 1e-8, 1e-6)  # of the diagonal, relative: the first that gives the sums a Cholesky factor
 PANEL = 32  # columns that are reflected together
 
 
@@ -156,7 +156,7 @@ class Constraint:
         left: L, shape (k, n + m).
         right: R, shape (k, n).
         last: W, shape (k, k).
-        plain: whether it is X > 0 or X < I: then S is X, or its distance from I.
+        plain: True for X > 0 and X < I, with S = X and S = I - X.
     """
 
     S0: Array
@@ -167,7 +167,7 @@ class Constraint:
 
 
 def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
-    """-F(X, Y, eta) > 0 (24) and X > 0; p_N is eta."""
+    """Returns the constraints -F(X, Y, eta) > 0 (24) and X > 0; p_N is eta."""
     n, m = plant.B.shape
     d = len(plant.C)
     disturbance = np.vstack([plant.Bw, plant.Dw])
@@ -181,7 +181,7 @@ def path_constraints(plant: GeneralizedPlant) -> list[Constraint]:
 
 
 def start_constraints(plant: GeneralizedPlant, largest: float) -> list[Constraint]:
-    """A X + B Y + (..)' < p_N I, 0 < X < I and |Y| < largest."""
+    """Returns the constraints A X + B Y + (..)' < p_N I, 0 < X < I and |Y| < largest."""
     n, m = plant.B.shape
     lyapunov = Constraint(np.zeros((n, n)), -plant.system_matrix[:n, : n + m], np.eye(n), np.eye(n))
     box = Constraint(largest * np.eye(m + n), np.eye(m + n, n + m, k=n), np.eye(m + n, n, k=-m), np.zeros((m + n, m + n)))
@@ -189,7 +189,7 @@ def start_constraints(plant: GeneralizedPlant, largest: float) -> list[Constrain
 
 
 def _definite(n: int, m: int, sign: float) -> Constraint:
-    """X > 0, or X < I."""
+    """Returns the constraint X > 0, or X < I for a negative sign."""
     S0 = np.zeros((n, n)) if sign > 0 else np.eye(n)
     return Constraint(S0, 0.5 * sign * np.eye(n, n + m), np.eye(n), np.zeros((n, n)), plain=True)
 
@@ -199,11 +199,11 @@ class _Run:
     """Unknowns in the same row of [X; Y].
 
     Attributes:
-        row: which one.
-        others: in which columns they stand.
-        begin, end: which of the unknowns they are.
-        upper, lower: where the unknowns of X from the first of these on stand, and where their mirror images do, in a flat square
-            matrix of rows and columns `row` to n.
+        row: its index.
+        others: their columns.
+        begin, end: range of their indices.
+        upper, lower: positions of the unknowns of X from `begin` on, and of their mirror images, in a flat square matrix of rows
+            and columns `row` to n.
     """
 
     row: int
@@ -216,7 +216,7 @@ class _Run:
 
 @functools.cache
 def _runs(n: int, m: int, free: int) -> list[_Run]:
-    """Unknowns that stand in the same row of [X; Y], run by run, in the order in which they are counted."""
+    """Returns the runs of unknowns in the same row of [X; Y], in order."""
     rows, columns = places(n, m, free)
     of_x = int(np.sum(rows < n))
     first = np.flatnonzero(np.diff(rows, prepend=-1)).tolist()
@@ -240,13 +240,13 @@ class StructuredBarrier:
     def __init__(self, constraints: Sequence[Constraint], n: int, m: int, free: int) -> None:
         self.constraints, self.shape, self.free = constraints, (n + m, n), free
         self.rows, self.columns = rows, columns = places(n, m, free)
-        self.twice = rows < n  # of X: they stand below the diagonal, too
+        self.twice = rows < n  # unknowns of X, which are below the diagonal, too
         self.mirrored = np.where(self.twice, rows, 0), np.where(self.twice, columns, 0)
-        self.weight = np.where(rows == columns, 0.5, 1.0)  # those on the diagonal would count twice
+        self.weight = np.where(rows == columns, 0.5, 1.0)  # diagonal entries would count twice
         self.runs = _runs(n, m, free)
 
     def at(self, p: Array) -> "StructuredLocal | None":
-        """The derivatives at a point, or None outside the feasible set."""
+        """Returns the derivatives at a point, or None outside the feasible set."""
         N = len(p)
         unknown = self.matrix(p)
         trace = np.zeros(N)
@@ -259,7 +259,7 @@ class StructuredBarrier:
             inverse, singular = lapack.dtrtri(factor, lower=1)
             if singular:
                 return None
-            # S^-1 = U U', the columns of U in order of falling size: from the factor the large ones keep their digits.
+            # S^-1 = U U', the columns of U by falling size; computed from the factor, the large ones keep their digits.
             _, sizes, directions = np.linalg.svd(inverse)
             U = directions.T * sizes
             bases.append(U)
@@ -276,7 +276,7 @@ class StructuredBarrier:
         hessian *= scale[:, None]
         for shift in SHIFTS:
             hessian[np.arange(N), np.arange(N)] = diagonal * scale**2 + shift
-            # LAPACK counts by columns, and takes the upper triangle by rows as a lower one: nothing is laid out anew.
+            # In Fortran order, LAPACK's, the upper triangle is a lower one: nothing is copied.
             lower, failed = lapack.dpotrf(hessian.T, lower=1, clean=0)
             if not failed:
                 break
@@ -288,45 +288,45 @@ class StructuredBarrier:
         return StructuredLocal(trace, scale, triangle, self, bases)
 
     def matrix(self, p: Array) -> Array:
-        """[X; Y] of the unknowns, shape (n + m, n)."""
+        """Returns [X; Y] of the unknowns, shape (n + m, n)."""
         unknown = np.zeros(self.shape)
         unknown[self.rows, self.columns] = p[:-1]
         unknown[self.columns[self.twice], self.rows[self.twice]] = p[:-1][self.twice]
         return unknown
 
     def _both(self, Z: Array) -> Array:
-        """<Z, [X; Y]> of every unknown but the last."""
+        """Returns the derivative of tr(Z' [X; Y]) with respect to every unknown but the last."""
         rows, columns = self.mirrored
         return self.weight * (Z[self.rows, self.columns] + self.twice * Z[columns, rows])
 
     def _rows(self, part: Constraint, U: Array, count: int) -> Array:
-        """The rows of `barrier.Barrier.at` that belong to the first columns of U, and any other, shape (.., N)."""
-        seen, moved = U.T @ part.left, U.T @ part.right
+        """Returns the rows of `barrier.Barrier.at` for pairs of columns of U, one among the first `count`, shape (.., N)."""
+        UL, UR = U.T @ part.left, U.T @ part.right
         rows, columns = self.mirrored
-        left, right = seen[:, self.rows] * self.weight, moved[:, self.columns]
-        left_mirrored, right_mirrored = seen[:, columns] * (self.weight * self.twice), moved[:, rows]
+        left, right = UL[:, self.rows] * self.weight, UR[:, self.columns]
+        left_mirrored, right_mirrored = UL[:, columns] * (self.weight * self.twice), UR[:, rows]
         last = U[:, :count].T @ part.last @ U
-        found = []
+        runs = []
         for i in range(count):
             each = np.empty((len(U) - i, len(self.rows) + 1))
             each[:, :-1] = left[i] * right[i:] + right[i] * left[i:]
             each[:, :-1] += left_mirrored[i] * right_mirrored[i:] + right_mirrored[i] * left_mirrored[i:]
             each[:, -1] = last[i, i:]
             each[1:] *= np.sqrt(2.0)
-            found.append(each)
-        return np.concatenate(found)
+            runs.append(each)
+        return np.concatenate(runs)
 
     def _hessian(self, light: Sequence[Array]) -> Array:
-        """The second derivatives that belong to these parts P of every S^-1, upper triangle, shape (N, N).
+        """Returns the second derivatives due to the parts P of every S^-1, upper triangle, shape (N, N).
 
-        With Y' beside X, and nothing in R for it, S is the same function of one symmetric matrix. Its second derivative along
-        e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the module's formula summed over both places of both, and is an entry of a
-        product of thin matrices, 2 (U V' + V U')[s, t], where U depends on q alone and V on p: four columns of each for every
-        constraint, and one for X > 0 and X < I, for which the four are alike.
+        [X, Y'; Y, 0] is symmetric, and with R padded by zeros S is the same function of it. Its second derivative along
+        e_p e_q' + e_q e_p' and e_s e_t' + e_t e_s' is the sum of four terms of the module's formula. It is an entry of a product
+        of thin matrices, 2 (U V' + V U')[s, t], where U depends only on q and V on p. Every constraint adds four columns to each;
+        X > 0 and X < I add one, as their four terms are equal.
         """
         (rows, n), N, of_x = self.shape, len(self.rows) + 1, int(self.twice.sum())
         hessian = np.zeros((N, N))
-        within_x: list[tuple[Array, Array]] = []  # factors U and V by q or p, s or t, and column
+        within_x: list[tuple[Array, Array]] = []  # factors U and V, indexed by q or p, s or t, and column
         with_y: list[tuple[Array, Array]] = []
         for part, P in zip(self.constraints, light, strict=True):
             PL, PR = P @ part.left, P @ part.right
@@ -346,7 +346,7 @@ class StructuredBarrier:
 
         U, V = (np.concatenate(factors, axis=-1) for factors in zip(*within_x, strict=True))
         Uy, Vy = (np.concatenate(factors, axis=-1) for factors in zip(*with_y, strict=True))
-        x = slice(self.free, n)  # what Y multiplies
+        x = slice(self.free, n)  # columns of Y_R
         for run in self.runs:
             p, q, block = run.row, run.others, hessian[run.begin : run.end]
             if p < n:
@@ -363,13 +363,13 @@ class StructuredBarrier:
 
 
 def _products(U: Array, V: Array) -> Array:
-    """U V' for every q, shape (q, s, t), of U by q, s and column, and V by t and column."""
+    """Returns U V' for every q, shape (q, s, t), for U indexed by q, s and column, and V by t and column."""
     return (U.reshape(-1, U.shape[-1]) @ V.T).reshape(*U.shape[:2], len(V))
 
 
 @dataclass(frozen=True, eq=False)
 class StructuredLocal(Factored):
-    """Derivatives at a point; S^-1 = U U' of every constraint, shapes (k, k)."""
+    """Derivatives at a point, with U of S^-1 = U U' of every constraint, shapes (k, k)."""
 
     barrier: StructuredBarrier
     bases: list[Array]

@@ -1,12 +1,12 @@
-"""States that z does not see, and that decay by themselves: they are left out of the LMI problems, and put back afterwards.
+"""Stable states that are unobservable in z: they are removed from the LMI problems, and restored afterwards.
 
-Where some gain F keeps a set of states out of z, (C + D F) x = 0 from there on. If they decay meanwhile, X of (22) and (25) may
-grow without bound in them at no price: the problem has no central path, and gains on them mean nothing. So they are left out.
-The problem of the other states is the same as that of a plant which never had them. It has the same optimum, and its gain is
-the gain; the states left out get F, which is zero where z weighs the force by itself.
+Some gain F may make states unobservable in z: (C + D F) x stays 0 from such a state on. If these states decay, X of (22) and (25)
+may grow in them without bound and without cost. Then the problem has no central path, and gains on them are arbitrary. So they
+are removed. The problem of the other states has the same optimum and gives the gain on them. The removed states get F, which is
+zero if z weights the force separately.
 
-In (25) X and Y are bound to (12), and those sets count that are, in the coordinates of [Q R], made of a part in Q, on which F is
-zero, and a part in R.
+In (25) X and Y must satisfy (12). So in the coordinates of [Q R] the removed space is the sum of a part in Q, on which F is zero,
+and a part in R.
 """
 
 from collections.abc import Iterator
@@ -21,23 +21,23 @@ from synth.analysis.stability import balance
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
 
-RANK = 1e-9  # relative; a direction that is smaller counts as none
-ROUNDING = 1e-15  # relative; what a few turns leave of zero
-UNDRIVEN = 1e-6  # of the other states' spread: what a state that nothing drives is given
+RANK = 1e-9  # relative; a smaller singular value counts as zero
+ROUNDING = 1e-15  # relative; rounding of a zero by a few rotations
+UNDRIVEN = 1e-6  # variance of a state that nothing drives, relative to the mean of the others
 
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """A plant without the states that z does not see, and the way back.
+    """A plant without its stable states that are unobservable in z, and the way back.
 
     Attributes:
-        rest: the plant of the k states that are kept.
+        rest: the plant of the k remaining states.
         Q: of the rest, shape (k, a').
-        R: likewise, shape (k, q').
-        Z: coordinates of the whole plant, the kept states first, shape (n, n).
-        whole: the plant in them, with F in the loop.
-        narrow: from the coordinates that R spans to those that the rest's R does, shape (q', q).
-        F: the gain on the former, shape (m, q).
+        R: of the rest, shape (k, q').
+        Z: coordinates of the whole plant, the remaining states first, shape (n, n).
+        whole: the whole plant in these coordinates, with F in the loop.
+        narrow: from the coordinates that R spans to those that the R of the rest spans, shape (q', q).
+        F: the gain on the coordinates that R spans, shape (m, q).
         step: of a plant in differences [s]; 0 for a continuous one.
     """
 
@@ -51,13 +51,13 @@ class Unseen:
     step: float = 0.0
 
     def gain(self, K: Array) -> Array:
-        """The gain of the whole plant from one of the rest, shape (m, q)."""
+        """Returns the gain of the whole plant for a gain of the rest, shape (m, q)."""
         return K @ self.narrow + self.F
 
     def followed(self, K: Array, X: Array, eta: float) -> Array:
-        """An X of the rest as one of the whole plant, shape (n, n): what is left out follows what is kept.
+        """Returns an X of the whole plant, shape (n, n), whose removed states follow the others.
 
-        It is the covariance of the closed loop under white noise that gives the kept states X, and drives the others as w does.
+        It is the covariance of the closed loop under white noise that gives the remaining states the covariance X.
         """
         loop, k = self._loop(K), len(X)
         A, follows, A2 = loop.A[:k, :k], loop.A[k:, :k], loop.A[k:, k:]
@@ -70,7 +70,7 @@ class Unseen:
         return self.Z @ np.block([[X, X12], [X12.T, (X22 + X22.T) / 2]]) @ self.Z.T
 
     def proof(self, K: Array, X: Array, eta: float) -> Array:
-        """An X of the whole plant that proves the same bound, from one of the rest: large enough in what is left out."""
+        """Returns an X of the whole plant that proves the same bound: large enough in the removed states."""
         loop, k = self._loop(K), len(X)
         inside = np.linalg.inv(self.Z)
         whole = inside @ self.followed(K, X, eta) @ inside.T
@@ -83,7 +83,7 @@ class Unseen:
         return self.Z @ whole @ self.Z.T
 
     def _loop(self, K: Array) -> GeneralizedPlant:
-        """The closed loop in the coordinates of Z; a continuous one, of which X says the same."""
+        """Returns the closed loop in the coordinates of Z; for a discrete one its bilinear image, for which X is the same."""
         from synth.plant.discrete import from_differences
 
         gain = np.hstack([K @ self.R.T, np.zeros((len(K), len(self.whole.A) - len(self.rest.A)))])
@@ -109,14 +109,14 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen |
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
         if not left:
             continue
-        # What is kept is orthogonal to the rest where no unit is left, so that what follows it is the same in any.
+        # The remaining states are orthogonal to the removed ones in dimensionless units, so that the result depends on no unit.
         own = T / lengths / own_units(plant).exact[0][:, None]
-        kept_q, kept_r = _turned(out_q, own[:, :a]), _turned(out_r, own[:, a:])
+        kept_q, kept_r = _dual_basis(out_q, own[:, :a]), _dual_basis(out_r, own[:, a:])
         Z = np.hstack([np.asarray(linalg.block_diag(kept_q, kept_r)), in_q, in_r])
         F_r = F @ in_r @ in_r.T
         whole = moved.closed_loop(F_r).in_coordinates(Z)
         n = len(whole.A) - left
-        # What is left of an A that turning has made zero would pass for a rate of the plant.
+        # Rounding would make an A that should be zero look like a rate of the plant.
         turned = np.linalg.norm(moved.A) + np.linalg.norm(moved.B) * np.linalg.norm(F_r)
         A = np.where(np.abs(whole.A[:n, :n]) > ROUNDING * turned, whole.A[:n, :n], 0.0)
         rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
@@ -127,7 +127,7 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen |
 
 
 def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
-    """Gains that may keep states out of z: none, and the only other one where every force is weighed, -D^+ C."""
+    """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
     yield np.zeros_like(plant.B.T)
     W = plant.independent_inputs()
     D = plant.D @ W
@@ -138,25 +138,25 @@ def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
 
 
 def hidden(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
-    """Bases of the states that (C + D F) never shows under u = F x: of those that decay, and of all, each orthonormal, (n, k)."""
+    """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F) if F.any() else plant
     terms = np.linalg.norm(plant.C, axis=1) + np.linalg.norm(plant.D, axis=1) * np.linalg.norm(F)
     lengths = np.linalg.norm(loop.C, axis=1)
     counts = lengths > RANK * terms
     rows, size = loop.C[counts] / lengths[counts, None], float(np.linalg.norm(loop.A))
-    seen = np.zeros((0, n))
-    while len(rows) and len(seen) < n:
-        _, sizes, directions = np.linalg.svd(np.vstack([seen, rows]))
-        seen = directions[: int(np.sum(sizes > RANK))]
-        rows = seen @ loop.A
-        rows = rows - rows @ seen.T @ seen
+    observable = np.zeros((0, n))
+    while len(rows) and len(observable) < n:
+        _, sizes, directions = np.linalg.svd(np.vstack([observable, rows]))
+        observable = directions[: int(np.sum(sizes > RANK))]
+        rows = observable @ loop.A
+        rows = rows - rows @ observable.T @ observable
         lengths = np.linalg.norm(rows, axis=1)
         rows = rows[lengths > RANK * size] / size
-    V = _complement(seen.T)
+    V = _complement(observable.T)
     if not V.shape[1]:
         return V, V
-    slow = RANK * size  # to rounding such a mode does not decay
+    slow = RANK * size  # a slower mode does not decay, to rounding
 
     def decays(real: float, imaginary: float) -> bool:  # |1 + step s| < 1
         return real + step * (real**2 + imaginary**2) / 2 < -slow
@@ -166,7 +166,7 @@ def hidden(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array,
 
 
 def _structured(plant: GeneralizedPlant, F: Array, V: Array, a: int) -> tuple[Array, Array]:
-    """The largest part of V that A + B F keeps, a sum of one in the first `a` coordinates, where F is 0, and another."""
+    """Returns bases of the largest (A + B F)-invariant V_q + V_r in V: V_q in the first `a` coordinates with F V_q = 0."""
     loop, size = plant.closed_loop(F) if F.any() else plant, float(np.linalg.norm(plant.A)) or 1.0
     in_q, in_r = V @ _null(V[a:]), V @ _null(V[:a])
     in_q = in_q @ _null(F @ in_q / (np.linalg.norm(F) or 1.0))
@@ -179,25 +179,25 @@ def _structured(plant: GeneralizedPlant, F: Array, V: Array, a: int) -> tuple[Ar
 
 
 def _null(M: Array) -> Array:
-    """An orthonormal basis of what M takes to less than RANK, shape (columns, k)."""
+    """Returns an orthonormal basis of the nullspace of M, to RANK, shape (columns, k)."""
     _, sizes, directions = np.linalg.svd(M)
     return directions[int(np.sum(sizes > RANK)) :].T
 
 
-def _turned(out: Array, own: Array) -> Array:
+def _dual_basis(out: Array, T: Array) -> Array:
     """Returns the dual basis of `out` that is orthogonal, in coordinates T x, to the complement of `out`, shape (n, k).
 
     Args:
         out: orthonormal, shape (n, k).
-        own: T, shape (N, n).
+        T: shape (N, n).
     """
     if not out.shape[1]:
         return out
-    _, low = np.linalg.qr(own)
+    _, low = np.linalg.qr(T)
     across = np.linalg.solve(low, np.linalg.solve(low.T, out))
     return across @ np.linalg.inv(out.T @ across)
 
 
 def _complement(V: Array) -> Array:
-    """An orthonormal basis of what is orthogonal to the orthonormal columns of V, shape (n, n - k)."""
+    """Returns an orthonormal basis of the complement of the orthonormal columns of V, shape (n, n - k)."""
     return np.linalg.svd(V.T)[2][V.shape[1] :].T

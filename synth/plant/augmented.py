@@ -89,9 +89,9 @@ class System:
             object.__setattr__(self, name, real_matrix(getattr(self, name), name, "of a system"))
         (n, (p, k)) = len(self.A), self.D.shape
         for name, expected in (("A", (n, n)), ("B", (n, k)), ("C", (p, n))):
-            found = getattr(self, name).shape
-            if found != expected:
-                raise InputError(f"{name} has shape {found}; expected {expected}, as A has {n} rows and D is {p} by {k}")
+            shape = getattr(self, name).shape
+            if shape != expected:
+                raise InputError(f"{name} has shape {shape}; expected {expected}, as A has {n} rows and D is {p} by {k}")
 
     def __getitem__(self, part: tuple[Sequence[int] | slice, Sequence[int] | slice]) -> "System":
         """The system from some inputs to some outputs: system[outputs, inputs], by index."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from models.common import arrays
 from models.common.arrays import Array
+from models.common.checks import Index, Matrix, check, check_shape
 from models.common.errors import InputError, quoted
 from synth.plant.double_double import added, product
 
@@ -27,7 +28,7 @@ class Feedback:
         Cy: shape (q, n).
 
     Raises:
-        InputError: a matrix is not one of real finite numbers.
+        InputError: a matrix is not one of real finite numbers, or the two do not fit.
     """
 
     K: Array
@@ -35,8 +36,9 @@ class Feedback:
 
     def __post_init__(self) -> None:
         for name, value, shape in (("K", self.K, "(m, q)"), ("Cy", self.Cy, "(q, n)")):
-            if not isinstance(value, np.ndarray):
-                object.__setattr__(self, name, real_matrix(value, name, shape))
+            object.__setattr__(self, name, real_matrix(value, name, shape))
+        if self.K.shape[1] != len(self.Cy):
+            raise InputError(f"K has shape {self.K.shape} and Cy {self.Cy.shape}; give K a column for each row of Cy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class GeneralizedPlant:
 
     Raises:
         InputError: a matrix is not one of real finite numbers, has the wrong shape, too many rows or columns, or
-            entries beyond `SMALLEST` or `LARGEST`; or dt is no such number. The message names it.
+            entries beyond `SMALLEST` or `LARGEST`; or dt or weights is no such number. The message names it.
     """
 
     A: Array
@@ -86,9 +88,13 @@ class GeneralizedPlant:
             matrix, shape = getattr(self, name), (size[rows], size[columns])
             if matrix.shape != shape:
                 raise InputError(
-                    f"{name} has shape {matrix.shape}; expected {shape}, as A says n = {size['n']}, B says m = {size['m']}, Bw "
-                    f"says r = {size['r']} and C says d = {size['d']}"
+                    f"{name} has shape {matrix.shape}, and must have {shape}: A has {size['n']} row(s), B {size['m']} column(s), "
+                    f"Bw {size['r']} column(s) and C {size['d']} row(s)"
                 )
+        if check("weights", self.weights, Index) > size["n"]:
+            raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
+        if self.beyond is not None:
+            check_shape("beyond", check("beyond", self.beyond, Array), (size["n"] + size["d"], size["n"]), "as A and C are")
 
     @property
     def system_matrix(self) -> Array:
@@ -113,7 +119,14 @@ class GeneralizedPlant:
 
         Args:
             G: state gain, shape (m, n), or a gain from measurements.
+
+        Raises:
+            InputError: the gain does not fit the plant.
         """
+        G = check("G", G, Matrix | Feedback)
+        shape = (len(G.K), G.Cy.shape[1]) if isinstance(G, Feedback) else G.shape
+        if shape != self.B.T.shape:
+            raise InputError(f"G has shape {shape}; expected {self.B.T.shape}, an input of the plant a row and a state a column")
         high, beyond = fed_back(np.vstack([self.A, self.C]), np.vstack([self.B, self.D]), G, self.beyond)
         n = len(self.A)
         return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)

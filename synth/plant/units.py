@@ -153,10 +153,10 @@ def _measured(plant: GeneralizedPlant, Cy: Array) -> OwnUnits:
         alike = slice(first, first + count)
         normal[alike, alike] += TOGETHER * (np.eye(count) - 1 / max(count, 1))
     w = np.arange(n + m, columns)
-    found = _with_pivots(normal, right, np.append(w, np.delete(np.arange(unknowns), w)))
-    units = _powers(found[: n + m])
-    exact = np.exp2(np.round(found[: n + m] / FINEST) * FINEST)
-    return OwnUnits(units[:n], units[n:], (exact[:n], exact[n:]), float(np.exp2(found[-1])))
+    logarithms = _with_pivots(normal, right, np.append(w, np.delete(np.arange(unknowns), w)))
+    units = _powers(logarithms[: n + m])
+    exact = np.exp2(np.round(logarithms[: n + m] / FINEST) * FINEST)
+    return OwnUnits(units[:n], units[n:], (exact[:n], exact[n:]), float(np.exp2(logarithms[-1])))
 
 
 def _powers(exponents: Any) -> Any:
@@ -177,14 +177,14 @@ def _with_pivots(normal: Array, right: Array, first: Array) -> Array:
     """
     sizes, directions = np.linalg.eigh(normal)
     fixed = sizes > OPEN * sizes[-1]
-    found = directions[:, fixed] @ ((directions[:, fixed].T @ right) / sizes[fixed])
+    solution = directions[:, fixed] @ ((directions[:, fixed].T @ right) / sizes[fixed])
     left = directions[:, ~fixed]
     rest, pivots = left @ left.T, np.zeros(left.shape[1], dtype=int)
     for k in range(len(pivots)):
         open_alike = np.diagonal(rest)[first]
         pivots[k] = pivot = first[np.argmax(open_alike >= (1 - ALIKE) * open_alike.max())]
         rest = rest - np.outer(rest[:, pivot], rest[pivot]) / rest[pivot, pivot]
-    return found - left @ np.linalg.solve(left[pivots], found[pivots])
+    return solution - left @ np.linalg.solve(left[pivots], solution[pivots])
 
 
 def speed(plant: GeneralizedPlant) -> tuple[float, bool]:

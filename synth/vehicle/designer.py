@@ -1,16 +1,18 @@
 """The designs of a vehicle file: from a controller's name to a certified gain, and what those of one vehicle share."""
 
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from models.common.checks import at_the_door
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
-from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware, Method
+from models.vehicle.combinations import check_command, goes
+from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
@@ -25,8 +27,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
-    from synth.design.multi_objective.search import Told
-    from synth.vehicle.refined import Refined
+    from synth.vehicle.refined import RefinedController
 
 
 STATE_ALONE = (
@@ -56,42 +57,7 @@ def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contro
     )
 
 
-# What goes with each method of design: L = 0 in its second step (remark 4), descent from its gain on the norm of the ideal loop,
-# fronts of static gains, and a design of its own for another sample period.
-SUPPORTED: Mapping[Method, tuple[str, ...]] = {
-    Method.TWO_STEPS: ("zero_l", "refine", "front", "rates"),
-    Method.NOISE: ("refine", "front"),
-    Method.GAIN: ("refine", "front"),
-    Method.GOALS: ("front", "rates"),
-    Method.SAMPLED: ("rates",),
-}
-WITHOUT = {
-    "zero_l": "so that there is no L; design it as it is",
-    "refine": "and it is static gains of the least norm of the ideal loop that are refined; take it as it is",
-    "front": "and a front is of static gains that are designed; give another with --controller",
-}
-
-
-def supports(entry: ControllerEntry, what: str) -> bool:
-    """Returns whether something goes with a controller's method: "zero_l", "refine", "front" or "rates"."""
-    if what == "refine" and entry.goals is not None:  # also of a gain that is given, and held against goals
-        return False
-    return what in SUPPORTED.get(entry.method, ())
-
-
-def check_supported(entry: ControllerEntry, what: str, error: type[InputError] = InputError) -> None:
-    """Refuses what does not go with a controller's method.
-
-    Raises:
-        InputError: it names the controller, its method, and what to do; or the `error` that is given.
-    """
-    if not supports(entry, what):
-        how = "has goals" if entry.goals is not None else entry.method.value
-        how = "is designed for sensors, actuators or loads of its own" if entry.method is Method.TWO_STEPS else how
-        raise error(f"controller {entry.name!r} {how}, {WITHOUT[what]}")
-
-
-class Shared:
+class SharedDesignData:
     """The plant, central path and bounds that designs for one vehicle and its actuators share, computed when first used.
 
     Attributes:
@@ -147,15 +113,16 @@ class Designer:
     With `search` gains that are given are held against each vehicle's own best, too, which takes designs (`promises_of`).
     """
 
+    @at_the_door
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
-        self._shared: dict[Hardware, Shared] = {IDEAL: Shared(vehicle)}
+        self._shared: dict[Hardware, SharedDesignData] = {IDEAL: SharedDesignData(vehicle)}
 
-    def shared(self, hardware: Hardware = IDEAL) -> Shared:
+    def shared(self, hardware: Hardware = IDEAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
         key = replace(hardware, noise=())
         if key not in self._shared:
-            self._shared[key] = Shared(self.vehicle, key)
+            self._shared[key] = SharedDesignData(self.vehicle, key)
         return self._shared[key]
 
     @property
@@ -186,7 +153,10 @@ class Designer:
         """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
-    def design(self, name: str, zero_l: bool = False, told: "Told" = lambda goal, within: None) -> Controller:
+    @at_the_door
+    def design(
+        self, name: str, zero_l: bool = False, told: Callable[[float, bool], None] = lambda goal, within: None
+    ) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
@@ -204,7 +174,7 @@ class Designer:
             return self._given(entry, entry.law)
         hardware = entry.hardware
         if zero_l:
-            check_supported(entry, "zero_l")
+            check_command(f"controller {entry.name!r}", entry.parts, "zero_l")
         posed = self.problem(entry.measured, hardware)
         try:
             lower_bound = self.lower_bound(entry.measured, hardware)
@@ -238,6 +208,7 @@ class Designer:
             )
         return designed(self.vehicle, entry, found)
 
+    @at_the_door
     def given(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
         """Certifies a known law, from what is measured to the forces, under any name, as it is.
 
@@ -255,13 +226,13 @@ class Designer:
             certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
         except InputError as error:
             raise self.vehicle.found_wrong(error) from error
-        found = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
+        controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
         if entry.goals is not None:
             from synth.vehicle.multi_objective import promises_of
 
-            found = replace(found, promises=promises_of(self.vehicle, entry, entry.goals, law, self.search))
-        wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, found))
-        return replace(found, false_claims=still_false(self.vehicle, found, wrong))
+            controller = replace(controller, promises=promises_of(self.vehicle, entry, entry.goals, law, self.search))
+        wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
+        return replace(controller, false_claims=still_false(self.vehicle, controller, wrong))
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
@@ -270,12 +241,14 @@ class Designer:
 
         hardware, (Cy, Dyw) = entry.hardware, posed.rows(posed.of_state)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
-        found = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw)
-        law = on_readings(found.law, posed)
-        certificate = replace(found.certificate, below=lower_bound)
-        return Controller(entry.name, entry.measured, law, True, certificate, remarks=found.remarks, hardware=hardware)
+        as_run = partial(on_readings, posed=posed)
+        designed = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run)
+        law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
+        certificate = replace(designed.certificate, below=lower_bound)
+        return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
 
-    def refine(self, name: str, zero_l: bool = False) -> "Refined":
+    @at_the_door
+    def refine(self, name: str, zero_l: bool = False) -> "RefinedController":
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
 
         Where the two steps find no gain, it is the best that any start leads to.
@@ -294,7 +267,7 @@ class Designer:
         measured = entry.measured
         if not measured:
             raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
-        check_supported(entry, "refine", DesignError)
+        check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
         try:
             start = self.design(name, zero_l)
         except DesignError:
@@ -307,7 +280,7 @@ class Designer:
         if (
             not controller.designed
             or not controller.measured
-            or not supports(self._entry(controller.name), "refine")
+            or not goes("refine", self._entry(controller.name).parts)
             or not controller.certificate.stable
         ):
             return 0.0

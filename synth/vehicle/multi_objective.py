@@ -17,7 +17,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.specification import Promise
+from synth.analysis.specification import Specification
 from synth.controller.controller import Controller, InterruptedDesign
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.multi_model import slack_design
@@ -28,7 +28,7 @@ from synth.design.multi_objective.road_response import Drive, Driven
 from synth.design.multi_objective.search import Told
 from synth.design.two_step import two_step_design
 from synth.plant.numerics import DesignError
-from synth.vehicle.verification import Judged
+from synth.vehicle.verification import Verification
 
 USUAL_SPEED = 12.5  # m/s, the paper's (62)
 
@@ -39,14 +39,14 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     Raises:
         InputError: one cannot be.
     """
-    found = []
+    members = []
     for i, member in enumerate(goals.family or ({},)):
         parameters = {name: value * member.get(name, 1.0) for name, value in vehicle.parameters.items()}
         try:
-            found.append(replace(vehicle, parameters=parameters).checked())
+            members.append(replace(vehicle, parameters=parameters).checked())
         except InputError as error:
             raise InputError(f"[controllers.{entry.name}] family[{i}]: {error}") from error
-    return found
+    return members
 
 
 def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
@@ -62,13 +62,6 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
 
 
 def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
-    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
-    if np.any(through):
-        i = int(np.argmax(np.any(through, axis=1)))
-        raise InputError(
-            f"[controllers.{entry.name}] measures {entry.measured[i]!r}, in which forces act at once, and has goals, whose "
-            "errors and structure are of a gain on the state alone; measure something else, or give lag = true"
-        )
     vehicles = family_of(vehicle, entry, goals)
     norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
     bounded = [(f"[controllers.{entry.name}] bounds[{i}]", bound) for i, bound in enumerate(goals.bounds)]
@@ -86,8 +79,8 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goa
         NormGoal(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
         for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
     ]
-    m, q = through.shape[1], len(entry.measured)
     inputs, tolerance = vehicle.linear_model.inputs, goals.tolerance
+    m, q = len(inputs), len(entry.measured)
     errors = Errors(
         np.array([tolerance.get(signal, 0.0) for signal in entry.measured]),
         np.array([tolerance.get(force, tolerance.get(FORCE, 0.0)) for force in inputs]),
@@ -113,14 +106,14 @@ def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
 def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Posed:
     """A vehicle with the z of a norm."""
     posed = problem(weighing(vehicle, norm), entry.measured, entry.hardware)
-    return Posed(posed.plant, posed.Cy, posed.Dyw)
+    return Posed(posed.plant, posed.Cy, posed.Dyw, posed.through if np.any(posed.through) else None)
 
 
 def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> Driven:
     """A vehicle on the road of a bound."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
-    (C, D), (Cy, _) = model.rows([bound.signal]), model.rows(entry.measured)
+    (C, D), (Cy, Dyu) = model.rows([bound.signal]), model.rows(entry.measured)
     of_height = model.Cr[model.outputs.index(bound.signal)]
 
     @cache
@@ -136,7 +129,7 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
         road.duration + max(later),
     )
     name = f"{bound.signal} over {bound.road} <= {bound.at_most:g}"
-    return Driven(model.A, model.B, Cy, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
+    return Driven(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
 
 
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
@@ -200,18 +193,18 @@ def goals_design(
     bests = with_bests(asked) if goals.family else asked  # said of every family, minimised where that is asked for
     stopped = ""
     try:
-        found = searched(bests if goals.over == REGRET else asked, told)
+        design = searched(bests if goals.over == REGRET else asked, told)
     except Interrupted as error:
-        found, stopped = error.best, "interrupted: the best within all bounds until then"
+        design, stopped = error.best, "interrupted: the best within all bounds until then"
     try:
-        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found)
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
     except KeyboardInterrupt as error:
-        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, found, judged=False)
+        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, design, judged=False)
         raise InterruptedDesign(made, "interrupted: of its promises none is proved") from error
     if stopped:
         raise InterruptedDesign(made, stopped)
     try:
-        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, found)))
+        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, design)))
     except KeyboardInterrupt as error:
         raise InterruptedDesign(made, "interrupted: what its structure costs is not known") from error
 
@@ -223,11 +216,11 @@ def _controller(
     posed: Problem,
     lower_bound: LowerBound,
     asked: GoalProblem,
-    found: GoalDesign,
+    design: GoalDesign,
     judged: bool = True,
 ) -> Controller:
     """The controller of a gain, certified, with what it keeps where that is judged."""
-    law = static_law(found.gain)
+    law = static_law(design.gain)
     certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
     return Controller(
         entry.name,
@@ -235,9 +228,9 @@ def _controller(
         law,
         designed=True,
         certificate=certificate,
-        remarks=(*remarks(found), *_beside(goals, certificate)),
+        remarks=(*remarks(design), *_beside(goals, certificate)),
         hardware=entry.hardware,
-        promises=Judged(vehicle, entry, goals, asked, found.gain).promises() if judged else (),
+        promises=Verification(vehicle, entry, goals, asked, design.gain).promises() if judged else (),
     )
 
 
@@ -251,7 +244,9 @@ def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def promises_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool) -> tuple[Promise, ...]:
+def promises_of(
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool
+) -> tuple[Specification, ...]:
     """Verifies a given gain against the goals of its section.
 
     Args:
@@ -263,21 +258,21 @@ def promises_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: Lin
     asked = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:
         asked = with_bests(asked)
-    return Judged(vehicle, entry, goals, asked, law.D).promises()
+    return Verification(vehicle, entry, goals, asked, law.D).promises()
 
 
-def price(asked: GoalProblem, found: GoalDesign) -> tuple[str, ...]:
+def price(asked: GoalProblem, design: GoalDesign) -> tuple[str, ...]:
     """Returns a note on the cost of a structure, compared with a full gain; empty if the structure is full.
 
     Args:
         asked: the problem, with the structure.
-        found: its design, from which the design of the full gain starts, too.
+        design: its design, from which the design of the full gain starts, too.
     """
     whole = replace(asked, structure=np.ones_like(asked.structure))
     if np.all(asked.structure):
         return ()
-    goal = min(design_for_goals(whole, [found.gain, *_two_steps(whole)]).goal, found.goal)
-    return (f"its structure costs {percent(found.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
+    goal = min(design_for_goals(whole, [design.gain, *_two_steps(whole)]).goal, design.goal)
+    return (f"its structure costs {percent(design.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
 
 
 def with_bests(asked: GoalProblem) -> GoalProblem:
@@ -302,30 +297,44 @@ def searched(asked: GoalProblem, told: Told = lambda goal, within: None) -> Goal
 
 def _slack(asked: GoalProblem) -> list[Array]:
     """The gain of the two steps with a slack variable, for all members at once."""
-    plants = [member.posed[0] for member in asked.members]
+    plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
     try:
-        return [slack_design([each.plant for each in plants], [each.Cy for each in plants], asked.structure).gain]
+        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
+        return [plants[0].on_readings(_whole(few, kept))]
     except InputError:
         return []
 
 
+def _of_state(posed: Posed) -> Array:
+    """Returns True for the measurements that say something of the state, shape (q,): of forces alone nothing is designed."""
+    return np.any(posed.Cy != 0, axis=1)
+
+
+def _whole(few: Array, kept: Array) -> Array:
+    """Returns a gain on some of the measurements as one on all."""
+    gain = np.zeros((len(few), len(kept)))
+    gain[:, kept] = few
+    return gain
+
+
 def _two_steps(asked: GoalProblem) -> list[Array]:
     """The gains of the two steps, of the first, middle and last member."""
-    count, found = len(asked.members), []
+    count, gains = len(asked.members), []
     for i in sorted({0, count // 2, count - 1}):
         posed = asked.members[i].posed[0]
         try:
-            found.append(two_step_design(posed.plant, posed.Cy).gain)
+            kept = _of_state(posed)
+            gains.append(posed.on_readings(_whole(two_step_design(posed.plant, posed.Cy[kept]).gain, kept)))
         except InputError:
             continue
-    return found
+    return gains
 
 
-def remarks(found: GoalDesign) -> tuple[str, ...]:
+def remarks(design: GoalDesign) -> tuple[str, ...]:
     """Returns notes on a search."""
-    if found.refused is None:
+    if design.refused is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(found.refused)} less for "
+        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(design.refused)} less for "
         "up to twice the gain",
     )

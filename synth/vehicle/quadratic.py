@@ -18,8 +18,8 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
     """
     how = vehicle.implementation
-    found = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.of_state]
-    return found if any(found) else None
+    levels = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.of_state]
+    return levels if any(levels) else None
 
 
 def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesign:
@@ -35,8 +35,8 @@ def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesig
     posed = problem(vehicle, entry.measured, entry.hardware)
     Cy, Dyw = posed.rows(posed.of_state)
     states, noise = plant_states(vehicle, entry.hardware.bandwidth), white_noise(vehicle, entry, posed)
-    found = quadratic_design(entry.design, posed.plant, Cy, states, noise, Dyw)
-    return replace(found, law=on_readings(found.law, posed))
+    optimum = quadratic_design(entry.design, posed.plant, Cy, states, noise, Dyw)
+    return replace(optimum, law=on_readings(optimum.law, posed))
 
 
 def mean_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:

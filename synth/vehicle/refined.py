@@ -18,7 +18,7 @@ from synth.plant.augmented import on_larger_plant
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class RefinedController:
     """A controller whose norm was lowered, and its refinement.
 
     Attributes:
@@ -41,7 +41,7 @@ class Refined:
 
 def refined(
     vehicle: Vehicle, entry: ControllerEntry, posed: Problem, start: Controller | None, lower_bound: LowerBound
-) -> Refined:
+) -> RefinedController:
     """Returns the controller of an entry with a lower norm.
 
     Args:
@@ -56,8 +56,8 @@ def refined(
     if start is None:
         from synth.design.static import static_output_feedback
 
-        found = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
-        K, origin = found.gain, found.origin
+        static = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
+        K, origin = static.gain, static.origin
     else:
         K = _gain(vehicle, start, posed, kept)
     refinement = refine(posed.plant, Cy, K, Dyw)
@@ -68,7 +68,7 @@ def refined(
     )
     law = static_law(gain).fed_back(-posed.through)
     controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)
-    return Refined(controller, start, origin, refinement)
+    return RefinedController(controller, start, origin, refinement)
 
 
 def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:

@@ -12,11 +12,11 @@ from synth.analysis.lower_bound import LowerBound
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import pieces_of, plant_as_built
 from synth.controller.problem import Problem, measurements
-from synth.design.sampled_data import HeldProblem, held_design
+from synth.design.sampled_data import SampledDataProblem, held_design
 from synth.plant.numerics import DesignError
 
 
-def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
+def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
     """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
 
     Raises:
@@ -29,7 +29,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> HeldProblem:
             "period; give it, as in sample_period = 0.01, seconds"
         )
     Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
-    return HeldProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period))
+    return SampledDataProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period))
 
 
 def sampled_design(
@@ -49,9 +49,9 @@ def sampled_design(
     known = []
     with contextlib.suppress(DesignError):
         known = [ideal().law.D]
-    found = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
-    law = static_law(found.gain)
-    level = f", whose norm the LMI promises to be at most {found.level:.7g}" if found.level is not None else ""
+    designed = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
+    law = static_law(designed.gain)
+    level = f", whose norm the LMI promises to be at most {designed.level:.7g}" if designed.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
     remark = f"designed for the sampled loop{reads}{level}"
     return Controller(
@@ -60,8 +60,8 @@ def sampled_design(
         law,
         designed=True,
         certificate=certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant),
-        redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in found.kept),
-        instead=f"not by the two steps but by descent on the sampled norm, for {found.instead}" if found.instead else "",
+        redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
+        instead=f"not by the two steps but by descent on the sampled norm, for {designed.instead}" if designed.instead else "",
         remarks=(remark,),
         hardware=entry.hardware,
         sampled=True,

@@ -12,7 +12,7 @@ from models.common.errors import InputError, listing, quoted
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import IDEAL, read_controllers
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, check_fits
 from synth.controller.problem import plant_states
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import given
@@ -50,8 +50,8 @@ def from_state_space(
         >>> plant.C, Cy
         (array([[1., 0.]]), array([[0., 1.]]))
     """
-    dt = _sample_period(system)
-    inputs, outputs = list(system.input_labels), list(system.output_labels)
+    dt, (A, B, C, D) = _sample_period(system), _matrices(system)
+    inputs, outputs = (list[str](getattr(system, labels, ())) for labels in ("input_labels", "output_labels"))
     for what, asked, there in (
         ("disturbance", disturbances, inputs),
         ("performance signal", performance, outputs),
@@ -70,13 +70,19 @@ def from_state_space(
     w = [inputs.index(name) for name in disturbances]
     u = [i for i in range(len(inputs)) if i not in w]
     z, y = [outputs.index(name) for name in weights], [outputs.index(name) for name in measured]
-    A, B, C, D = (np.array(getattr(system, name), dtype=float) for name in "ABCD")
     for name, row in zip(measured, D[y], strict=True):
         if np.any(row):
             raise InputError(f"measured signal {name!r} contains an input directly; a static controller measures states only")
     weight = np.array(list(weights.values()))[:, None]
     direct = weight * D[z]
     return GeneralizedPlant(A, B[:, u], B[:, w], weight * C[z], direct[:, u], direct[:, w], dt=dt), C[y]
+
+
+def _matrices(system: Any) -> list[Array]:
+    try:
+        return [np.asarray(getattr(system, matrix)) for matrix in "ABCD"]
+    except AttributeError as error:
+        raise InputError(f"system = {quoted(system)} has no A, B, C and D; give a state-space system") from error
 
 
 def _sample_period(system: Any) -> float | None:
@@ -110,11 +116,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
         >>> controller.law.states, f"{controller.certificate.norm.value:.3f}"
         (1, '7.845')
     """
-    try:
-        A, B, C, D = (np.asarray(getattr(system, matrix)) for matrix in "ABCD")
-    except AttributeError as error:
-        raise InputError(f"{quoted(system)} has no A, B, C and D; give a state-space system") from error
-    law = LinearLaw(A, B, C, D, _sample_period(system))  # shapes that do not fit together are its to name
+    law = LinearLaw(*_matrices(system), sample_period=_sample_period(system))  # shapes that do not fit together are its to name
     columns = _order(system, "input_labels", measured)
     rows = _order(system, "output_labels", vehicle.linear_model.inputs)
     if law.D.shape == (len(rows), len(columns)):
@@ -133,7 +135,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
         controller: its controller.
 
     Raises:
-        ValueError: it measures nothing.
+        InputError: it measures nothing, or is another vehicle's.
 
     Example:
         >>> from models import read_vehicle
@@ -146,9 +148,10 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
     """
     from control import StateSpace, ss
 
+    check_fits(vehicle, controller)
     law = controller.law
     if not controller.measured:
-        raise ValueError(f"controller {controller.name!r} measures nothing, and is no system")
+        raise InputError(f"controller {controller.name!r} measures nothing, and is no system")
     system = ss(
         law.A,
         law.B,
@@ -167,42 +170,14 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 
 def _order(system: Any, labels: str, names: Sequence[str]) -> list[int]:
     """The places of names among a system's inputs or outputs; as they come, where it has no names for them."""
-    found = list(getattr(system, labels, None) or names)
-    if all(NUMBERED.fullmatch(label) for label in found):
+    given_names = list(getattr(system, labels, None) or names)
+    if all(NUMBERED.fullmatch(label) for label in given_names):
         return list(range(len(names)))
-    if sorted(found) != sorted(names):
+    if sorted(given_names) != sorted(names):
         raise InputError(
-            f"the system has the {labels.replace('_', ' ')} {listing(found)}; expected {listing(names)}, in any order"
+            f"the system has the {labels.replace('_', ' ')} {listing(given_names)}; expected {listing(names)}, in any order"
         )
-    return [found.index(name) for name in names]
-
-
-def vehicle_system(vehicle: Vehicle) -> "control.StateSpace":
-    """The vehicle (29), continuous: from road velocities and control forces to all its outputs, all by name.
-
-    Where the road's height acts as such (a full car's twist) there is no such system without another state; see `closed_loop`.
-
-    Raises:
-        ValueError: the road's height acts as such.
-    """
-    from control import StateSpace, ss
-
-    model = vehicle.linear_model
-    if np.any(model.Br) or np.any(model.Cr):
-        raise ValueError(f"in a {vehicle.kind.name} the road's height acts beside its velocity; use closed_loop")
-    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
-    system = ss(
-        model.A,
-        np.hstack([model.Bw, model.B]),
-        model.C,
-        np.hstack([np.zeros((len(model.C), len(roads))), model.D]),
-        name=vehicle.kind.name,
-        states=list(model.states),
-        inputs=[*roads, *model.inputs],
-        outputs=list(model.outputs),
-    )
-    assert isinstance(system, StateSpace)
-    return system
+    return [given_names.index(name) for name in names]
 
 
 def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":

@@ -13,7 +13,7 @@ from models.vehicle.goals import DecayBound, EnergyBound, GainBound, Goals, Norm
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.analysis.energy_to_peak import energy_peaks
-from synth.analysis.specification import Promise
+from synth.analysis.specification import Specification
 from synth.analysis.stability import stability
 from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
@@ -49,7 +49,7 @@ class Worst:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Verification:
     """The verification of one gain.
 
     Attributes:
@@ -71,49 +71,55 @@ class Judged:
         """Names of the members of the family, in words; one empty text without a family."""
         return [member_text(i, member) for i, member in enumerate(self.goals.family)] or [""]
 
-    def promises(self) -> tuple[Promise, ...]:
+    def promises(self) -> tuple[Specification, ...]:
         """All of them, what is minimised first."""
         asked, goals = self.asked, self.goals
-        found = [*self.largest(goals.minimise, asked.minimise)]
+        specifications = [*self.largest(goals.minimise, asked.minimise)]
         if asked.bests is not None:
-            found.append(self.regret(asked.bests))
+            specifications.append(self.regret(asked.bests))
         norms, signals, peak = iter(asked.norms), itertools.count(), 0
         for bound in goals.bounds:
             if isinstance(bound, NormBound):
-                found += self.largest(bound.norm, next(norms), bound.at_most)
+                specifications += self.largest(bound.norm, next(norms), bound.at_most)
             elif isinstance(bound, DecayBound):
-                found += self.decay(bound.rate)
+                specifications += self.decay(bound.rate)
             elif isinstance(bound, GainBound):
-                found.append(Promise("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most))
+                specifications.append(
+                    Specification("largest entry of the gain", float(np.abs(self.K).max()), at_most=bound.at_most)
+                )
             elif isinstance(bound, EnergyBound):
-                found.append(self.energy_peak(bound, next(signals)))
+                specifications.append(self.energy_peak(bound, next(signals)))
             else:
-                found.append(self.peak(bound, peak))
+                specifications.append(self.peak(bound, peak))
                 peak += 1
         if goals.structure is not None:
             outside = np.abs(self.K[~asked.structure])
-            found.append(Promise("entries of the gain outside its structure", float(outside.max(initial=0.0)), at_most=0.0))
-        return tuple(found)
+            specifications.append(
+                Specification("entries of the gain outside its structure", float(outside.max(initial=0.0)), at_most=0.0)
+            )
+        return tuple(specifications)
 
-    def largest(self, norm: NormOf, asked: NormGoal, at_most: float | None = None) -> list[Promise]:
+    def largest(self, norm: NormOf, asked: NormGoal, at_most: float | None = None) -> list[Specification]:
         """A norm over the family without errors, and with the worst ones."""
         of = [_norm(member.posed[asked.which], self.K, asked) for member in self.asked.members]
         i = int(np.argmax([value for value, _, _ in of]))
         value, proved, at = of[i]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
         where = ", ".join(text for text in (self.names[i], f"at {at:.5g} rad/s" if np.isfinite(at) else "") if text)
-        found = [Promise(what, value, max(each for _, each, _ in of), None if self.asked.has_errors else at_most, where=where)]
+        specifications = [
+            Specification(what, value, max(each for _, each, _ in of), None if self.asked.has_errors else at_most, where=where)
+        ]
         if not self.asked.has_errors:
-            return found
+            return specifications
         wholes = self.worst(asked)
         i = int(np.argmax([whole.found for whole in wholes]))
         names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
         off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
         where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
         proved = max(whole.proved for whole in wholes)
-        return [*found, Promise(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
+        return [*specifications, Specification(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
 
-    def regret(self, bests: Sequence[float]) -> Promise:
+    def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
         asked = self.asked
         if asked.has_errors:
@@ -124,7 +130,7 @@ class Judged:
         i = int(np.argmax(ratios))
         upper = max(proved / best for (_, proved), best in zip(of, bests, strict=True))
         with_errors = ", with errors" if asked.has_errors else ""
-        return Promise(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
+        return Specification(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
 
     def worst(self, asked: NormGoal) -> list[Worst]:
         """The norm of every member with the worst errors."""
@@ -141,12 +147,12 @@ class Judged:
     def worst_whole(self, i: int, asked: NormGoal) -> Worst:
         """The norm of a member at all frequencies with the worst errors."""
         posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
-        found = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
-        proved, enough = found.proved, max(NEAR * found.found, asked.at_most if np.isfinite(asked.at_most) else 0.0)
-        if not proved <= enough and posed.plant.dt is None and not found.unstable:
-            gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
-            proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, found.found))
-        return Worst(found.found, proved, Errors(found.readings, found.forces))
+        worst = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
+        proved, enough = worst.proved, max(NEAR * worst.found, asked.at_most if np.isfinite(asked.at_most) else 0.0)
+        if not proved <= enough and posed.plant.dt is None and not worst.unstable:
+            gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
+            proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, worst.found))
+        return Worst(worst.found, proved, Errors(worst.readings, worst.forces))
 
     def worst_in_band(self, i: int, asked: NormGoal) -> Worst:
         """Returns the worst norm of a member in a band, proved by a parameter-dependent matrix or behind a filter."""
@@ -154,7 +160,7 @@ class Judged:
         best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
         tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.none]
         unit = max(_norm(each.on(posed), self.K, asked)[0] for each in tried)
-        gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw)
+        gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
         box = box_of(gain, tolerance.sensors, tolerance.forces)
         proved = np.inf if posed.plant.dt is not None else _proved(gain, box, asked.band, unit)
         if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
@@ -166,15 +172,16 @@ class Judged:
     def worst_of(self, posed: Posed, enough: float | None) -> WorstNorm:
         """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
         tolerance = self.asked.tolerance
-        return worst_norm(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.Dyw, enough=enough)
+        of, d, e = (posed.plant, posed.Cy, self.K), tolerance.sensors, tolerance.forces
+        return worst_norm(*of, d, e, posed.Dyw, posed.through, enough)
 
-    def decay(self, rate: float) -> list[Promise]:
+    def decay(self, rate: float) -> list[Specification]:
         """The slowest pole of the family without errors, and with the worst ones: the norm of loops moved right by the rate."""
         slowest = [_slowest(member.posed[0], self.K) for member in self.asked.members]
         i = int(np.argmax(slowest))
-        found = [Promise("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
+        specifications = [Specification("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
         if not self.asked.has_errors:
-            return found
+            return specifications
         met, proved = [], -np.inf
         for i, member in enumerate(self.asked.members):
             beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
@@ -183,37 +190,37 @@ class Judged:
             norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
             proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
         i = int(np.argmax(met))
-        return [*found, Promise("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+        return [*specifications, Specification("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
 
     def stable(self, posed: Posed, enough: float) -> bool:
         """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
         tolerance = self.asked.tolerance
-        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces):
+        if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.through):
             return True
         return bool(np.isfinite(self.worst_of(posed, enough).proved))
 
-    def energy_peak(self, bound: EnergyBound, which: int) -> Promise:
+    def energy_peak(self, bound: EnergyBound, which: int) -> Specification:
         """The largest magnitude of a signal for all roads of given energy."""
         of = []
         for member in self.asked.members:
             posed, signal = member.posed[self.asked.minimise.which], member.signals[which]
             try:
-                peaks = energy_peaks(posed.plant, self.K @ posed.Cy, signal.c[None], signal.g[None])
+                peaks = energy_peaks(posed.plant, posed.acting(self.K) @ posed.Cy, signal.c[None], signal.g[None])
                 of.append((signal.root * float(peaks.peaks[0]), signal.root * float(peaks.bounds[0])))
             except DesignError:  # unstable
                 of.append((np.inf, np.inf))
         i = int(np.argmax([value for value, _ in of]))
         unit = self.vehicle.kind.signal(bound.signal).unit
         what = f"largest {bound.signal} for roads of {bound.energy:g} m2/s"
-        return Promise(what, of[i][0], max(proved for _, proved in of), bound.at_most, unit, self.names[i])
+        return Specification(what, of[i][0], max(proved for _, proved in of), bound.at_most, unit, self.names[i])
 
-    def peak(self, bound: PeakBound, which: int) -> Promise:
+    def peak(self, bound: PeakBound, which: int) -> Specification:
         """The largest magnitude of a signal over a road."""
         of = [largest_over_road(member.driven[which], self.K) for member in self.asked.members]
         i = int(np.argmax([peak.value for peak in of]))
         what = f"largest {bound.signal} over {bound.road}"
         where = ", ".join(text for text in (self.names[i], f"{of[i].time:.4g} s after its start") if text)
-        return Promise(
+        return Specification(
             what, of[i].value, max(peak.proved for peak in of), bound.at_most, self.vehicle.kind.signal(bound.signal).unit, where
         )
 
@@ -234,10 +241,10 @@ def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
 
 def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]:
     """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
-    found = norm_in_band(_loop(posed, K), *asked.band)
-    if not found.stability.stable:
+    norm = norm_in_band(_loop(posed, K), *asked.band)
+    if not norm.stability.stable:
         return np.inf, np.inf, np.nan
-    return found.value, found.level, found.peak_frequency
+    return norm.value, norm.level, norm.peak_frequency
 
 
 def _moved(posed: Posed, rate: float) -> Posed:
@@ -246,7 +253,7 @@ def _moved(posed: Posed, rate: float) -> Posed:
     alone = GeneralizedPlant(
         plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw
     )
-    return Posed(alone, posed.Cy[:, :own], posed.Dyw)
+    return Posed(alone, posed.Cy[:, :own], posed.Dyw, posed.through)
 
 
 def _slowest(posed: Posed, K: Array) -> float:
@@ -256,5 +263,5 @@ def _slowest(posed: Posed, K: Array) -> float:
 
 
 def _loop(posed: Posed, K: Array) -> GeneralizedPlant:
-    plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(K), posed.Dyw)
+    plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(posed.acting(K)), posed.Dyw)
     return plant.closed_loop(G)

@@ -29,7 +29,9 @@ from models.common.command import run_command
 from models.kinds.kind import HERE
 from tests.commands import main_of
 from tests.damaged_kinds import damages
+from tests.hostile import hostile
 from tests.pages import hopper
+from tests.rewriting import contents
 
 SLOWEST, LARGEST = 10.0, 1.2e9  # s, bytes of a case
 COMMANDS = {
@@ -79,6 +81,12 @@ HEADINGS = [
     "#", '"',
 ]  # fmt: skip
 UNITS = ["", "", " [m]", " (mm)", "_cm", "/ft", " [furlong]", " []", " [in", "[[m]]", " inches", " (left)"]
+
+LOGS = {
+    "log.mcap": ("sim.bump", "--vehicle", "car.toml"),
+    "random.mcap": ("sim.drive", "--class", "B"),
+    "measured.mcap": ("sim.drive", "--road", "road.csv", "--speed", "15"),
+}
 
 CAMPAIGN = """
 vehicles = ["car.toml"]
@@ -145,9 +153,10 @@ def made_once(folder: Path) -> None:
     """What takes a run to make: a log, a campaign's folder, a saved design."""
     quiet = contextlib.redirect_stdout(io.StringIO())
     with contextlib.chdir(folder), quiet:
-        main_of("sim.bump")(["--controller", "I_printed", "--duration", "0.1", "--logs", "logs", "--vehicle", "car.toml"])
-        shutil.copy(next((folder / "logs").glob("*.mcap")), "log.mcap")
-        shutil.rmtree("logs")
+        for name, (command, *options) in LOGS.items():
+            main_of(command)([*options, "--controller", "I_printed", "--duration", "0.1", "--logs", "logs"])
+            shutil.copy(next((folder / "logs").glob("*.mcap")), name)
+            shutil.rmtree("logs")
         main_of("sim.campaign")(["campaign.toml", "--results", "results"])
         main_of("synth")(["--controller", "I", "--save", "designed.toml"])
 
@@ -155,7 +164,7 @@ def made_once(folder: Path) -> None:
 def case(number: int) -> Case:
     """The case of that number."""
     rng = np.random.default_rng(number)
-    kinds = [_option, _option, _bytes, _toml, _toml, _special, _csv, _results, _kind, _headings]
+    kinds = [_option, _option, _bytes, _toml, _toml, _special, _csv, _results, _kind, _headings, _log, _log]
     return kinds[number % len(kinds)](number, rng)
 
 
@@ -172,7 +181,7 @@ def _option(number: int, rng: np.random.Generator) -> Case:
         option = "--vehicle"
     if command in LONG:  # with a value that cannot be right
         value = _pick(rng, ["", "nan", "-1", "folder", "pipe", "loop", "nowhere/x"])
-        value = value if option != "--logs" else "pipe"
+        value = value if option not in ("--logs", "--figures") else "pipe"
     arguments = [each for each in COMMANDS[command]]
     if option in arguments and option != "--vary":
         at = arguments.index(option)
@@ -386,6 +395,17 @@ def _results(number: int, rng: np.random.Generator) -> Case:
     return Case(number, "sim.campaign", arguments, f"results/{name}: {how}", damage)
 
 
+def _log(number: int, rng: np.random.Generator) -> Case:
+    """A log that no run has written: cut, flipped, or forged with right checksums."""
+    name, options = _pick(rng, LOGS), _pick(rng, [[], ["--json"], ["--csv", "signals.csv"]])
+
+    def damage(folder: Path) -> None:
+        path = folder / name
+        path.write_bytes(hostile(path.read_bytes(), contents(path), rng))
+
+    return Case(number, "sim.inspect", [name, *options], f"{name}: forged", damage)
+
+
 def listing(folder: Path) -> set[str]:
     """Everything in a folder, but what a finished run may leave beside it."""
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.name != ".lock"}
@@ -457,6 +477,8 @@ def _judged(code: int, out: str, err: str, took: float, memory: float, new: set[
         return f"took {memory / 1e9:.2f} GB"
     if "Traceback" in err or "Traceback" in out:
         return "a traceback"
+    if not all(letter.isprintable() or letter == "\n" for letter in out) or len(out) >= 2**24:
+        return "text without an end, or that a terminal would obey"
     if code == 2:
         if out:
             return f"exit code 2, and stdout has {out[:80]!r}"

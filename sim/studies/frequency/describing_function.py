@@ -60,6 +60,7 @@ class DescribingFunction:
         units: their units.
         omega: frequencies [rad/s], shape (F,), a run each.
         diverged: time at which each run diverged [s], shape (F,), or infinity; such a run is not measured.
+        ran_away: True for each of these that diverged by the states of its law alone, shape (F,).
         measured: the fundamental, complex, shape (F, p).
         outside: share of an output's energy outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
@@ -73,6 +74,7 @@ class DescribingFunction:
     units: tuple[str, ...]
     omega: Array
     diverged: Array
+    ran_away: Array
     measured: Array
     outside: Array
     gains: Array
@@ -120,13 +122,14 @@ def describing_function(
     outputs = vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
     together = max(1, int(ENTRIES / (len(time) * len(vehicle.kind.signals))))
-    parts, times, ended = [], list[float](), dict[str, None]()
+    parts, times, away, ended = [], list[float](), list[bool](), dict[str, None]()
     for some in np.split(omega, range(together, len(omega), together)):
         roads = [sinusoid(each, speed).scaled(amplitude / 2) for each in some.tolist()]
         runs = simulate([controller] * len(some), [RoadInput(vehicle, road, time) for road in roads])
         times += runs.diverged.tolist()
+        away += runs.ran_away.tolist()
         for i, each in enumerate(some.tolist()):
-            run = runs.response.run(i)
+            run = runs.run(i)
             ended |= dict.fromkeys(ended_by(vehicle, run))
             if np.isfinite(runs.diverged[i]):
                 nothing = np.full(len(outputs), np.nan)
@@ -143,7 +146,7 @@ def describing_function(
     change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
     drift = float(np.where(np.isnan(outside), 0.0, change).max())
     found = (measured, outside, gains, drift, without, tuple(ended))
-    return DescribingFunction(controller, outputs, units, omega, diverged, *found)
+    return DescribingFunction(controller, outputs, units, omega, diverged, np.array(away), *found)
 
 
 def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
@@ -170,9 +173,10 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     if one.without:
         lines.append(f"  its loop as built, but without its {one.without}")
     wild = np.isfinite(one.diverged)
-    if wild.any():
-        some = f"{np.sum(wild)} of its {len(hertz)} runs" if not wild.all() else f"every one of its {len(hertz)} runs"
-        lines.append(f"  {some} diverged, the first at {np.min(one.diverged):.4g} s: nothing is measured in such")
+    for which, how in ((wild & ~one.ran_away, "diverged"), (one.ran_away, "broke off as the states of the law ran away")):
+        if which.any():
+            some = f"{np.sum(which)} of its {len(hertz)} runs" if not which.all() else f"every one of its {len(hertz)} runs"
+            lines.append(f"  {some} {how}, the first at {np.min(one.diverged[which]):.4g} s: nothing is measured in such")
     if wild.all():
         return lines
     name = Column[Moving]("per road velocity, over the sinusoids:", lambda signal: signal.name)
@@ -189,13 +193,15 @@ def describing_lines(one: DescribingFunction) -> list[str]:
 
 def describing_failures(one: DescribingFunction) -> list[str]:
     """Returns the failures in words: no claim is made about a law, but a run must have been measured."""
-    return ["every run diverged, and nothing is measured"] if np.all(np.isfinite(one.diverged)) else []
+    if not np.all(np.isfinite(one.diverged)):
+        return []
+    return [f"every run {'broke off' if one.ran_away.any() else 'diverged'}, and nothing is measured"]
 
 
 def describing_verdict(one: DescribingFunction) -> str:
     """Returns the verdict in a sentence."""
     if describing_failures(one):
-        return "NOTHING MEASURED: every run diverged"
+        return f"NOTHING MEASURED: every run {'broke off' if one.ran_away.any() else 'diverged'}"
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
     return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"

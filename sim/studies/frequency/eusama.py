@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.printed import Column, column_table, json_object
@@ -92,11 +92,11 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     highest = min(HIGHEST, ALIASED / (2 * steps_per_sample(vehicle.implementation, timestep) * timestep))
-    found = []
+    loads = []
     for controller in controllers:
         worst = [_worst(vehicle, controller, i, highest, timestep) for i in range(len(wheels))]
-        found.append(tuple(_driven(vehicle, controller, i, omega, static, timestep) for i, omega in enumerate(worst)))
-    return found
+        loads.append(tuple(_driven(vehicle, controller, i, omega, static, timestep) for i, omega in enumerate(worst)))
+    return loads
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
@@ -108,6 +108,8 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
 
 def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float, timestep: float) -> float:
     """The frequency at which that is largest, up to the highest [Hz], in rad/s."""
+    from scipy import optimize  # half a second
+
     omega = 2 * np.pi * np.geomspace(LOWEST, highest, GRID)
     at = int(np.argmax(_amplitude(vehicle, controller, wheel, omega, timestep, linalg.expm)))
     around = omega[max(at - 1, 0)], omega[min(at + 1, GRID - 1)]
@@ -135,9 +137,7 @@ def _driven(
     time = sample_times(vehicle, (1 + lead_in(vehicle, [controller], timestep, samples)) * samples * timestep, timestep)[:-1]
     waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
     waves[0, wheel] = STROKE * tried[0]
-    run = simulate(
-        [controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]
-    ).response.run(0)
+    run = simulate([controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]).run(0)
     ended = ended_by(vehicle, run)
     curved = bool(vehicle.fitted)
     if ended or curved:

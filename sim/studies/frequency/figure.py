@@ -9,8 +9,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.figures.figure import Curve, Dash, Figure, Panel
+from models.roads.spectrum import as_met
 from models.vehicle.vehicle import Vehicle
-from sim.linear.frequency_response import as_met, continuous_frequency_response, sampled_frequency_response
+from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
 from sim.studies.frequency.describing_function import DescribingFunction
 from sim.studies.frequency.identification import HIGHEST, LOWEST, Lines

@@ -13,25 +13,28 @@ which may not be.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.checks import AT_LEAST_ONE, Positive
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.roads.road import RoadInput
 from models.roads.sinusoids import chirp
+from models.roads.spectrum import as_met
 from models.vehicle.filter import Filter
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.frequency_response import as_met, continuous_frequency_response, sampled_frequency_response
+from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.linear.sampled_response import taylor4
 from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, check_fits
 from synth.controller.open_loop import LoopModel
 
 
@@ -123,6 +126,7 @@ def _filtered(one: Filter, values: Array, period: float) -> Array:
     return dlsim((law.A, law.B, law.C, law.D, period), values[:, None])[1][:, 0]
 
 
+Controllers = Annotated[Sequence[Controller], AT_LEAST_ONE]
 LOWEST, HIGHEST, LINES = 0.1, 25.0, 60  # Hz, Hz, lines between them, evenly on a logarithmic scale; equal ones fall together
 IMAGES = 8  # of a line on either side of so many multiples of the sample rate; later ones are smaller still
 ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
@@ -180,15 +184,15 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, implementation=vehicle.implementation.clear)
 
 
-def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float, speed: float) -> list[Lines]:
-    """The frequency responses of controllers, each from one chirp of two periods.
+def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, timestep: float, speed: Positive) -> list[Lines]:
+    """Returns the frequency responses of controllers as MuJoCo has them, each from the last period of a repeated chirp.
 
     Args:
         vehicle: the vehicle.
         controllers: its controllers.
         amplitude: largest height of the road [m].
-        timestep: [s].
-        speed: forward velocity [m/s]; only vehicles with several axles notice.
+        timestep: of the integration [s].
+        speed: forward velocity [m/s]; it matters only to vehicles with several axles.
 
     Raises:
         InputError: a timestep too coarse for the highest line, an amplitude that is not allowed, a loop that is unstable.
@@ -210,13 +214,13 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
     omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
     time = sample_times(vehicle, (1 + lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
-    response = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0).response
+    made = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0)
 
     met, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
-    found = []
+    identified = []
     for i, controller in enumerate(controllers):
-        run = response.run(i)
+        run = made.run(i)
         sampled, half, integrated = (
             (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ met)[..., 0]
             for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))
@@ -228,8 +232,8 @@ def identify(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: flo
         measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
         gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run)
         order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
-        found.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
-    return found
+        identified.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
+    return identified
 
 
 def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
@@ -237,8 +241,8 @@ def images(omega: Array, vehicle: Vehicle, timestep: float) -> Array:
     steps = steps_per_sample(vehicle.implementation, timestep)
     rate = 2 * np.pi / (steps * timestep)
     orders = rate * np.arange(1, min(IMAGES, steps // 2) + 1)[:, None]
-    found = np.unique(np.abs(np.concatenate([orders - omega, orders + omega])).ravel())
-    return found[found < np.pi / timestep]
+    frequencies = np.unique(np.abs(np.concatenate([orders - omega, orders + omega])).ravel())
+    return frequencies[frequencies < np.pi / timestep]
 
 
 def fit(
@@ -294,6 +298,7 @@ def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float
 
 def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:
     """Checks that these can be identified; raises InputError otherwise."""
+    check_fits(vehicle, *controllers)
     sample_times(vehicle, 1.0, timestep)
     if timestep > 0.25 / HIGHEST:
         raise InputError(f"timestep = {timestep:g} s is too coarse for {HIGHEST:g} Hz; give at most {0.25 / HIGHEST:g} s")

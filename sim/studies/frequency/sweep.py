@@ -91,27 +91,27 @@ def sweep(
     progress(EXTREMES)
     most = extremes(near, controllers, amplitude, timestep, speed)
     loads = minimum_loads(vehicle.pushing, controllers, timestep)
-    ideal, found = ideal_measurements(near), []
+    ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
         norm = norm_if_implemented(ideal, controller, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        found.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
-    return found
+        sweeps.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
+    return sweeps
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
     """The claims that do not hold of a sweep, in words; of a law in Python, of which none is made, that nothing is known."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
-    failed, found, norm = [], one.lines, one.extremes.worst.gain
-    off = difference(found.measured, found.sampled, found.units)
-    integrator = SLACK * difference(found.integrated, found.sampled, found.units)
+    failed, lines, norm = [], one.lines, one.extremes.worst.gain
+    off = difference(lines.measured, lines.sampled, lines.units)
+    integrator = SLACK * difference(lines.integrated, lines.sampled, lines.units)
     allowed = np.minimum(integrator, COARSEST) + TOLERANCE
     at = np.unravel_index(np.argmax(off / allowed), off.shape)
     if not off[at] <= allowed[at]:
         why = "; the timestep is too coarse, give a smaller one" if integrator[at] > COARSEST else ""
         failed.append(
-            f"a line of {found.outputs[at[1]]} is {off[at]:.2e} off the sampled response; {allowed[at]:.2e} is allowed{why}"
+            f"a line of {lines.outputs[at[1]]} is {off[at]:.2e} off the sampled response; {allowed[at]:.2e} is allowed{why}"
         )
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
@@ -169,16 +169,16 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     """A sweep in words and numbers."""
     if isinstance(one, DescribingFunction):
         return describing_lines(one)
-    norm, failed, found = one.extremes.worst, failures(one), one.lines
-    sampled, continuous = found.error(found.sampled), found.error(found.continuous)
-    errors = zip(found.outputs, sampled.tolist(), continuous.tolist(), strict=True)
+    norm, failed, lines_of_loop = one.extremes.worst, failures(one), one.lines
+    sampled, continuous = lines_of_loop.error(lines_of_loop.sampled), lines_of_loop.error(lines_of_loop.continuous)
+    errors = zip(lines_of_loop.outputs, sampled.tolist(), continuous.tolist(), strict=True)
     rows = [(name, f"{a:.1e}", f"{b:.1e}") for name, a, b in errors]
-    lines = [f"controller {found.controller.name}"]
+    lines = [f"controller {lines_of_loop.controller.name}"]
     if one.without:
         lines.append(f"  its loop as built, but without its {one.without}: no frequency response knows of such")
     lines += table([("largest relative error over the lines:", "to sampled", "to continuous"), *rows])
-    if math.isfinite(found.order):
-        lines.append(f"  sampled tends to continuous with the timestep to the power {found.order:.2f}")
+    if math.isfinite(lines_of_loop.order):
+        lines.append(f"  sampled tends to continuous with the timestep to the power {lines_of_loop.order:.2f}")
     for invariant in one.extremes.invariants:
         lines.append(
             f"  |{invariant.name}| = {invariant.measured:.6f} at {invariant.omega:.2f} rad/s, {invariant.expected:.6f} for any "
@@ -188,7 +188,7 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
         f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
         f"the continuous one, any road under any wheel: {_norm(one):.7g}"
     )
-    lines += [f"  of the continuous one, {text}" for text in judged_lines(found.controller)]
+    lines += [f"  of the continuous one, {text}" for text in judged_lines(lines_of_loop.controller)]
     gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
     worst = one.gains["worst sinusoid"]
     share = f"{100 * worst / norm.gain:.4f} % of the held-road norm"
@@ -226,22 +226,22 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
     """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
     if isinstance(one, DescribingFunction):
         return describing_object(one)
-    found, norm = one.lines, one.extremes.worst
-    error = {"sampled": found.error(found.sampled), "continuous": found.error(found.continuous)}
+    lines, norm = one.lines, one.extremes.worst
+    error = {"sampled": lines.error(lines.sampled), "continuous": lines.error(lines.continuous)}
     return {
-        "controller": found.controller.name,
+        "controller": lines.controller.name,
         "without": one.without or None,
-        "omega": found.omega.tolist(),
+        "omega": lines.omega.tolist(),
         "signals": {
             name: {
-                "measured": finite_pairs(found.measured[:, i]),
-                "sampled": finite_pairs(found.sampled[:, i]),
-                "continuous": finite_pairs(found.continuous[:, i]),
+                "measured": finite_pairs(lines.measured[:, i]),
+                "sampled": finite_pairs(lines.sampled[:, i]),
+                "continuous": finite_pairs(lines.continuous[:, i]),
                 "error": {key: finite(value[i]) for key, value in error.items()},
             }
-            for i, name in enumerate(found.outputs)
+            for i, name in enumerate(lines.outputs)
         },
-        "order": finite(found.order),
+        "order": finite(lines.order),
         "invariants": [
             {"name": i.name, "omega": i.omega, "expected": i.expected, "measured": finite(i.measured)}
             for i in one.extremes.invariants
@@ -259,10 +259,10 @@ def _road_object(one: Sweep) -> dict[str, Any]:
     """The exact norm of a sampled loop and the road that reaches it; nothing where the vehicle file has no such loop."""
     if one.sampled is None:
         return {}
-    road, found = one.road, None
+    road, measured = one.road, None
     if road is not None:
-        found = {"gain": finite(road.gain), "predicted": road.predicted, "angle": road.angle, "timestep": road.timestep}
-    return {"sampled_norm": one.sampled.value, "worst_road": found}
+        measured = {"gain": finite(road.gain), "predicted": road.predicted, "angle": road.angle, "timestep": road.timestep}
+    return {"sampled_norm": one.sampled.value, "worst_road": measured}
 
 
 def _norm(one: Sweep) -> float:

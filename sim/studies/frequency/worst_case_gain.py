@@ -125,13 +125,13 @@ class PerWheelRoad(Road):
 
     def _sum(self, t: Array, side: str, integral: Array | None) -> Array:
         """The velocity, or the height, which begins at zero."""
-        found = np.zeros(np.shape(t))
+        total = np.zeros(np.shape(t))
         for own, late, c in self.waves:  # the last wheel first: where the next one is its road ends
             here = (t >= -late) & (side == own)
             waves = np.array(c) if integral is None else np.array(c) / integral
             turning = np.exp(1j * np.multiply.outer(t[here] + late, np.array(self.omega)))
-            found[here] = np.real((turning if integral is None else turning - 1) @ waves)
-        return found
+            total[here] = np.real((turning if integral is None else turning - 1) @ waves)
+        return total
 
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
@@ -224,7 +224,7 @@ def extremes(
     settled, tried = _drive_worst(vehicle, controllers, worst, amplitude, timestep, speed)
 
     lti = steps_per_sample(vehicle.implementation, timestep) == 1
-    found = []
+    results = []
     for i, controller in enumerate(controllers):
         runs = {name: of_each[i] for name, of_each in responses.items()}
         ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run))
@@ -232,8 +232,8 @@ def extremes(
         gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
         others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
         gains |= {name: gain for name, gain in others.items() if gain is not None}
-        found.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
-    return found
+        results.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
+    return results
 
 
 def _responses(
@@ -242,13 +242,13 @@ def _responses(
     """The responses of all controllers over each road, as many roads in a batch as memory is asked for."""
     count = len(controllers)
     together = max(1, int(ENTRIES / (count * len(time) * len(vehicle.kind.signals))))
-    names, found = list(roads), {}
+    names, responses = list(roads), {}
     for first in range(0, len(names), together):
         some = names[first : first + together]
         on = [roads[name] for name in some for _ in controllers]
-        response = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0).response
-        found |= {name: [response.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
-    return found
+        made = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0)
+        responses |= {name: [made.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
+    return responses
 
 
 def _drive_worst(
@@ -266,8 +266,9 @@ def _drive_worst(
     settling = timestep * math.log(SETTLED) / math.log(slowest)
     time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
-    response = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0).response
-    last = [Response(time[-count:], response.signals, response.values[i, -count:]) for i, (_, count) in enumerate(samples)]
+    made = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
+    runs = [(made.run(i), count) for i, (_, count) in enumerate(samples)]
+    last = [Response(time[-count:], run.signals, run.values[-count:]) for run, count in runs]
     return last, tried
 
 
@@ -297,12 +298,12 @@ def _measured(
     omega = np.array([invariant.omega(p) for invariant in kind.invariants])
     lines = fit(vehicle, controller, response, omega, samples, images(omega, vehicle, timestep))
     road = lines[kind.wheels[0].road_displacement]
-    found = []
+    gains = []
     for i, (invariant, at) in enumerate(zip(kind.invariants, omega.tolist(), strict=True)):
         moved = np.sum([lines[name] for name in invariant.signals], axis=0)
         allowed = 2 * (at * timestep) ** 2 / 24
-        found.append(MeasuredInvariant(invariant.name, at, invariant.magnitude(p), float(np.abs(moved[i] / road[i])), allowed))
-    return tuple(found)
+        gains.append(MeasuredInvariant(invariant.name, at, invariant.magnitude(p), float(np.abs(moved[i] / road[i])), allowed))
+    return tuple(gains)
 
 
 FINE = 2.5e-4  # s, of a step at most: a wheel hop turns by a sixtieth of a radian in it, of which the square counts
@@ -364,7 +365,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     time = sample_times(vehicle, settling + (count + 2) * h, h)
     road = PerWheelRoad.under(vehicle, omega, waves, float(time[-1]))
     scale = amplitude / road.highest(time[: count + 1])
-    response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).response.run(0)
+    response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).run(0)
     # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude, but
     # where every one is there twice.
     last = Response(time[-count - 1 :], response.signals, response.values[-count - 1 :])

@@ -1,1 +1,1 @@
-"""Ride, travel and road holding: measured of a run, and expected of a class of roads."""
+"""Ride, travel and road holding: measured in a run, and expected over a class of roads."""

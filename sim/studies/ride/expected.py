@@ -1,42 +1,41 @@
 """Expected metrics of a linear vehicle on a random road, and the remaining transient when measuring begins.
 
-The road's vertical velocity is white within its band: the one-sided spectrum (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels meet it
-later, the other track shares of it what the coherency says, so wheel j meets e_j(omega) of two independent white sources. With
-the frequency response H of the loop as it is implemented,
+The road's vertical velocity is white within its band: the one-sided spectrum (2 pi n0)^2 G_d(n0) V per Hz. Rear wheels follow
+with a delay, and the two tracks have the road's coherency, so wheel j moves by e_j(omega) of two independent white sources. With
+the frequency response H of the loop with its implementation,
 
     S_ik(omega) = G_v sum over sources of (H e)_i conj(H e)_k,    cov(i, k) = integral of Re S_ik df.
 
-Where the controller's sample period is several timesteps, H has its own value at every step of a period: a sinusoid of the road
-makes images at omega + 2 pi k / period, each weighted at its own frequency, and variances repeat with the period. Spectra are by
-the road's frequency, images included: |H e|^2 of every step, whose mean over the steps is the sum over the images by Parseval.
-Means over time are means over the steps. Memories, and so spreads, are those of the mean spectrum, and largest values, too.
+If the controller's sample period is several timesteps, the loop is periodic, and H has a value for every step of a period. A
+sinusoid of the road gives images at omega + 2 pi k / period, each weighted at its own frequency. Spectra are by the road's
+frequency and include the images: |H e|^2 of every step, whose mean over the steps is the sum over the images (Parseval). Means
+over time are means over the steps. Spreads and largest values use the mean spectrum.
 
-The band is that of the road's lines, half a line further out at both ends: a sum over lines is the integral over it, to second
-order in their distance. Signals are Gaussian, and the rest follows (`gaussian.py`): the metrics that are means (mean squares,
-of the tyre's load as it is, never negative; shares of time, power, energy) and the integral in the VDV, by E a^4 = 3 sigma^4, are
-exact for a linear run that has forgotten its beginning; power and energy are those of the held force, step by step. A vehicle
-whose dampers or springs have curves counts as the line that does the same on average (`statistical_linearisation.py`), which is
-approximate.
+The band is that of the road's lines plus half a line spacing at both ends: the integral is the sum over the lines, to second
+order in their spacing. Signals are Gaussian (`gaussian.py`). Exact for a stationary linear run are the metrics that are means:
+mean squares, also of the tyre load, which is never negative; shares of time; power and energy of the held force; and the integral
+in the VDV, by E a^4 = 3 sigma^4. Curves of dampers or springs are replaced by equivalent lines (`statistical_linearisation.py`),
+which is approximate.
 
-Largest values are approximate, too large where a window has few of a vehicle's memory. Against linear responses over 200 roads
-each, of the three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV within 2.5 %, crest
-factors within 5 %, peaks within 7 %, the travel of the passive quarter-car within 12 %. Lighter damping (100 N s/m) and shorter
-windows (3 s) are further off: MTVV by 6.2 %, crest factors by 9.6 %, the largest travel by 17.7 %. There the spread from road to
-road, which takes a window to be much longer than the memory, is up to 45 % too large.
+Largest values are approximate, and too large for windows that are short compared with the vehicle's memory. Compared with linear
+responses over 200 roads, for the three vehicles as they ship with `passive`, `I` and `II`, at 10, 20 and 35 m/s for 10 s: MTVV
+within 2.5 %, crest factors within 5 %, peaks within 7 %, the travel of the passive quarter-car within 12 %. Errors are larger for
+light damping (100 N s/m) and windows of 3 s: MTVV 6.2 %, crest factors 9.6 %, the largest travel 17.7 %. The spread from road to
+road, which assumes a window much longer than the memory, is then up to 45 % too large.
 
-When measuring begins, every line of the road, from its own height at the start, moves the sampled loop as a sinusoid that has
-always been, less what that would have left behind at the moment when a wheel came onto the road. With the states X_j that wheel j
-makes oscillate per unit of road velocity, x0_j those of a loop at rest with that wheel raised by 1, L the loop over one sample
-and wheel j on the road for k_j samples, a signal of gain C at time t is
+When measuring begins, the response to a line of the road is its steady-state response, less the free response to the state that
+the former has when a wheel enters the road. X_j is the complex amplitude of the states per unit of road velocity at wheel j, x0_j
+their equilibrium with that wheel raised by 1, L the transition over one sample. With wheel j on the road for k_j samples, a
+signal of gain C at time t is
 
     A exp(j omega t) - B,    A = sum over j of (C X_j + Cr_j / j omega) e_j,
     B = sum over j of (C L^k_j (X_j - x0_j / j omega) + (C x0_j + Cr_j) / j omega) e_j at the start,
 
-of the wheels that are on it. The lines' phases are independent, so the variance is the integral over the road's band of
+summed over the wheels on the road. The phases of the lines are independent, so the variance is the integral over the band of
 
     |A|^2 + |B|^2 - 2 Re A conj(B) exp(j omega t).
 
-It may be more than it comes to: a loop that is slower than the road's lowest line answers the start, which has all frequencies.
+It may exceed its final value: the start excites modes that are slower than the road's lowest line.
 """
 
 import math
@@ -45,21 +44,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.quadrature import sample_band
 from models.common.threads import one_thread
-from models.roads.spectrum import Spectrum
+from models.roads.spectrum import Spectrum, as_met, longest_panel, sources, tracks
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.frequency_response import as_met, leaps_by_step, sampled_states, stepwise_frequency_response
+from sim.linear.frequency_response import leaps_by_step, sampled_states, stepwise_frequency_response
 from sim.studies.ride.gaussian import Gaussian, positive_part
 from sim.studies.ride.metrics import RUNNING, dynamic_load, energy, off_ground, points, power
-from sim.studies.ride.quadrature import longest_panel, loop_poles, power_of, sample_band, sources, tracks
+from sim.studies.ride.quadrature import loop_poles, power_of
 from sim.studies.ride.statistical_linearisation import LOWEST, Equivalent, equivalent
 from sim.studies.ride.weighting import SampledWk, sampled_wk
 from synth.analysis.stability import stability
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, continuous
 
-STILL = 1e-12  # of the largest variance in its unit: a signal that does not move
+STILL = 1e-12  # relative to the largest variance in the same unit: a signal with less does not move
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Settled:
     """The variance of a signal when measuring begins.
 
     Attributes:
-        share: of what it comes to; below or above 1.
-        signal: the measured signal of which that is furthest from 1.
+        share: of its final value; may exceed 1.
+        signal: the measured signal whose share is furthest from 1.
     """
 
     share: float
@@ -76,12 +76,12 @@ class Settled:
 
 
 def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> Settled | None:
-    """The measured signal that is furthest from its final variance when measuring begins; None for an unstable loop.
+    """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop.
 
     Args:
-        road: the spectrum of the road; how rough it is does not matter.
+        road: the spectrum of the road; its roughness has no effect.
         timestep: of the sampled loop [s].
-        start: when measuring begins [s]; rounded to a sample of the controller, as is when a rear wheel comes onto the road.
+        start: when measuring begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
     """
     shares = settled_shares(vehicle, controller, road, timestep, start)
     if not shares:
@@ -91,7 +91,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
 
 
 def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
-    """The same of every measured signal that moves, by name; empty for an unstable loop."""
+    """Returns the share of its final variance for every measured signal that moves, by name; empty for an unstable loop."""
     whole = LoopModel(vehicle, controller, timestep)
     if not is_linear(vehicle, controller) or whole.radius >= 1:
         return {}
@@ -108,7 +108,7 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     left_behind = {k: C @ np.linalg.matrix_power(loop, sample - k) for k in set(late[here].tolist())}
 
     def amplitudes(omega: Array) -> Array:
-        """A and B by source, shape (F, 2 p, 2)."""
+        """Returns A and B by source, shape (F, 2 p, 2)."""
         X, s = sampled_states(vehicle, controller, omega, timestep), 1j * omega[:, None, None]
         steady, left = C @ X + model.Cr / s, np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
@@ -126,7 +126,7 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     poles, _ = loop_poles(vehicle, controller, timestep, high)
     band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest_panel(vehicle, road.speed))
     A, B = np.split(band.values, 2, axis=1)
-    # A is taken from time 0 on, so B, whose phase is that of the start, turns back with it.
+    # A has the phase of time 0 and B that of the start, so the product is turned by the time between.
     cross = np.real(band.turning(sample * period) @ np.sum(A * np.conj(B), axis=-1))
     now = band.share @ (power_of(A) + power_of(B)) - 2 * cross
     comes_to = band.share @ (power_of(A) if here.all() else final(band.omega))
@@ -141,8 +141,8 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     }
 
 
-FORGOTTEN = 0.01  # share of its variance that the slowest mode of a vehicle from rest may still miss when measuring begins
-EXACT = 1e-4  # what an expectation may be off for its integral
+FORGOTTEN = 0.01  # share of the variance that the slowest mode may still lack when measuring begins
+EXACT = 1e-4  # relative error of an integral that is not reported
 APPROXIMATE = ("_vdv", "_mtvv", "_crest", "_peak")  # endings of the metrics whose expectation is approximate
 
 
@@ -151,12 +151,11 @@ class Expected:
     """Expected metrics of one run over roads of a kind.
 
     Attributes:
-        mean: by metric; for roots of mean squares the root of the expected mean square, for the VDV the fourth root of the
-            expected integral. Means over roads of such roots are lower: by half, and 1.5 times, their relative variance.
-        spread: standard deviation of the metric from road to road over the window, for those roots; by metric.
-        error: estimate of what the integrals are off, relative, at most; above `EXACT`, say so beside the numbers.
-        line: the linear vehicle that the numbers are of; where dampers or springs have curves, that of
-            `sim.studies.ride.statistical_linearisation`.
+        mean: by metric; for an rms the root of the expected mean square, for the VDV the fourth root of the expected integral.
+            The mean of an rms over roads is lower by half its relative variance, that of a VDV by 1.5 times its.
+        spread: standard deviation of each rms metric from road to road, by metric.
+        error: upper estimate of the relative error of the integrals; report it if above `EXACT`.
+        line: the linear vehicle, with equivalent lines in place of curves (`statistical_linearisation.py`).
     """
 
     mean: dict[str, float]
@@ -166,12 +165,12 @@ class Expected:
 
 
 def settling_time(vehicle: Vehicle, controller: Controller) -> float:
-    """When the slowest mode of a vehicle from rest has all but `FORGOTTEN` of its variance [s]; infinite for an unstable loop."""
+    """Returns the time [s] at which the slowest mode has all but `FORGOTTEN` of its variance; infinite for an unstable loop."""
     if not is_linear(vehicle, controller):
         return math.inf
     cut = continuous(vehicle, controller)
-    found = stability(cut.model.A + cut.model.B @ cut.G)
-    return math.log(FORGOTTEN) / (2 * found.worst.real) if found.stable else math.inf
+    loop_stability = stability(cut.model.A + cut.model.B @ cut.G)
+    return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
 
 
 @one_thread()
@@ -190,7 +189,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         return None
     vehicle, rest = line.vehicle, line.remainder
     low, high = road.band
-    poles, doubt = loop_poles(vehicle, controller, timestep, high)
+    poles, rounding = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
     ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
@@ -199,34 +198,34 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     lags = vehicle.limits.actuator_bandwidth is not None
 
     def spectra(omega: Array) -> Array:
-        """At every step of a period: those of all signals, of the weighted accelerations, and of every actuator's work."""
+        """Returns, for every step of a period, spectra of all signals, weighted accelerations and the actuators' work."""
         pulls = None if rest is None else rest.pulls
         at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
         outside = sources(vehicle, road, omega) if rest is None else rest.sources(vehicle, road, omega, timestep, at_steps)
-        at_steps, leaps = at_steps @ outside, leaps_by_step(vehicle, controller, omega, timestep, pulls) @ outside
-        at_steps[:-1, :, ride] -= leaps[:, :, ride] / 2  # midway, see `metrics.py`
+        at_steps, jumps = at_steps @ outside, leaps_by_step(vehicle, controller, omega, timestep, pulls) @ outside
+        at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # midway, see `metrics.py`
         weighted = weigh_images(at_steps[:-1, :, ride], omega, timestep, weigh)
         works = [work_spectra(at_steps[:, :, force], at_steps[:, :, along], lags) for force, along in pushed]
-        found = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
-        return road.density * np.moveaxis(found, 0, 1)
+        powers = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
+        return road.density * np.moveaxis(powers, 0, 1)
 
     def checked(_: Array, found: Array) -> Array:
-        """The means over a period of those that are none below 0."""
+        """Returns the means over a period of the spectra that cannot be negative."""
         return found[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed))
     if rest is not None:
         below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed))
         band = below.before(band)
-    # A sum over lines is the integral as long as a resonance is wider than the lines are apart.
+    # The integral is the sum over the lines if every resonance is wider than their spacing.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))
     narrowest = float(damping[(rate > low) & (rate < high)].min(initial=math.inf))
     grain = 2 * math.exp(-narrowest * road.length / road.speed)
-    error = max(band.error, grain, doubt)
+    error = max(band.error, grain, rounding)
 
     mean, spread = {}, {}
 
-    # A road's lines have fixed amplitudes: over its whole length it has no spread.
+    # The lines of a road have fixed amplitudes, so metrics over its whole length have no spread.
     varied = max(1 - window * road.speed / road.length, 0.0)
 
     def root(metric: str, column: int, clip: float = math.inf, scale: float = 1.0, offset: float = 0.0) -> Gaussian:
@@ -234,7 +233,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         square = signal.clipped_mean_square(clip)
         whole = square + offset**2
         mean[metric] = math.sqrt(whole) * scale
-        # Half of the relative spread of a mean square is that of its root.
+        # The relative spread of an rms is half that of the mean square.
         variance = signal.mean_square_variance(window, clip)
         spread[metric] = mean[metric] * math.sqrt(varied * variance) / (2 * whole) if square else 0.0
         return signal
@@ -264,13 +263,13 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     works = works.reshape(len(pushing), 3, band.values.shape[1])
     for (name, _), work in zip(pushing, works, strict=True):
         net, positive = work_rate(*work, mean=line.mean.get(name, 0.0))
-        # n samples have n - 1 steps between them.
+        # n samples are n - 1 steps.
         mean[power(name)], mean[energy(name)] = net / timestep, positive / timestep * (window - timestep)
     return Expected(mean, spread, error, line)
 
 
 def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledWk) -> Array:
-    """Amplitudes of signals that are weighted, every image at its own frequency, shaped as they are.
+    """Returns the amplitudes of weighted signals, every image weighted at its own frequency, shaped like `at_steps`.
 
     Args:
         at_steps: amplitudes by source at every step of a period, shape (steps, F, a, 2).
@@ -285,29 +284,28 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
 
 
 def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
-    """Returns, for every step of a period, the cospectrum of its force and the suspension's travel in the step, and both spectra.
+    """Returns, for every step of a period, the cospectrum of the force and the change of travel, and both spectra.
 
     Args:
         force: amplitudes by source at every step and at the next period's first, shape (steps + 1, F, 2) [N].
-        travel: of its suspension, the same [m].
+        travel: of its suspension, same shape [m].
         lags: True if the force changes within a step, False if it is held.
 
     Returns:
         Shape (steps, F, 3).
     """
-    acting, moved = (force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(travel, axis=0)
-    together = np.sum(np.real(acting * np.conj(moved)), axis=-1)
-    return np.stack([together, power_of(acting), power_of(moved)], axis=-1)
+    acting, change = (force[:-1] + force[1:]) / 2 if lags else force[:-1], np.diff(travel, axis=0)
+    cospectrum = np.sum(np.real(acting * np.conj(change)), axis=-1)
+    return np.stack([cospectrum, power_of(acting), power_of(change)], axis=-1)
 
 
-def work_rate(together: Array, force: Array, moved: Array, *, mean: float) -> tuple[float, float]:
-    """Expected work of a step, mean over those of a period, and its positive part, in the definition of
-    `sim/studies/ride/metrics.py`.
+def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) -> tuple[float, float]:
+    """Returns the expected work of a step and its positive part [J], see `metrics.py`, averaged over the steps of a period.
 
     Args:
-        together: covariance by step of the force that acts and of how far its suspension goes meanwhile [J], shape (steps,).
-        force, moved: their variances [N^2, m^2], the same.
+        covariance: of the force and the change of travel in each step [J], shape (steps,).
+        force, change: their variances [N^2, m^2], shape (steps,).
         mean: of the force [N].
     """
-    steps = zip(together.tolist(), np.sqrt(force).tolist(), np.sqrt(moved).tolist(), strict=True)
-    return float(together.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))
+    steps = zip(covariance.tolist(), np.sqrt(force).tolist(), np.sqrt(change).tolist(), strict=True)
+    return float(covariance.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

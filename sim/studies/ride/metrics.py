@@ -1,31 +1,34 @@
-"""Metrics of a suspension: ride, travel, road holding, and actuator effort. Measured while runs go on.
+"""Metrics of a suspension: ride, travel, road holding, and actuator effort, computed block by block during a run.
 
-Ride, of every vertical acceleration a of the body, weighted as ISO 2631-1 has it (`sim/studies/ride/weighting.py`), a_w:
+Ride, for every vertical acceleration a of the body, weighted by W_k of ISO 2631-1 (`sim/studies/ride/weighting.py`) to a_w:
 
     weighted rms (6.1);    VDV = (integral a_w^4 dt)^(1/4) (6.3.2);    crest factor = largest |a_w| / rms (6.2);
     MTVV = largest running rms, averaged exponentially over 1 s (6.3.1).
 
-A force that is held leaps at its sample, and every acceleration with it. There an acceleration counts as the mean of what it is
-just before and just after. Read after the leaps alone, it would be that of a computer without the half step by which a held force
-is late on average, and of a loop whose forces cancel most of the spring's and the damper's too good by per cents.
+A held force jumps at a sample, and so do the accelerations. A sample of an acceleration counts as the mean of its values just
+before and just after the jump. Taken after the jump, it would lack the mean delay of a held force, half a step. A loop whose
+forces cancel most of the spring's and the damper's would then look better by per cents.
 
-Travel of every suspension: rms, largest, and the share of time at the bump stops. Of every tyre, whose load is F = k_u (static -
-t) and never negative: dynamic load coefficient rms(F - F_static) / F_static, and the share of time off the ground; where loads
-push the body, which tyres carry as long as they last, the standard deviation of F in place of that rms. Of every
-actuator: force, mean power into the suspension, and the energy that it puts in where it drives, none being given back where it
-brakes. Both are of its work: a force u is held from one sample to the next while the suspension's travel s goes on, so that is
-u[k] (s[k+1] - s[k]), exactly; of a force that lags, which goes on too, the mean of u[k] and u[k+1] counts.
+Travel, for every suspension: rms, peak, and the share of time at the bump stops.
 
-Of a body that loads push, how far it dives, squats and rolls.
+Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient
+rms(F - F_static) / F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces
+that rms.
 
-All are means over a window that leaves out the beginning, in which a vehicle from rest still knows nothing of its road.
+Effort, for every actuator: force, mean power into the suspension, and the energy put in, without recovery of what is taken out.
+Power and energy follow from the work of each step. It is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel
+s changes. For a lagging force, which changes too, the mean of u[k] and u[k+1] counts.
 
-A run's acceleration at a sample is that of the force that acts from there on. Up to there the last one has acted, so that just
-before, it was less by D (u[k] - u[k-1]), with D of (28); of an adjustable damper, whose force goes on with the suspension's
-velocity v while its coefficient c is held, the leap is -(c[k] - c[k-1]) v. Behind a lag nothing leaps.
+Angles, for a body under loads: dive, squat and roll.
 
-A body's angles follow from its heights over the wheels, and those from deflections and the road (`VehicleKind.angles`): that is
-linear, and of MuJoCo's readings right to the square of the angle.
+The window of all metrics leaves out the transient at the start of a run from rest.
+
+A run's acceleration at a sample is the one just after the jump, with the new force. Just before, it was less by D (u[k] -
+u[k-1]), with D of (28). For an adjustable damper, whose coefficient c is held while the velocity v of the suspension changes, the
+jump is -(c[k] - c[k-1]) v. A lagging force does not jump.
+
+A body's angles are linear in its heights over the wheels, and so in deflections and road heights (`VehicleKind.angles`). From
+MuJoCo's readings they are right to the square of the angle.
 """
 
 import math
@@ -46,10 +49,10 @@ from synth.controller.open_loop import continuous
 
 
 class AccelerationAtJumps:
-    """Takes N runs of one kind of vehicle block by block, from their first sample on."""
+    """Accelerations midway through the jumps of held forces, for N runs of one kind of vehicle, block by block."""
 
     def __init__(self, vehicles: Sequence[Vehicle], accelerations: Sequence[str], index: Mapping[str, int]) -> None:
-        """Prepares these acceleration signals; `index` has the place of every output signal and coefficient among the values."""
+        """Prepares these acceleration signals; `index` maps output signals and coefficients to their places among the values."""
         vehicle = vehicles[0]
         forces, outputs = vehicle.linear_model.inputs, vehicle.linear_model.outputs
         dampers = {one.force: one for one in vehicle.adjustable}
@@ -59,7 +62,7 @@ class AccelerationAtJumps:
         if vehicle.limits.actuator_bandwidth is not None:
             lagging |= set(forces) - set(dampers)
         D = np.stack([one.linear_model.D for one in vehicles], axis=-1)  # (p, m, N)
-        # Of every acceleration what it leaps by per newton, by force, shape (N, 1).
+        # Jump of every acceleration per newton of each force, shape (N, 1).
         self.shares = {
             name: {
                 force: D[outputs.index(name), j][:, None]
@@ -68,28 +71,26 @@ class AccelerationAtJumps:
             }
             for name in accelerations
         }
-        self.leaping = [force for force in forces if any(force in shares for shares in self.shares.values())]
-        self.index = {force: index[force] for force in self.leaping}
-        self.before: dict[int, Array] = {}  # the last sample, by place, shape (N, 1)
+        self.jumping = [force for force in forces if any(force in shares for shares in self.shares.values())]
+        self.index = {force: index[force] for force in self.jumping}
+        self.before: dict[int, Array] = {}  # last sample of the previous block, by place, shape (N, 1)
 
     def __call__(self, values: Array) -> dict[str, Array]:
-        """Returns half the leaps of each acceleration, shape (N, B), from the next block of signals, shape (B, S, N), to be
-        subtracted.
-        """
-        half = {force: self._leap(force, values) / 2 for force in self.leaping}
-        half_leaps = {}
+        """Returns half the jumps of each acceleration, to subtract, shape (N, B), for the next block of signals, (B, S, N)."""
+        half = {force: self._jump(force, values) / 2 for force in self.jumping}
+        half_jumps = {}
         for name, shares in self.shares.items():
             for force, share in shares.items():
                 part = share * half[force]
-                half_leaps[name] = half_leaps[name] + part if name in half_leaps else part
-        return half_leaps
+                half_jumps[name] = half_jumps[name] + part if name in half_jumps else part
+        return half_jumps
 
-    def _leap(self, force: str, values: Array) -> Array:
-        """Returns the leap of a force at every sample, shape (N, B); zero at the first sample of all."""
+    def _jump(self, force: str, values: Array) -> Array:
+        """Returns the jump of a force at every sample, shape (N, B); zero at the first sample of the run."""
         last, now = self._both(self.index[force], values)
         if force not in self.coefficient:
             return now - last
-        # v from the force u = -(c - nominal) v on the side where the coefficient tells it better.
+        # v from the force u = -(c - nominal) v, before or after the jump, whichever coefficient is further from nominal.
         nominal = self.nominal[force]
         c_last, c_now = self._both(self.coefficient[force], values)
         after = np.abs(c_now - nominal) >= np.abs(c_last - nominal)
@@ -97,7 +98,7 @@ class AccelerationAtJumps:
         return (c_now - c_last) * u / np.where(beyond == 0, 1.0, beyond)
 
     def _both(self, place: int, values: Array) -> tuple[Array, Array]:
-        """A signal one sample earlier, and as it is, shape (N, B)."""
+        """Returns a signal delayed by one sample, and as it is, shapes (N, B)."""
         now = values[:, place].T
         last = np.concatenate([self.before.get(place, now[:, :1]), now[:, :-1]], axis=1)
         self.before[place] = now[:, -1:].copy()
@@ -110,18 +111,16 @@ def _nominal(vehicle: Vehicle, force: str) -> float:
 
 DEGREES = 180 / math.pi
 PITCH, ROLL = "pitch_angle", "roll_angle"
-KINDS = {PITCH: ("dive", "squat", "at_end"), ROLL: ("peak", "at_end")}  # nose down, nose up; either way; with its sign
+KINDS = {PITCH: ("dive", "squat", "at_end"), ROLL: ("peak", "at_end")}  # dive: nose down; squat: nose up; at_end: signed
 
 
 def angles_of(vehicle: Vehicle) -> Mapping[str, Mapping[str, float]]:
-    """The angles that a vehicle's body can have, each as a sum of its signals [rad]."""
+    """Returns the angles of a vehicle's body [rad], each as coefficients of its signals."""
     return vehicle.kind.angles(vehicle.parameters)
 
 
 def angle_metrics(angle: Array) -> dict[str, Array]:
-    """Returns the metrics of an angle [rad] over time, shape (N, B), in degrees, shape (N,): those of `KINDS` for either
-    angle.
-    """
+    """Returns the metrics of `KINDS`, in degrees, shape (N,), for an angle [rad] over time, shape (N, B)."""
     largest, smallest = angle.max(axis=1), angle.min(axis=1)
     zero = np.zeros(len(angle))
     metrics = {
@@ -134,25 +133,25 @@ def angle_metrics(angle: Array) -> dict[str, Array]:
 
 
 def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: float) -> dict[str, float]:
-    """Returns the angles of the linear loop at rest under the loads of a time [s], in degrees; empty if it has no rest.
+    """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s]; empty if the loop is unstable.
 
     Args:
         road: with the loads.
         time: of the loads [s].
     """
     cut = continuous(vehicle, controller)
-    model, felt = cut.model, readings_of_loads(cut, controller)
+    model, direct = cut.model, readings_of_loads(cut, controller)
     A, load = model.A + model.B @ cut.G, road.loads(vehicle, np.array([time]))[0]
     if np.linalg.eigvals(A).real.max() >= 0:
         return {}
-    x = np.linalg.solve(A, -(model.Bl + model.B @ felt) @ load)
-    outputs = dict(zip(model.outputs, model.C @ x + model.D @ (cut.G @ x + felt @ load) + model.Dl @ load, strict=True))
+    x = np.linalg.solve(A, -(model.Bl + model.B @ direct) @ load)
+    outputs = dict(zip(model.outputs, model.C @ x + model.D @ (cut.G @ x + direct @ load) + model.Dl @ load, strict=True))
     sums = angles_of(vehicle).items()
     return {angle: DEGREES * sum(share * float(outputs.get(name, 0.0)) for name, share in parts.items()) for angle, parts in sums}
 
 
-RUNNING = 1.0  # s, of the running rms
-DEFINITIONS = 5  # of the metrics and what is expected of them; one more wherever a number comes out otherwise than before
+RUNNING = 1.0  # time constant of the running rms [s]
+DEFINITIONS = 5  # version of the metrics and their expectations; one more whenever a number changes
 
 
 @dataclass(frozen=True)
@@ -160,10 +159,10 @@ class Metric:
     """Definition of a metric of a run.
 
     Attributes:
-        name: of its column in a file.
+        name: column name in files.
         unit: SI.
         source: signal that is evaluated.
-        what: quantity that is taken of that signal.
+        what: statistic of that signal.
     """
 
     name: str
@@ -177,10 +176,10 @@ class Points:
     """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: of the body, where people sit.
+        accelerations: of the body.
         suspensions: deflections.
         tyres: deflections.
-        actuators: (force, deflection that it pushes along), or (force,) if there is no such suspension.
+        actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
     """
 
     accelerations: tuple[str, ...]
@@ -190,7 +189,7 @@ class Points:
 
 
 def points(vehicle: Vehicle) -> Points:
-    """The points of a vehicle: by unit, by suspension, by wheel, by actuator."""
+    """Returns the points of a vehicle."""
     model, kind = vehicle.linear_model, vehicle.kind
     return Points(
         accelerations=tuple(
@@ -203,23 +202,23 @@ def points(vehicle: Vehicle) -> Points:
 
 
 def metrics_of(vehicle: Vehicle, loaded: bool = False) -> tuple[Metric, ...]:
-    """The metrics of a vehicle, in the order of a table; where its body is loaded, with its angles first."""
+    """Returns the metrics of a vehicle, in the order of a table; if loads act on its body, its angles come first."""
     where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
-    found = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
+    metrics = [_of(angle, what, "deg") for angle in angles_of(vehicle) for what in KINDS[angle]] if loaded else []
     for name in where.accelerations:
         units = {"rms": "m/s2", "weighted": "m/s2", "vdv": "m/s1.75", "mtvv": "m/s2", "crest": "-"}
-        found += [_of(name, what, unit) for what, unit in units.items()]
+        metrics += [_of(name, what, unit) for what, unit in units.items()]
     for name in where.suspensions:
-        found += [_of(name, "rms", "m"), _of(name, "peak", "m")]
+        metrics += [_of(name, "rms", "m"), _of(name, "peak", "m")]
         if name in stops:
-            found.append(_of(name, "at_stops", "-"))
+            metrics.append(_of(name, "at_stops", "-"))
     for name in where.tyres:
-        found += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
+        metrics += [Metric(dynamic_load(name), "-", name, "dynamic_load"), Metric(off_ground(name), "-", name, "off_ground")]
     for name, *travel in where.actuators:
-        found += [_of(name, "rms", "N"), _of(name, "peak", "N")]
+        metrics += [_of(name, "rms", "N"), _of(name, "peak", "N")]
         if travel:
-            found += [Metric(power(name), "W", name, "power"), Metric(energy(name), "J", name, "energy")]
-    return tuple(found)
+            metrics += [Metric(power(name), "W", name, "power"), Metric(energy(name), "J", name, "energy")]
+    return tuple(metrics)
 
 
 def _of(signal: str, what: str, unit: str) -> Metric:
@@ -227,47 +226,47 @@ def _of(signal: str, what: str, unit: str) -> Metric:
 
 
 def dynamic_load(tyre: str) -> str:
-    """Name of the dynamic load coefficient of a tyre."""
+    """Returns the name of the dynamic load coefficient of a tyre."""
     return _named_after(tyre, TYRE_DEFLECTION, "dynamic_load")
 
 
 def off_ground(tyre: str) -> str:
-    """Name of its share of time off the ground."""
+    """Returns the name of a tyre's share of time off the ground."""
     return _named_after(tyre, TYRE_DEFLECTION, "off_ground")
 
 
 def power(force: str) -> str:
-    """Name of the mean power of an actuator."""
+    """Returns the name of the mean power of an actuator."""
     return _named_after(force, CONTROL_FORCE, "control_power")
 
 
 def energy(force: str) -> str:
-    """Name of its energy."""
+    """Returns the name of the energy of an actuator."""
     return _named_after(force, CONTROL_FORCE, "control_energy")
 
 
 def _named_after(signal: str, common: Signal, metric: str) -> str:
-    """A metric's name in place of the common name that its signal begins with, or after a name of the signal's own."""
+    """Returns a signal's name with the metric in place of the common prefix, or behind the name if it lacks that prefix."""
     return f"{metric}{signal.removeprefix(common.name)}" if signal.startswith(common.name) else f"{signal}_{metric}"
 
 
 class Meter:
-    """Measures N runs of one kind of vehicle block by block, in memory that does not grow.
+    """Metrics of N runs of one kind of vehicle, computed block by block in constant memory.
 
-    A run's numbers are the same to the last bit whatever runs beside it: each is summed along its own time.
+    A run's numbers do not depend on the other runs, to the last bit: each is summed along its own time.
     """
 
     def __init__(
         self, vehicles: Sequence[Vehicle], timestep: float, first: int, loaded: bool = False, pushed: Sequence[bool] | None = None
     ) -> None:
-        """For signals a timestep [s] apart, from sample `first` on.
+        """Prepares the meter.
 
         Args:
             vehicles: N of one kind.
-            timestep: [s].
-            first: sample that is measured first.
-            loaded: whether any body is pushed by loads, and angles are measured.
-            pushed: which, N of them; None for all of them, or none.
+            timestep: of the signals [s].
+            first: index of the first sample measured.
+            loaded: True if loads act on any body, so that angles are measured.
+            pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.
         """
         self.pushed = np.array([loaded] * len(vehicles) if pushed is None else pushed)
         self.vehicle, self.timestep, self.first, count = vehicles[0], timestep, first, len(vehicles)
@@ -276,7 +275,7 @@ class Meter:
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
-        # Of every angle its signals, by index, each with its share of all runs.
+        # Coefficients of every angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
             angle: {names.index(name): np.array([one[angle][name] for one in angles]) for name in parts}
@@ -292,13 +291,13 @@ class Meter:
         places = {name: i for i, name in enumerate(names)}
         self.midway = AccelerationAtJumps(vehicles, self.where.accelerations, places)
         self.lags = self.vehicle.limits.actuator_bandwidth is not None
-        self.before: dict[str, Array] = {}  # the last sample of what work is made of, shape (N, 1)
+        self.before: dict[str, Array] = {}  # last sample of forces and deflections, for the work, shape (N, 1)
         self.sums: dict[str, Array] = {}
         self.largest: dict[str, Array] = {}
         self.seen = self.samples = 0
 
     def update(self, values: Array) -> None:
-        """Takes the next block of signals, of shape (B, S, N), B samples of the S signals of the vehicle's kind."""
+        """Adds the next block of signals, shape (B, S, N): B samples of the S signals of the vehicle's kind."""
         skip = min(max(self.first - self.seen, 0), len(values))
         self.seen += len(values)
         self.samples += len(values) - skip
@@ -313,10 +312,10 @@ class Meter:
             over = np.zeros(values.shape[:1:-1] + values.shape[:1])
             for i, share in parts.items():
                 over += share[:, None] * values[:, i].T
-            made = angle_metrics(over)
+            of_block = angle_metrics(over)
             for what in KINDS[angle]:
                 name = f"{angle}_{what}"
-                self.ends[name] = made[what] if what == "at_end" else np.maximum(self.ends.get(name, 0.0), made[what])
+                self.ends[name] = of_block[what] if what == "at_end" else np.maximum(self.ends.get(name, 0.0), of_block[what])
         for name in self.where.suspensions:
             deflection = self._signal(values, name)
             self._add(f"{name}_rms", _squares(deflection))
@@ -344,30 +343,30 @@ class Meter:
                 self._add(energy(name), np.maximum(work, 0.0, out=work).sum(axis=1))
 
     def result(self) -> dict[str, Array]:
-        """Every metric, shape (N,)."""
+        """Returns every metric, shape (N,)."""
         mean, duration = {name: total / self.samples for name, total in self.sums.items()}, self.samples * self.timestep
-        found: dict[str, Array] = dict(self.ends)
+        values: dict[str, Array] = dict(self.ends)
         for name in self.where.accelerations:
             weighted = np.sqrt(mean[f"{name}_weighted"])
-            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_weighted": weighted}
-            found[f"{name}_vdv"] = (mean[f"{name}_vdv"] * duration) ** 0.25
-            found[f"{name}_mtvv"] = np.sqrt(self.largest[f"{name}_mtvv"])
+            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_weighted": weighted}
+            values[f"{name}_vdv"] = (mean[f"{name}_vdv"] * duration) ** 0.25
+            values[f"{name}_mtvv"] = np.sqrt(self.largest[f"{name}_mtvv"])
             still = weighted == 0
-            found[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
+            values[f"{name}_crest"] = np.where(still, 0.0, self.largest[f"{name}_crest"] / np.where(still, 1.0, weighted))
         for name in self.where.suspensions:
-            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
+            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
             if name in self.stops:
-                found[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
+                values[f"{name}_at_stops"] = mean[f"{name}_at_stops"]
         for name in self.where.tyres:
             shift = np.where(self.pushed, mean.get(f"{dynamic_load(name)}_shift", 0.0), 0.0)
-            found[dynamic_load(name)] = np.sqrt(np.maximum(mean[dynamic_load(name)] - shift * shift, 0.0)) / self.static[name]
-            found[off_ground(name)] = mean[off_ground(name)]
+            values[dynamic_load(name)] = np.sqrt(np.maximum(mean[dynamic_load(name)] - shift * shift, 0.0)) / self.static[name]
+            values[off_ground(name)] = mean[off_ground(name)]
         for name, *travel in self.where.actuators:
-            found |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
+            values |= {f"{name}_rms": np.sqrt(mean[f"{name}_rms"]), f"{name}_peak": self.largest[f"{name}_peak"]}
             if travel:
                 passed = max(self.samples - 1, 1) * self.timestep  # from the first sample to the last
-                found |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
-        return found
+                values |= {power(name): self.sums[power(name)] / passed, energy(name): self.sums[energy(name)]}
+        return values
 
     def _ride(self, name: str, acceleration: Array, skip: int) -> None:
         weighted, memory = np.zeros_like(acceleration), self.memory[name]
@@ -386,11 +385,11 @@ class Meter:
             self._keep(f"{name}_mtvv", running[:, skip:])
 
     def _signal(self, values: Array, name: str) -> Array:
-        """A signal, each run's samples side by side, shape (N, B)."""
+        """Returns a signal with each run's samples contiguous, shape (N, B)."""
         return np.ascontiguousarray(values[:, self.index[name]].T)
 
     def _joined(self, name: str, signal: Array) -> Array:
-        """A signal of one block after its last sample of the one before."""
+        """Returns a signal of a block, preceded by its last sample of the previous block."""
         joined = np.concatenate([self.before[name], signal], axis=1) if name in self.before else signal
         self.before[name] = signal[:, -1:].copy()
         return joined
@@ -404,12 +403,12 @@ class Meter:
 
 
 def measure(vehicle: Vehicle, response: Response, first: int, loaded: bool = False) -> dict[str, float]:
-    """The metrics of one run's response from sample `first` on; NaN from where it broke off. Arguments as for `Meter`."""
+    """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`."""
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded)
     meter.update(response.values[:, :, None])
     return {name: float(value[0]) for name, value in meter.result().items()}
 
 
 def _squares(values: Array) -> Array:
-    """Sum of squares of each row."""
+    """Returns the sum of squares of each row."""
     return (values * values).sum(axis=1)

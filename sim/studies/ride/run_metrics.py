@@ -1,4 +1,4 @@
-"""The metrics of a run: MuJoCo's, the sampled response's over the same road, those expected of all such roads; in words too."""
+"""Metrics of a run in MuJoCo, of the sampled response over the same road, and expected over all such roads; as table and JSON."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import Column, cells, finite, json_object, percent, table, titles
+from models.common.checks import Index
+from models.common.errors import InputError
+from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import Vehicle
@@ -19,11 +21,11 @@ from sim.studies.ride.statistical_linearisation import Equivalent, line_object, 
 from synth.controller.controller import Controller, Driver
 
 UNIT = "m/km"
-ABOUT_IRI = "iri is of the road alone, all of it that the first wheel meets, at 80 km/h whatever the speed"
+ABOUT_IRI = "iri is a property of the road that the first wheel passes, defined at 80 km/h whatever the vehicle's speed"
 
 
 def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughness, ...]:
-    """Every IRI of what a vehicle drives over in a run.
+    """Returns every IRI of the road that a vehicle passes in a run.
 
     Args:
         road: of a distance, or of time.
@@ -33,7 +35,7 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
 
 
 def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
-    """Returns a road's IRI as JSON has it; empty for a road that has none."""
+    """Returns a road's IRI for JSON; empty for a road without one."""
     return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
 
 
@@ -76,8 +78,8 @@ METRIC: tuple[Column[MetricComparison], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class RunMetrics:
+@dataclass(frozen=True, repr=False)
+class RunMetrics(Shown):
     """All metrics of one run, with the basis of their expectations.
 
     Attributes:
@@ -96,11 +98,24 @@ class RunMetrics:
     line: Equivalent | None = None
     static: Mapping[str, float] | None = None
 
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns every metric as text: MuJoCo's, the sampled response's, and what is expected."""
+        rows = {
+            name: ", ".join(
+                f"{what} {value:.4g} {one.unit}"
+                for what, value in (("MuJoCo", one.mujoco), ("sampled", one.sampled), ("expected", one.expected))
+                if value is not None
+            )
+            for name, one in self.metrics.items()
+        }
+        return f"metrics of a run: {len(rows)}", {name: text or "none, as the run broke off" for name, text in rows.items()}
+
 
 def first_sample(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, duration: float, timestep: float) -> int:
-    """The sample from which is measured: when a random road's vehicle has forgotten its start, half of the run at the latest.
+    """Returns the first sample measured: on a random road when the transient has decayed, but no later than half of the run.
 
-    How long a law in Python takes for that is not known: half of the run.
+    For a law in Python, whose transient is unknown, it is half of the run.
     """
     if road.spectrum is None:
         return 0
@@ -108,12 +123,15 @@ def first_sample(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, du
     return round(min(settled, duration / 2) / timestep)
 
 
-def measure_run(run: Run, first: int) -> RunMetrics:
-    """Returns the ride, travel and grip of a run: MuJoCo's, the exact response's, and those expected of all such random roads.
+def measure_run(run: Run, first: Index) -> RunMetrics:
+    """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
     Args:
         run: the run.
-        first: index of the sample with which measuring begins; 0 for all of it.
+        first: index of the first sample measured; 0 for the whole run.
+
+    Raises:
+        InputError: the run has no such sample.
 
     Example:
         >>> from models import Bump, read_vehicle
@@ -126,12 +144,14 @@ def measure_run(run: Run, first: int) -> RunMetrics:
         '0.0484 m'
     """
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
+    if first >= len(time) - 1:
+        raise InputError(f"first = {first} leaves no two of the run's {len(time)} samples; give a smaller one")
     expected: Expected | None = None
-    begun: Settled | None = None
+    transient: Settled | None = None
     controller = run.controller
     if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
-        begun = settled(
+        transient = settled(
             expected.line.vehicle if expected else vehicle.straight, controller, spectrum, timestep, float(time[first])
         )
     mujoco: Mapping[str, float] = {}
@@ -153,39 +173,41 @@ def measure_run(run: Run, first: int) -> RunMetrics:
     static = None
     if road.loaded:
         static = static_angles(vehicle, controller, road, float(time[-1])) if isinstance(controller, Controller) else {}
-    return RunMetrics(metrics, begun, expected.error if expected else None, expected.line if expected else None, static)
+    return RunMetrics(metrics, transient, expected.error if expected else None, expected.line if expected else None, static)
 
 
 def beside(vehicle: Vehicle) -> list[str]:
     """Describes the effects in MuJoCo's metrics that sampled and expected ones leave out."""
     lines = []
     if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
-        lines.append("sampled and expected numbers are of a vehicle without bump stops and with forces of any size")
+        lines.append("sampled and expected numbers are for a vehicle without bump stops and force limits")
     if blur := vehicle.implementation.blur:
-        lines.append(f"MuJoCo's numbers have the {blur} of what is measured in them, sampled and expected ones have not")
+        lines.append(f"MuJoCo's numbers include the {blur} of the measurements, sampled and expected ones do not")
     return lines
 
 
 def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
-    """The metrics of a run and its road as a table, and what they rest on in sentences."""
+    """Returns the metrics of a run and its road as a table, with notes below."""
     measured, notes = found.metrics, []
     if run.broke_off is not None:
-        notes.append(f"no metrics of this run: {run.broke_off[0]} at {run.broke_off[1]:.4g} s, and what follows is no vehicle's")
+        why, at = run.broke_off
+        notes.append(f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless")
     if found.settled is not None:
         notes.append(
-            f"when measuring begins, the variance of {found.settled.signal} is {percent(found.settled.share)} of what it "
-            "comes to; of no other signal in this table is it further off"
+            f"when measuring begins, the variance of {found.settled.signal} is {percent(found.settled.share)} of its final "
+            "value; every other signal in this table is closer"
         )
     if found.error is not None:
         notes.append(
-            "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; of short or lightly "
-            "damped runs the +- is up to 45 % too large"
+            "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; for short runs or "
+            "light damping the +- is up to 45 % too large"
         )
     notes += line_words(run.vehicle, found.line) if found.line is not None else []
     if found.static:
         rests = ", ".join(f"{name} {value:.4g} deg" for name, value in found.static.items())
         notes.append(
-            f"under the loads of the end the linear loop rests at {rests}; pitch is positive nose down, roll right side down"
+            f"under the final loads the linear loop rests at {rests}; pitch is positive nose down, roll right side down; "
+            "the moment of the body's own weight as it turns is left out"
         )
     notes += beside(run.vehicle)
     if found.error is not None and found.error > EXACT:
@@ -215,16 +237,16 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
 
 def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:
     """Returns a row of the table of metrics; ~ stands before approximate values, and an unknown spread is left out."""
-    said = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
+    shown = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
     if one.approximate and one.expected:
-        said["expected"] = f"~{said['expected']}"
-    if one.spread is None and "+- by road" in said:
-        said["+- by road"] = ""
-    return f"  {name}", *said.values()
+        shown["expected"] = f"~{shown['expected']}"
+    if one.spread is None and "+- by road" in shown:
+        shown["+- by road"] = ""
+    return f"  {name}", *shown.values()
 
 
 def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
-    """The same as JSON has it: None for what is infinite or does not exist."""
+    """Returns the metrics for JSON, with None for infinite or absent values."""
     broke = run.broke_off
     whole: dict[str, Any] = {
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,

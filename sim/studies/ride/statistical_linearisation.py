@@ -1,44 +1,44 @@
-"""Statistical linearisation: over a random road, the line that does on average what a curve does, and what the curve does beyond.
+"""Statistical linearisation: the line that fits a curve best over a random road, and the remainder to second order.
 
-A signal y over a random road is nearly Gaussian, of mean m and standard deviation s. Of all lines the one that misses the curve F
-least, in mean square, goes through its mean with its mean slope,
+A signal y over a random road is nearly Gaussian, of mean m and standard deviation s. The line with the least mean square error
+for the curve F has its mean force and its mean slope,
 
     F(y) ~ E F + E F' (y - m),    E F' = c_0 + sum over knots of d_i Q((k_i - m) / s),
     E F = F(first knot) + c_0 (m - first knot) + sum of d_i s (phi(a_i) - a_i Q(a_i)),    a_i = (k_i - m) / s,
 
 where the slope changes by d_i at the knot k_i, and phi and Q are the normal density and tail: in closed form for straight lines
 (T. K. Caughey (1963), J. Acoust. Soc. Am. 35, 1706-1711; J. B. Roberts and P. D. Spanos, Random Vibration and Statistical
-Linearization, 1990, chapter 5). With those slopes the vehicle is linear, and has other m and s: so it goes round until they are
-consistent. An asymmetric damper has a force on average, which the springs hold: the body stands lower or higher (jacks down).
+Linearization, 1990, chapter 5). The linear vehicle with those slopes has other m and s, so the computation is iterated until they
+are consistent. An asymmetric damper has a mean force, which the springs carry: the body sits lower or higher (jacks down).
 
-What a curve has beyond its line is left out of that, and is added to second order: noise that it makes
-of its own, down to frequencies that the road has not. Where a controller leaves a slow mode, which that moves most, travel is
-some 5 % low without it.
+The remainder of a curve beyond its line is added to second order. It acts as noise, down to frequencies below those of the road.
+It excites most a slow mode that a controller leaves: without it, travel would be some 5 % too small.
 
-Where two wheels share a parameter their slopes are averaged: a road and a car are the same on both sides.
+If two wheels share a parameter, their slopes are averaged: road and car are the same on both sides.
 
-Beyond that, over a Gaussian signal x = m + s z a curve is a sum of Hermite polynomials of z,
+For a Gaussian signal x = m + s z a curve is a sum of Hermite polynomials of z,
 
     F(x) = E F + s E F' z + e,    e = sum over n >= 2 of c_n He_n(z),    n! c_n = s sum over knots of d_i phi(a_i) He_{n-2}(a_i),
 
-with a_i = (k_i - m) / s, where the slope changes by d_i at the knot k_i. Statistical linearisation leaves e out. It has a power
-though, and a spectrum: with rho_ij the correlation of x_i with x_j (F. G. Mehler's formula),
+with a_i as above. Statistical linearisation neglects e. Its covariance is, with rho_ij the correlation of x_i with x_j (F. G.
+Mehler's formula),
 
-    D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n,
+    D_ij(tau) = E e_i(t + tau) e_j(t) = sum of c_in c_jn n! rho_ij(tau)^n.
 
-whose even terms reach down to frequency 0, where roads have nothing and a slow loop answers most. And what e has moved meets the
-curves' slopes, which vary as e does. With R_ij(tau) the response of x_i to a force in j, to second order in e,
+Its even terms have a spectrum down to frequency 0, where a road has no power and a slow loop responds most. The motion due to e
+also meets the curves' slopes, which are correlated with e. With R_ij(tau) the response of x_i to a force in j, to second order in
+e,
 
     F(x) = <F> + s E F' z + sum over j of (Sigma_ij * x_j) + noise of covariance D,
     Sigma_ij(tau) = R_ij(tau) sum over n >= 2 of n^2 (n - 1)! c_in c_jn / (s_i s_j) rho_ij(tau)^(n-1),
     <F_i> = E F_i + sum over j of the integral of R_ij(tau) sum over n >= 2 of (n + 1)! c_i,n+1 c_jn / s_i rho_ij(tau)^n,
 
-each taken of the s, rho and R that they themselves lead to (the direct interaction approximation: R. H. Kraichnan (1959), J.
-Fluid Mech. 5, 497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). So the memory is one more line
-between signals, by frequency, the noise one more source beside the road, and the mean is another one.
+with s, rho and R of the resulting vehicle (the direct interaction approximation: R. H. Kraichnan (1959), J. Fluid Mech. 5,
+497-543; P. C. Martin, E. D. Siggia and H. A. Rose (1973), Phys. Rev. A 8, 423-437). So the memory Sigma is a frequency-dependent
+slope between signals, the noise a source in addition to the road, and the mean force changes.
 
-Degrees 2 to 4 count. Those above are faster than anything that a suspension amplifies, and of sharp bends, as friction has, the
-second order of them overshoots: with all of them ride would be 0.3 % further from what roads say, and nothing nearer.
+Degrees 2 to 4 are included. Higher ones are faster than anything that a suspension amplifies. For sharp bends, as of friction,
+their second order is too large: with all of them the error of ride would grow by 0.3 %, and no error would fall.
 """
 
 import math
@@ -50,37 +50,38 @@ import numpy as np
 from scipy import special
 
 from models.common.arrays import Array
-from models.roads.spectrum import Spectrum
+from models.common.quadrature import sample_band
+from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.suspension.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
 from sim.linear.nonlinear_elements import Elements, elements, is_curved
 from sim.response.regime import over
-from sim.studies.ride.quadrature import longest_panel, loop_poles, power_of, sample_band, sources
+from sim.studies.ride.quadrature import loop_poles, power_of
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, continuous
 
-DEGREES = (2, 3, 4)  # Hermite polynomials that count
+DEGREES = (2, 3, 4)  # of the Hermite polynomials included
 COUNT = 4096  # frequencies
-HIGHEST = 2 * np.pi * 125.0  # rad/s; or, of a faster vehicle,
-ABOVE = 6.0  # times the rate of its fastest oscillation
-MEMORY_CONSISTENT = 1e-6  # relative
-MEMORY_DIRECT = 10  # rounds
-MEMORY_ROUNDS = 100
-LOWEST = 1e-3  # of a road's lowest frequency: where noise that the road has not is looked for
+HIGHEST = 2 * np.pi * 125.0  # least upper end of the frequencies [rad/s]
+ABOVE = 6.0  # upper end for a faster vehicle, over the rate of its fastest oscillation
+MEMORY_CONSISTENT = 1e-6  # relative change at which the iteration ends
+MEMORY_DIRECT = 10  # rounds with full steps
+MEMORY_ROUNDS = 100  # limit of all rounds
+LOWEST = 1e-3  # lower end of the noise, relative to the road's lowest frequency
 
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Parts of e curves beyond their lines, as linear memory and noise.
+    """Remainders of e curves beyond their lines, as linear memory and noise.
 
     Attributes:
         pulls: the curves as elements.
         index: of each curve's argument among the vehicle's outputs, shape (e,).
         omega: ascending from 0 [rad/s], shape (F,).
-        memory: from the arguments to the forces, beyond the lines of the vehicle, shape (F, e, e).
+        memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
-        mean_force: mean forces beyond those lines [N], shape (e,).
+        mean_force: mean forces without those of the lines [N], shape (e,).
     """
 
     pulls: Elements
@@ -91,32 +92,31 @@ class Remainder:
     mean_force: Array
 
     def sources(self, vehicle: Vehicle, road: Spectrum, omega: Array, timestep: float, at_steps: Array) -> Array:
-        """Returns the excitation of the vehicle, over the amplitude of a road of its density: under wheels, then as forces in
-        curves.
+        """Returns the excitation of wheels and curves, over the amplitude of the road.
 
         Args:
             vehicle: linear, with the lines of the curves, r wheels.
             road: the spectrum of the road.
             omega: frequencies [rad/s], shape (F,).
             timestep: of the sampled loop [s].
-            at_steps: its `stepwise_frequency_response` with `pulls`.
+            at_steps: the `stepwise_frequency_response` of the loop with `pulls`.
 
         Returns:
             By source, the road's two and those of the noise, shape (F, r + e, 2 + e).
         """
-        met, steps = sources(vehicle, road, omega), len(at_steps) - 1
-        met = met * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
-        values, vectors = np.linalg.eigh(_between(self.omega, self.noise, omega))
-        own = vectors * np.sqrt(np.maximum(values, 0.0) / road.density)[:, None, :]
-        wheels = met.shape[1]
-        outside = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
-        outside[:, :wheels, :2], outside[:, wheels:, 2:] = met, own
+        by_road, steps = sources(vehicle, road, omega), len(at_steps) - 1
+        by_road = by_road * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
+        values, vectors = np.linalg.eigh(_interpolated(self.omega, self.noise, omega))
+        by_noise = vectors * np.sqrt(np.maximum(values, 0.0) / road.density)[:, None, :]
+        wheels = by_road.shape[1]
+        excitation = np.zeros((len(omega), wheels + len(self.index), 2 + len(self.index)), dtype=complex)
+        excitation[:, :wheels, :2], excitation[:, wheels:, 2:] = by_road, by_noise
         turn = np.exp(-1j * np.multiply.outer(np.arange(steps) * timestep, omega))[..., None, None]
-        over = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component at omega
-        memory = _between(self.omega, self.memory, omega)
-        closed = np.linalg.solve(np.eye(len(self.index)) - over[..., wheels:] @ memory, over @ outside)
-        outside[:, wheels:] += memory @ closed
-        return outside
+        response = (turn * at_steps[:-1][:, :, self.index]).mean(axis=0)  # component at omega
+        memory = _interpolated(self.omega, self.memory, omega)
+        closed = np.linalg.solve(np.eye(len(self.index)) - response[..., wheels:] @ memory, response @ excitation)
+        excitation[:, wheels:] += memory @ closed
+        return excitation
 
 
 def remainder(
@@ -131,17 +131,17 @@ def remainder(
     lines: Array,
     resting: Callable[[Array], Array],
 ) -> Remainder | None:
-    """Returns the parts of curves beyond their lines over a road, self-consistent, or None if the iteration does not converge.
+    """Returns the self-consistent remainders of curves over a road, or None if the iteration does not converge.
 
     Args:
         vehicle: linear, with the lines of e curves.
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
-        fastest: rate of the fastest oscillation of its loop [rad/s].
+        fastest: rate of the fastest oscillation of the loop [rad/s].
         index: of each curve's argument among the vehicle's outputs, shape (e,).
         means: initial means of the arguments, shape (e,).
-        lines: slopes of the vehicle in place of the curves, shape (e,).
-        resting: from mean forces beyond the lines to the means of the arguments, (e,) to (e,).
+        lines: slopes of the lines, shape (e,).
+        resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
     """
     curves = [curve for curve in pulls.curves if curve is not None]
     highest = min(max(HIGHEST, ABOVE * fastest), 0.9 * np.pi / timestep)
@@ -167,23 +167,27 @@ def remainder(
         answer = np.concatenate([back[:1], back[1:COUNT] + back[:COUNT:-1], np.zeros_like(back[COUNT:])])
         moments = [averages(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
         hermite = np.array([coefficients(one, m, s) for one, m, s in zip(curves, means, deviations, strict=True)])
-        force, slopes, own = _second_order(rho, answer * dt, hermite, deviations)
+        force, slopes, of_noise = _second_order(rho, answer * dt, hermite, deviations)
         beyond = force + [mean for mean, _ in moments] - lines * means
         shifted = resting(beyond)
-        found = np.diag([slope for _, slope in moments] - lines) + np.fft.rfft(slopes, axis=0)
-        heard = 2 * dt * np.fft.rfft(own, axis=0)
+        transfer = np.diag([slope for _, slope in moments] - lines) + np.fft.rfft(slopes, axis=0)
+        new_noise = 2 * dt * np.fft.rfft(of_noise, axis=0)
         still = np.abs(shifted - means) <= MEMORY_CONSISTENT * (np.abs(shifted) + deviations)
-        settled = (np.abs(found - memory) <= MEMORY_CONSISTENT * np.abs(lines).max()).all()
-        settled &= (np.abs(heard - noise) <= MEMORY_CONSISTENT * np.abs(heard).max()).all()
+        settled = (np.abs(transfer - memory) <= MEMORY_CONSISTENT * np.abs(lines).max()).all()
+        settled &= (np.abs(new_noise - noise) <= MEMORY_CONSISTENT * np.abs(new_noise).max()).all()
         if settled and np.all(still):
-            return Remainder(pulls, index, omega, found, heard, beyond)
-        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # where it overshoots, as with a spring that a controller all but cancels
-        memory, noise, means = memory + step * (found - memory), noise + step * (heard - noise), means + step * (shifted - means)
+            return Remainder(pulls, index, omega, transfer, new_noise, beyond)
+        step = 1.0 if rounds < MEMORY_DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
+        memory, noise, means = (
+            memory + step * (transfer - memory),
+            noise + step * (new_noise - noise),
+            means + step * (shifted - means),
+        )
     return None
 
 
 def averages(curve: ForceCurve, mean: float, deviation: float) -> tuple[float, float]:
-    """Mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
+    """Returns the mean force [N] and mean slope of a curve over a Gaussian argument of this mean and standard deviation."""
     if deviation == 0:
         near = 1e-9 * float(np.abs(curve.x).max())
         below, at, above = (float(curve(np.array(mean + x))) for x in (-near, 0.0, near))
@@ -204,51 +208,52 @@ def coefficients(curve: ForceCurve, mean: float, deviation: float) -> Array:
 
 
 def _second_order(rho: Array, answer: Array, c: Array, deviations: Array) -> tuple[Array, Array, Array]:
-    """Mean force beyond that of a Gaussian signal, memory and covariance of the noise, shapes (e,), (T, e, e) and (T, e, e).
+    """Returns the change of the mean forces, the memory and the covariance of the noise, shapes (e,), (T, e, e), (T, e, e).
 
     Args:
         rho: correlations, shape (T, e, e).
-        c: of every curve its Hermite coefficients, shape (e, degrees).
-        deviations: shape (e,).
+        answer: impulse responses R, shape (T, e, e).
+        c: Hermite coefficients of every curve, shape (e, degrees).
+        deviations: standard deviations of the arguments, shape (e,).
     """
-    memory, own, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
+    memory, noise, force = np.zeros_like(rho), np.zeros_like(rho), np.zeros(len(c))
     power = rho  # rho^(n-1)
     for k, n in enumerate(DEGREES):
         pairs = np.outer(c[:, k], c[:, k])
         memory += n**2 * math.factorial(n - 1) * pairs / np.outer(deviations, deviations) * power
         power = power * rho
-        own += math.factorial(n) * pairs * power
+        noise += math.factorial(n) * pairs * power
         if k + 1 < c.shape[1]:
             both = np.outer(c[:, k + 1] / deviations, c[:, k])
             force += math.factorial(n + 1) * (both * np.sum(answer * power, axis=0)).sum(axis=1)
-    return force, answer * memory, own
+    return force, answer * memory, noise
 
 
 def _adjoint(matrices: Array) -> Array:
     return np.conj(np.swapaxes(matrices, -1, -2))
 
 
-def _between(omega: Array, matrices: Array, at: Array) -> Array:
-    """Matrices by frequency at other frequencies, straight between them, shape (F, e, e)."""
+def _interpolated(omega: Array, matrices: Array, at: Array) -> Array:
+    """Returns matrices interpolated linearly between frequencies, shape (F, e, e)."""
     i = np.clip(np.searchsorted(omega, at) - 1, 0, len(omega) - 2)
     share = np.clip((at - omega[i]) / (omega[i + 1] - omega[i]), 0.0, 1.0)[:, None, None]
     return (1 - share) * matrices[i] + share * matrices[i + 1]
 
 
-CONSISTENT = 1e-6  # by which slopes still change, relative
-DIRECT = 10  # rounds
+CONSISTENT = 1e-6  # relative change at which the iteration ends
+DIRECT = 10  # rounds with full steps
 MOST_ROUNDS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Equivalent:
-    """Linear vehicle that a vehicle is on average over a random road.
+    """Linear equivalent of a vehicle with curves over a random road.
 
     Attributes:
         vehicle: without curves.
-        mean: of the output signals that have one, by name [the signal's unit].
-        rounds: number of iterations to consistency; 0 without curves.
-        remainder: parts of the curves beyond their lines, or None without a consistent one.
+        mean: nonzero means of output signals, by name [the signal's unit].
+        rounds: number of iterations; 0 without curves.
+        remainder: of the curves beyond their lines, or None if its iteration does not converge.
     """
 
     vehicle: Vehicle
@@ -258,8 +263,7 @@ class Equivalent:
 
 
 def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float) -> Equivalent | None:
-    """Returns the linear vehicle in place of one with curves, or None if its loop becomes unstable or the iteration does not
-    converge.
+    """Returns the linear equivalent of a vehicle, or None if its loop is unstable or the iteration does not converge.
 
     Args:
         road: the spectrum of the road.
@@ -280,13 +284,13 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
         moments = [averages(one.curve, m, s) for one, m, s in zip(curves, means, deviations, strict=True)]
         of_line = np.array([shared[name] for name in names])
         outputs = _mean_outputs(linear, controller, pulls, np.array([force for force, _ in moments]) - of_line * means)
-        found, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
-        if np.all(np.abs(found - slopes) <= CONSISTENT * np.abs(found).max()) and np.all(
+        new_slopes, shifted = np.array([slope for _, slope in moments]), np.array([outputs[signal] for signal in signals])
+        if np.all(np.abs(new_slopes - slopes) <= CONSISTENT * np.abs(new_slopes).max()) and np.all(
             np.abs(shifted - means) <= CONSISTENT * (np.abs(shifted) + deviations)
         ):
             return _with_remainder(Equivalent(linear, outputs, rounds), controller, road, timestep, pulls, signals, of_line)
-        step = 1.0 if rounds < DIRECT else 1 / 4  # where it overshoots, as with a spring that a controller all but cancels
-        slopes, means = slopes + step * (found - slopes), means + step * (shifted - means)
+        step = 1.0 if rounds < DIRECT else 1 / 4  # full steps overshoot if a controller nearly cancels a spring
+        slopes, means = slopes + step * (new_slopes - slopes), means + step * (shifted - means)
     return None
 
 
@@ -299,7 +303,7 @@ def _with_remainder(
     signals: list[str],
     slopes: Array,
 ) -> Equivalent:
-    """With what the curves have beyond their lines, where that is consistent."""
+    """Adds the remainders of the curves, if their iteration converges."""
     cut = continuous(line.vehicle, controller)
     poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
     fastest = float(np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)]).max(initial=0.0))
@@ -310,30 +314,31 @@ def _with_remainder(
 
     index, means = np.array([line.vehicle.linear_model.outputs.index(signal) for signal in signals]), line.mean
     began = np.array([means[signal] for signal in signals])
-    found = remainder(line.vehicle, controller, road, timestep, fastest, pulls, index, began, slopes, resting)
-    if found is not None:
-        means = _mean_outputs(line.vehicle, controller, pulls, found.mean_force)
-    return replace(line, mean={name: value for name, value in means.items() if value}, remainder=found)
+    beyond = remainder(line.vehicle, controller, road, timestep, fastest, pulls, index, began, slopes, resting)
+    if beyond is not None:
+        means = _mean_outputs(line.vehicle, controller, pulls, beyond.mean_force)
+    return replace(line, mean={name: value for name, value in means.items() if value}, remainder=beyond)
 
 
 def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     """Describes the expectation of a vehicle with curves in sentences; empty without curves."""
     if not line.rounds:
         return []
-    found = line_object(vehicle, line)
-    slopes = [f"{name} {slope:.4g}, not {vehicle.parameters[name]:.4g} as at rest" for name, slope in found["slopes"].items()]
-    means = [f"{name} is {1e3 * mean:.3g} mm on average" for name, mean in found["mean"].items()]
-    beyond = "with what the curves have beyond them to second order" if line.remainder else "without what they have beyond them"
+    record = line_object(vehicle, line)
+    slopes = [f"{name} {slope:.4g}, not {vehicle.parameters[name]:.4g} as at rest" for name, slope in record["slopes"].items()]
+    means = [f"{name} is {1e3 * mean:.3g} mm on average" for name, mean in record["mean"].items()]
+    beyond = "with the remainders of the curves to second order" if line.remainder else "without the remainders of the curves"
     return [
-        "expected numbers are by statistical linearisation, of the lines that do on average over this road what the curves do, "
+        "expected numbers are by statistical linearisation, with the lines that fit the curves best over this road, "
         f"{beyond}: " + "; ".join([*slopes, *means]),
         "so they are approximate: rms and dynamic load to about 1 % for digressive dampers and progressive springs, to 3 % with "
-        "friction, or other sharp bends at rest; energy to 5 %",
+        "friction, or other sharp bends at rest; vdv to 4 %, energy to 5 %, crest to 8 %",
+        "if wheels leave the road, errors are larger: vdv up to 8 %, crest, travel and forces up to 15 %",
     ]
 
 
 def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
-    """The same as JSON has it, SI units."""
+    """Returns the equivalent line for JSON, in SI units."""
     names = dict.fromkeys(one.parameter for one in vehicle.fitted if len(one.curve.pieces.slope))
     travels = [one.deflection for one in vehicle.kind.suspensions]
     return {
@@ -345,7 +350,7 @@ def line_object(vehicle: Vehicle, line: Equivalent) -> dict[str, Any]:
 
 
 def _deviations(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, signals: list[str]) -> Array:
-    """Standard deviation of some output signals of a linear vehicle over the road, shape (k,)."""
+    """Returns the standard deviations of output signals of a linear vehicle over the road, shape (k,)."""
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
     index = [vehicle.linear_model.outputs.index(name) for name in signals]
@@ -359,12 +364,12 @@ def _deviations(vehicle: Vehicle, controller: Controller, road: Spectrum, timest
 
 
 def _mean_outputs(vehicle: Vehicle, controller: Controller, pulls: Elements, forces: Array) -> dict[str, float]:
-    """Means of all output signals of a linear vehicle whose curves pull with these forces on average [N], shape (k,)."""
+    """Returns the means of all output signals of a linear vehicle under the mean forces of its curves [N], shape (k,)."""
     cut = continuous(vehicle, controller)
     push = np.zeros(len(cut.model.A))
     push[: len(pulls.push)] = pulls.push @ forces
     state = -np.linalg.lstsq(cut.model.A + cut.model.B @ cut.G, push)[0]
-    found = cut.model.C @ state + cut.model.D @ (cut.G @ state)
-    # At rest on average, nothing moves or accelerates.
+    means = cut.model.C @ state + cut.model.D @ (cut.G @ state)
+    # Velocities and accelerations have zero mean.
     still = {name for name in vehicle.linear_model.outputs if vehicle.kind.signal(name).unit not in ("m", "rad", "N")}
-    return {name: 0.0 if name in still else float(value) for name, value in zip(cut.model.outputs, found, strict=True)}
+    return {name: 0.0 if name in still else float(value) for name, value in zip(cut.model.outputs, means, strict=True)}

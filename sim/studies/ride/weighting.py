@@ -1,11 +1,11 @@
-"""The frequency weighting W_k of ISO 2631-1, analog and sampled, and the recursive filters that it is made of.
+"""The frequency weighting W_k of ISO 2631-1, analog and sampled, and its recursive filters.
 
-H(s) and its constants are those of `models/vehicle/filter.py`, where a design finds them as a weight, too.
+H(s) and its constants are those of `models/vehicle/filter.py`, which designs use as a weight, too.
 
-Sampled, it is H on the straight lines between samples (first-order hold), exactly: each pair of its poles is one recursion of
-second order, side by side. Lines between samples lose high frequencies, by d / (omega h)^2 with d = 2 - 2 cos(omega h). Before
-them stand seven taps, 1 + d/12 + d^2/90 + d^3/560, the series of arcsine squared, that give this back to (omega h)^8 / 3150. At
-80 Hz it is off by 3e-6 at 1 ms and by 1e-4 at 2 ms. At 5 ms, where 100 Hz is the end, it is 5 % high there, and 0.3 % at 40 Hz.
+The sampled filter is H with a first-order hold, exactly: one recursion of second order for each pair of poles, in parallel. The
+hold attenuates high frequencies by d / (omega h)^2 with d = 2 - 2 cos(omega h). A filter of seven taps, 1 + d/12 + d^2/90 +
+d^3/560, the series of arcsine squared, compensates for this up to (omega h)^8 / 3150. The error at 80 Hz is 3e-6 at 1 ms and 1e-4
+at 2 ms. At 5 ms it is 5 % at 100 Hz, the Nyquist frequency, and 0.3 % at 40 Hz.
 """
 
 from collections.abc import Sequence
@@ -16,31 +16,31 @@ import numpy as np
 from models.common.arrays import Array
 from models.vehicle.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
-FEW = 4  # signals; of more, vectors are faster than plain numbers, and worth half a second of imports
+FEW = 4  # signals, up to which plain numbers are faster than scipy, whose import takes half a second
 ORDER = 2
 
 
 def filtered(b: Array, a: Array, signals: Array, memory: Array) -> tuple[Array, Array]:
-    """Returns what `scipy.signal.lfilter` makes of signals, shape (N, T), and its memory after them, to the last bit.
+    """Returns filtered signals, shape (N, T), and the filter states after them, bit for bit as `scipy.signal.lfilter`.
 
     Args:
         b: numerator by powers of 1/z.
         a: denominator, which begins with 1, of second order at most and no longer than the numerator.
         signals: shape (N, T).
-        memory: before them, shape (N, len(b) - 1).
+        memory: filter states before them, shape (N, len(b) - 1).
     """
     if len(signals) > FEW:
         from scipy.signal import lfilter
 
         return lfilter(b, a, signals, zi=memory)
     rows = [_row(b, a, *pair) for pair in zip(signals, memory, strict=True)]
-    return np.stack([made for made, _ in rows]), np.stack([after for _, after in rows])
+    return np.stack([out for out, _ in rows]), np.stack([after for _, after in rows])
 
 
 def _row(b: Array, a: Array, signal: Array, memory: Array) -> tuple[Array, Array]:
-    """Returns the same of one signal: a transposed direct form, in the order of its sums.
+    """Returns one filtered signal and the states: a transposed direct form that adds in the same order.
 
-    After the first samples, which memory reaches, the taps beyond the order are sums of shifted signals.
+    After the first samples, which depend on the states, the taps beyond the order are sums of shifted signals.
     """
     reach = max(len(b) - 1, ORDER)
     taps, poles = np.pad(b, (0, reach + 1 - len(b))), np.pad(a, (0, reach + 1 - len(a))).tolist()
@@ -58,14 +58,14 @@ def _row(b: Array, a: Array, signal: Array, memory: Array) -> tuple[Array, Array
             before, last = last, ((older - before * a2) + newer - last * a1) + newest
             out.append(last)
         state = [0.0] * reach
-        for value, made in zip(signal[-reach:].tolist(), out[-reach:], strict=True):
-            _step(value, made, state, taps.tolist(), poles)
+        for value, known in zip(signal[-reach:].tolist(), out[-reach:], strict=True):
+            _step(value, known, state, taps.tolist(), poles)
     return np.array(out), np.array(state[: len(memory)])
 
 
-def _step(value: float, made: float | None, state: list[float], b: Sequence[float], a: Sequence[float]) -> float:
-    """Returns what comes out for a value, if that is not known, and changes the state in place."""
-    out = state[0] + b[0] * value if made is None else made
+def _step(value: float, known: float | None, state: list[float], b: Sequence[float], a: Sequence[float]) -> float:
+    """Updates the states in place by one sample; returns the output, computed unless it is known."""
+    out = state[0] + b[0] * value if known is None else known
     for i in range(len(state) - 1):
         state[i] = state[i + 1] + value * b[i + 1] - out * a[i + 1]
     state[-1] = value * b[-1] - out * a[-1]
@@ -83,26 +83,26 @@ POLES = ((F1, Q1), (F2, Q2), (F4, Q4), (F6, Q6))  # frequency [Hz] and quality o
 
 
 def wk(omega: Array) -> Array:
-    """W_k at angular frequencies above 0 [rad/s], complex, shape like omega."""
+    """Returns W_k at positive frequencies [rad/s], complex, shape like omega."""
     s = 1j * np.asarray(omega, dtype=float)
     return _zeros(s) / np.prod([_pair(s, f, q) for f, q in POLES], axis=0)
 
 
 def _zeros(s: Array) -> Array:
-    """Numerator of H(s): two zeros at 0, one at -w3, a pair at w5."""
+    """Returns the numerator of H(s): two zeros at 0, one at -w3, a pair at w5."""
     w2, w3, w4, w5, w6 = (2 * np.pi * f for f in (F2, F3, F4, F5, F6))
     return s**2 * (1 + s / w3) * (1 + s / (Q5 * w5) + (s / w5) ** 2) * (w5 / w6) ** 2 * (w2 * w4 * w6) ** 2
 
 
 def _pair(s: Array, f: float, q: float) -> Array:
-    """Denominator of H(s): one of its four factors."""
+    """Returns one of the four factors of the denominator of H(s)."""
     w = 2 * np.pi * f
     return s**2 + s * w / q + w**2
 
 
 @dataclass(frozen=True, eq=False)
 class SampledWk:
-    """W_k on samples, as four filters side by side whose outputs are summed; the sum is three samples late.
+    """W_k for sampled signals: four parallel filters whose outputs are summed, with a delay of three samples.
 
     Attributes:
         numerators: shape (4, 9), by powers of 1/z.
@@ -122,7 +122,7 @@ class SampledWk:
 
 
 def sampled_wk(timestep: float) -> SampledWk:
-    """W_k on samples a timestep [s] apart."""
+    """Returns W_k for samples a timestep [s] apart."""
     numerators, denominators = [], []
     for f, q in POLES:
         w = 2 * np.pi * f

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.loop_transfer import cut_sampled
+from sim.studies.stability.loop_transfer import sampled_loop_transfer
 from synth.controller.controller import Controller
 
 FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker
@@ -29,7 +29,7 @@ def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, dela
         timestep: [s].
         delay: in samples, at least 0.
     """
-    return rate_from_sample_to_sample(*cut_sampled(vehicle, controller, timestep), delay) / timestep
+    return rate_from_sample_to_sample(*sampled_loop_transfer(vehicle, controller, timestep), delay) / timestep
 
 
 def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> float:
@@ -54,12 +54,12 @@ def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -
         return np.concatenate([moved[-1] @ x + np.einsum("kij,kj->i", pushed, forces), asked.ravel()])
 
     if size <= FEW:
-        found = np.linalg.eigvals(np.stack([after(unit) for unit in np.eye(size)], axis=1))
+        poles = np.linalg.eigvals(np.stack([after(unit) for unit in np.eye(size)], axis=1))
     else:
         start = np.random.default_rng(0).standard_normal(size)
         operator = LinearOperator((size, size), matvec=after, dtype=float)  # pyright: ignore[reportCallIssue]
-        found = np.asarray(eigs(operator, LARGEST, v0=start, return_eigenvectors=False))
-    return math.log(_radius(found)) / delay
+        poles = np.asarray(eigs(operator, LARGEST, v0=start, return_eigenvectors=False))
+    return math.log(_radius(poles)) / delay
 
 
 def _radius(eigenvalues: Array) -> float:

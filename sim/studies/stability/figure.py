@@ -71,9 +71,9 @@ def margins_figure(
         ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
     ]
     predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
-    found = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    edges = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
     panels = []
-    for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, found, strict=True):
+    for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))

@@ -142,7 +142,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
         np.full(len(trials), np.inf),
         np.full(len(trials), True),
     )
-    found: dict[int, Growth] = {}
+    growths: dict[int, Growth] = {}
     course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
     for block in in_blocks(course):
         end = block.start + len(block.values)
@@ -155,10 +155,10 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
                 if growth is None and looks[end] >= SHORTEST:
                     growth = _growth(trials[i], loops[i], seen, timestep, looks[end])
                 if growth is not None:
-                    going[i], found[i] = False, growth
+                    going[i], growths[i] = False, growth
         if stopped() or not going.any():
             break
-    return found
+    return growths
 
 
 def _confirmed(

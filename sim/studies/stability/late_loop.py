@@ -12,7 +12,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.studies.stability.delayed import rate_from_sample_to_sample
-from sim.studies.stability.loop_transfer import cut_sampled
+from sim.studies.stability.loop_transfer import sampled_loop_transfer
 from synth.controller.controller import Controller
 
 
@@ -76,12 +76,12 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
     """
     how = vehicle.implementation
     held = steps_per_sample(how, timestep)
-    Phi, Gamma, G = cut_sampled(vehicle, controller, timestep, exponential=taylor4)
+    Phi, Gamma, G = sampled_loop_transfer(vehicle, controller, timestep, exponential=taylor4)
     memory = len(Phi) > len(vehicle.linear_model.states) + len(G) * (vehicle.limits.actuator_bandwidth is not None)
     if how.delay % 1 or (held > 1 and (how.delay or memory)):
         return None
     if undelayed is not None:
-        others = cut_sampled(vehicle, undelayed, timestep, exponential=taylor4)[2]
+        others = sampled_loop_transfer(vehicle, undelayed, timestep, exponential=taylor4)[2]
         if memory or others.shape != G.shape:
             return None
         Phi = Phi + Gamma @ others

@@ -29,7 +29,8 @@ class LoopTransfer:
         B: from the forces that act, shape (n, k).
         G: to the forces asked for, shape (k, n).
         H: to those from the forces that act, shape (k, k).
-        at_period: of a controller with states, the same sampled every so many seconds, see `cut_sampled`; None of a static one.
+        at_period: of a controller with states, the same sampled every so many seconds, see `sampled_loop_transfer`; None for
+            a static one.
     """
 
     A: Array
@@ -66,7 +67,7 @@ class LoopTransfer:
         return self.G @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(omega), *self.B.shape))) + self.H
 
 
-def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> LoopTransfer:
+def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> LoopTransfer:
     """The loop of a vehicle and its controller, cut at some actuators; with their lag, if the vehicle's have one."""
     law, model = controller.law.continuous(), with_lag(vehicle)
     C, D = model.rows(controller.measured)
@@ -85,11 +86,11 @@ def cut(vehicle: Vehicle, controller: Controller, actuators: Sequence[int]) -> L
         B[:, actuators] + B[:, others] @ through,
         G[actuators] + H[np.ix_(actuators, others)] @ closing,
         H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
-        functools.partial(cut_sampled, vehicle, controller, actuators=actuators),
+        functools.partial(sampled_loop_transfer, vehicle, controller, actuators=actuators),
     )
 
 
-def cut_sampled(
+def sampled_loop_transfer(
     vehicle: Vehicle,
     controller: Controller,
     period: float,

@@ -6,14 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.checks import Positive
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
+from sim.runs.run import sample_times
 from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import Trial, silent
-from sim.studies.stability.loop_transfer import cut, cut_sampled
+from sim.studies.stability.growth_test import LONGEST, Trial, silent
+from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
 from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, check_fits
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
@@ -119,7 +121,7 @@ def _close(predicted: float, found: float, within: float) -> bool:
 
 
 def find_margins(
-    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+    vehicle: Vehicle, controller: Controller, timestep: Positive, progress: Callable[[str], None] = silent
 ) -> dict[str, LoopMargins]:
     """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
 
@@ -132,6 +134,9 @@ def find_margins(
     Returns:
         The margins of all loops at once under ""; where there are several, also of each, with the others closed, by its force.
 
+    Raises:
+        InputError: the controller is another vehicle's, or the timestep is not allowed.
+
     Example:
         >>> from models import read_vehicle
         >>> from sim import find_margins
@@ -142,13 +147,15 @@ def find_margins(
         >>> f"delay {margins[''].predicted.delay:.3f} s predicted, {margins[''].delay.unstable:.3f} s found"
         'delay 0.087 s predicted, 0.088 s found'
     """
+    check_fits(vehicle, controller)
+    sample_times(vehicle, LONGEST, timestep)
     names = vehicle.linear_model.inputs
     loops = {"": list(range(len(names)))}
     if len(names) > 1:
         loops |= {name: [i] for i, name in enumerate(names)}
-    found = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
-    find_all(list(found.values()), timestep, progress)
-    return found
+    margins = {name: searches(vehicle, controller, actuators, timestep) for name, actuators in loops.items()}
+    find_all(list(margins.values()), timestep, progress)
+    return margins
 
 
 def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = silent) -> None:
@@ -161,7 +168,7 @@ def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[
 
 def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int], timestep: float) -> LoopMargins:
     """The predicted margins of the loop cut at some actuators, and the searches for them, not yet run."""
-    loop = cut(vehicle, controller, actuators)
+    loop = loop_transfer(vehicle, controller, actuators)
     predicted = margins(loop)
     mine = np.isin(np.arange(len(vehicle.linear_model.inputs)), actuators)
 
@@ -178,7 +185,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         return Trial(replace(vehicle, implementation=how), cut_out, rest if rest.law.acts else None)
 
     sampled = [
-        sampled_gain_crossings(*cut_sampled(vehicle, controller, step, actuators, taylor4)) for step in (timestep, timestep / 2)
+        sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step, actuators, taylor4))
+        for step in (timestep, timestep / 2)
     ]
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
     return LoopMargins(

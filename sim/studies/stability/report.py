@@ -16,11 +16,11 @@ NAME, CELL = 24, 12  # columns of a table of margins
 
 
 def margins_object(
-    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+    vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> dict[str, Any]:
     """The result as JSON has it: SI units, None for what is infinite or does not exist."""
-    loops = {name: _loop_object(one) for name, one in found.items() if name}
-    result = {"controller": controller.name, **_loop_object(found[""]), "loops": loops}
+    loops = {name: _loop_object(one) for name, one in margins.items() if name}
+    result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
     edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
     result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge
@@ -67,12 +67,12 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
 
 
 def margins_lines(
-    vehicle: Vehicle, controller: Controller, found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+    vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> list[str]:
     """Returns the margins of a loop, predicted and found, in lines for a terminal."""
     lines = []
-    for name, one in found.items():
-        lines += ["", *_loop_lines(_called(name, len(found)), one)]
+    for name, one in margins.items():
+        lines += ["", *_loop_lines(_called(name, len(margins)), one)]
         lines.append(_agreement(one.agrees))
     lines += ["", *_fragile_lines(vehicle, controller, fragile), _agreement(fragile.agrees)]
     if box is None:
@@ -101,9 +101,9 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     return [*_table(f"errors of {whose(predicted)}", rows), f"  {proved_text(predicted)}", f"  {rounded}"]
 
 
-def verdict(found: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
+def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
     """Returns the verdict on the predicted margins."""
-    wrong = [_called(name, len(found)) for name, one in found.items() if not one.agrees]
+    wrong = [_called(name, len(margins)) for name, one in margins.items() if not one.agrees]
     if not fragile.agrees:
         wrong.append(f"errors of {whose(fragile.predicted)}")
     if box is not None and not box.holds:

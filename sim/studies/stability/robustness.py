@@ -19,7 +19,7 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.runs.prediction import predict
-from sim.runs.run import judge, sample_times
+from sim.runs.run import compare_runs, sample_times
 from sim.studies.stability.growth_test import Trial, grow, silent
 from synth.analysis.norm import hinf_norm
 from synth.controller.controller import Controller
@@ -93,12 +93,12 @@ def robustness(
     others = [_with_factors(vehicle, corner) for corner in corners]
     trials = [Trial(other, controller) for controller in controllers for other in others]
     physics = zip(grow(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
-    found: list[Robustness | None] = []
+    results: list[Robustness | None] = []
     for controller in controllers:
         norm = functools.partial(_norm, vehicle, controller)
         factors, norms, worst, at = _worst(norm, varied)
         told = itertools.islice(physics, len(corners))
-        found.append(
+        results.append(
             Robustness(
                 varied=varied,
                 norm=worst,
@@ -111,7 +111,7 @@ def robustness(
                 norms=norms,
             )
         )
-    return found
+    return results
 
 
 def _norm(vehicle: Vehicle, controller: Controller, factors: Sequence[float]) -> float:
@@ -145,7 +145,7 @@ def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
     controllers, met = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
     predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, met, strict=True)]
     response = simulate(controllers, met, threads=0).response
-    return [run.agreement.agrees for run in judge(predictions, [response.run(i) for i in range(len(trials))])]
+    return [run.agreement.agrees for run in compare_runs(predictions, [response.run(i) for i in range(len(trials))])]
 
 
 def _changed(vehicle: Vehicle, factors: Sequence[float]) -> dict[str, float]:

@@ -122,7 +122,7 @@ def gain_crossings(loop: LoopTransfer) -> list[float]:
 
 
 def sampled_gain_crossings(Phi: Array, Gamma: Array, G: Array) -> list[float]:
-    """The same for the loop that is sampled, and holds the force between; arguments as `cut_sampled` returns them."""
+    """The same for the loop that is sampled, and holds the force between; arguments as `sampled_loop_transfer` returns them."""
     M, n = Gamma @ G, len(Phi)
     if n > MOST_QUADRATIC:
         return _sign_changes(lambda k: float(np.abs(np.linalg.eigvals(Phi + k * M)).max() - 1), FACTORS)
@@ -143,9 +143,9 @@ def crossovers(loop: LoopTransfer) -> tuple[Crossover, ...]:
     # hides solutions that a balanced one shows. A crossover is cheap to verify and a missing one is not, so a grid is
     # asked too.
     quadratic = not np.any(loop.H) and len(loop.A) <= MOST_QUADRATIC
-    found = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
+    candidates = [*_of_the_pencil(loop), *_of_the_pencil(loop.balanced())] if quadratic else []
     beyond = [Crossover(math.inf, 0.0)] if loop.comes_back >= 1 else []
-    return _by_delay([*beyond, *found, *_crossings_on_a_grid(loop)])
+    return _by_delay([*beyond, *candidates, *_crossings_on_a_grid(loop)])
 
 
 def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
@@ -159,13 +159,13 @@ def _of_the_pencil(loop: LoopTransfer) -> list[Crossover | None]:
         solutions = linalg.eigvals(*pencil)
     solutions = solutions[np.isfinite(solutions)]
 
-    found: list[Crossover | None] = []
+    candidates: list[Crossover | None] = []
     fastest = float(np.abs(np.linalg.eigvals(A + M)).max())
     for z in solutions[np.abs(np.abs(solutions) - 1) < 1e-4]:
         poles = np.linalg.eigvals(A + z * M)
         for pole in poles[(np.abs(poles.real) < 1e-3 * np.abs(poles)) & (poles.imag > 1e-6 * fastest)]:
-            found.append(_refined(loop, float(-np.angle(z)), complex(pole)))
-    return found
+            candidates.append(_refined(loop, float(-np.angle(z)), complex(pole)))
+    return candidates
 
 
 def _by_delay(candidates: Sequence[Crossover | None]) -> tuple[Crossover, ...]:
@@ -184,11 +184,11 @@ def _crossings_on_a_grid(loop: LoopTransfer) -> list[Crossover | None]:
     half = np.linalg.eigvals(loop.closed(np.exp(-1j * angles[: ANGLES // 2 + 1])))
     poles = np.concatenate([half, half[-2::-1].conj()])
     unstable = np.sum(np.real(poles) > 0, axis=1)
-    found = []
+    crossings = []
     for i in np.flatnonzero(np.diff(unstable)):
         nearest = poles[i][np.argsort(np.abs(poles[i].real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]]
-        found += [_refined(loop, float(angles[i]), complex(pole)) for pole in nearest if pole.imag > 0]
-    return found
+        crossings += [_refined(loop, float(angles[i]), complex(pole)) for pole in nearest if pole.imag > 0]
+    return crossings
 
 
 def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | None:
@@ -198,12 +198,12 @@ def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | Non
         poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
 
-    found: Any = optimize.root_scalar(
+    root: Any = optimize.root_scalar(
         lambda angle: nearest(angle).real, method="secant", x0=theta, x1=theta + 1e-6, xtol=1e-13, maxiter=30
     )
-    angle = float(found.root)
+    angle = float(root.root)
     reached = nearest(angle)
-    if not found.converged or abs(reached.real) > 1e-9 * abs(reached) or abs(angle - theta) > 1e-2:
+    if not root.converged or abs(reached.real) > 1e-9 * abs(reached) or abs(angle - theta) > 1e-2:
         return None
     return Crossover(reached.imag, angle % (2 * np.pi))
 

@@ -21,11 +21,11 @@ from models.common.arrays import Array
 from models.common.printed import percent
 from models.common.threads import cores, side_by_side
 from models.roads.load import Load
-from models.roads.loaded import Loaded
+from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.roads.road import Bump, Road, RoadInput
 from models.vehicle.vehicle import Vehicle
-from sim.linear.dampers import is_linear
+from sim.linear.dampers import is_linear, squarable
 from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response, sampled_responses
 from sim.linear.switched_response import switched_response
@@ -55,6 +55,7 @@ class Cells:
         predicted_time: the same [s], shape (N,).
         used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, E).
         edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
+        ran_away: True where the run broke off as the states of its law ran away, shape (N,).
         missing: rms of the forces that adjustable dampers did not give in physics, over that of all that were asked of them at
             the samples, 0 where none was, NaN of a vehicle without any, shape (N,).
     """
@@ -68,6 +69,7 @@ class Cells:
     predicted_time: Array
     used: Array
     edge: Array
+    ran_away: Array
     missing: Array
 
     def counted(self, noun: str) -> str:
@@ -212,7 +214,7 @@ def _run(
         for worst, i, response, more in parts:
             np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column] - more).max(axis=0), out=worst)
         for given, missing in forces:
-            lost = block.values[:, missing]
+            lost = squarable(block.values[:, missing])
             squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
 
     scales = np.array([[unit.run(i).scale(unit.names[j]) or np.inf for j in outputs] for i in columns.values()])
@@ -236,6 +238,7 @@ def _run(
         predicted_time=times[:, 0].min(axis=-1),
         used=used,
         edge=np.any(predicted != predicted[:, :1], axis=1),
+        ran_away=watched.ran_away,
         missing=np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf)) if forces else np.full(count, np.nan),
     )
 
@@ -277,17 +280,17 @@ def _one_by_one(
 
 def _switched(controller: Controller, met: Sequence[RoadInput]) -> Response:
     """Responses with adjustable dampers, side by side."""
-    found = [switched_response(controller, road) for road in met]
-    return replace(found[0], values=np.stack([one.values for one in found]))
+    responses = [switched_response(controller, road) for road in met]
+    return replace(responses[0], values=np.stack([one.values for one in responses]))
 
 
 def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
     """A bump, with loads on the body where there are some."""
-    return Loaded(bump, loads) if loads else bump
+    return RoadWithLoads(bump, loads) if loads else bump
 
 
 def _not_run(bumps: Sequence[Bump]) -> Cells:
     count = len(bumps)
     unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
     zeros = np.zeros((count, len(END_NAMES)))
-    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, unknown)
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, no, unknown)

@@ -88,6 +88,8 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     ]
     if np.any(cells.first[done] == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
+    if cells.ran_away.any():
+        lines.append(f"  {share(cells.ran_away)}: the law's own states run away until it asks for no finite force")
     if cells.short:
         lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
         lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")

@@ -6,7 +6,8 @@ on edges. For all unit vectors u, v the largest singular value is at least Re u'
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 
 Of a discrete plant it is the landscape of the continuous one that it is mapped to, over the same gains: frequencies are those of
-the map. What is measured there contains the force, and the gain that acts is (I - K Dyu)^-1 K.
+the map. What is measured there contains the force, as what an accelerometer reads does, and the gain that acts is
+(I - K Dyu)^-1 K.
 """
 
 import contextlib
@@ -125,14 +126,16 @@ MOST_ALIKE = 3  # singular values of one frequency that are looked at
 class Landscape:
     """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> None:
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, through: Array | None = None) -> None:
         """Args:
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
+        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         """
         where = mapped(plant, Cy, Dyw)
-        plant, Cy, self.Dyw, self.Dyu, self.before = where.plant, where.Cy, where.Dyw, where.Dyu, where.before
+        plant, Cy, self.Dyw, self.before = where.plant, where.Cy, where.Dyw, where.before
+        self.Dyu = where.Dyu if through is None else where.Dyu + through
         self.through = bool(np.any(self.Dyu))
         self.A, self.balancing = balance(plant.A)
         balancing = self.balancing
@@ -143,7 +146,10 @@ class Landscape:
         self.shape = (self.B.shape[1], len(self.Cy))
         columns, rows = np.linalg.norm(self.B, axis=0), np.linalg.norm(self.Cy, axis=1)
         rate = float(np.linalg.norm(self.A, 2)) or 1.0
-        self.scale = rate / np.outer(np.where(columns > 0, columns, 1.0), np.where(rows > 0, rows, 1.0))
+        columns = np.where(columns > 0, columns, 1.0)
+        of_forces = np.linalg.norm(self.Dyu * rate / columns, axis=1)  # readings of forces alone
+        rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
+        self.scale = rate / np.outer(columns, rows)
         self.peaks: list[float] = []
         self.last: tuple[bytes, Loop] | None = None
         self.last_ports: tuple[bytes, Ports] | None = None

@@ -50,21 +50,21 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
         fall = float(slope @ direction)
         if not fall < 0:
             break
-        low, high, length, found = 0.0, np.inf, 1.0, None
+        low, high, length, accepted = 0.0, np.inf, 1.0, None
         for _ in range(15):
             allowed = value + 1e-4 * length * fall
             there, its_slope = function(x + length * direction, allowed)
             if its_slope is None or not there <= allowed:
                 high = length
             else:
-                found = (length, there, its_slope)
+                accepted = (length, there, its_slope)
                 if its_slope @ direction >= 0.5 * fall:
                     break
                 low = length
             length = (low + high) / 2 if np.isfinite(high) else 2 * length
-        if found is None:
+        if accepted is None:
             break
-        length, there, its_slope = found
+        length, there, its_slope = accepted
         step, change = length * direction, its_slope - slope
         curvature = float(step @ change)
         if curvature > 0:
@@ -135,14 +135,14 @@ def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Arr
         if not fall > 1e-10:
             depth, failures = depth / 4, failures + 1
             continue
-        found, length, corrected = cuts[:0], 1.0, False
+        beyond, length, corrected = cuts[:0], 1.0, False
         while length > 1e-3:
             allowed = height * (1 - 1e-2 * length * fall)
             there, where = landscape.norm(x + length * step, allowed)
             if there <= allowed:
                 break
             if np.isfinite(there) and np.isfinite(where):  # what rose there is missing in the model
-                found = found + landscape.cuts(x + length * step, np.array([where]), there)
+                beyond = beyond + landscape.cuts(x + length * step, np.array([where]), there)
                 if not corrected:
                     # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
                     corrected = True
@@ -153,7 +153,7 @@ def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Arr
                         break
             length *= 0.3
         else:
-            damping, failures, kept = 10 * damping, failures + 1, kept + found
+            damping, failures, kept = 10 * damping, failures + 1, kept + beyond
             hessian = hessian * 10
             continue
 
@@ -162,7 +162,7 @@ def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Arr
             if further > there - 0.1 * length * fall * height:
                 break
             length, there = 3 * length, further
-        failures, kept = (0 if length > 0.05 else failures), found
+        failures, kept = (0 if length > 0.05 else failures), beyond
         damping = max(damping / 4, 1e-8) if length >= 1 else damping * 2
         step = length * step
         omega = landscape.summits(x + step, there * (1 - depth))

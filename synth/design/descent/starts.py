@@ -44,13 +44,13 @@ def survey(landscape: Landscape, limit: Array) -> list[Array]:
         limit: largest entries, shape (m q,).
     """
     generator, count = np.random.default_rng(SEED), _count(landscape)
-    found = []
+    samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
         points = _directions(generator, count, landscape.shape) * 10.0 ** (decade + generator.random((count, 1)))
         best = lowest(landscape, points[np.all(np.abs(points) <= limit, axis=1)])
         if best is not None:
-            found.append(best)
-    return found
+            samples.append(best)
+    return samples
 
 
 def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: int) -> Array | None:
@@ -114,7 +114,7 @@ def projected_starts(landscape: Landscape) -> list[Array]:
     noise = landscape.Bw @ landscape.Bw.T
     noise += EVERYWHERE * size(noise) * np.eye(n)
     weight = size(np.hstack([C, D])) ** 2
-    found = []
+    starts = []
     for counts in COUNTS:
         try:
             P = linalg.solve_continuous_are(
@@ -126,8 +126,8 @@ def projected_starts(landscape: Landscape) -> list[Array]:
         except (np.linalg.LinAlgError, ValueError):
             continue
         if np.all(np.isfinite(K)):
-            found.append(landscape.point_acting(K))
-    return found
+            starts.append(landscape.point_acting(K))
+    return starts
 
 
 STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of the plant, that is stable enough to start from
@@ -150,9 +150,9 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
         if start not in starts:
             continue
         x = np.clip(x, -0.5 * limit, 0.5 * limit)
-        found = stabilise(landscape, x, limit, patient=start % 2 == 1)
-        if found is not None:
-            yield found
+        stable = stabilise(landscape, x, limit, patient=start % 2 == 1)
+        if stable is not None:
+            yield stable
 
 
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:

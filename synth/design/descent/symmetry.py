@@ -69,10 +69,10 @@ class Symmetry:
             return float(np.log(np.sum(alike(t) ** 2)))
 
         nothing = np.zeros(len(self.R))
-        start, found = log_size(nothing), optimize.minimize(log_size, nothing, method="BFGS")
-        other = self.landscape.point(alike(found.x))
+        start, minimum = log_size(nothing), optimize.minimize(log_size, nothing, method="BFGS")
+        other = self.landscape.point(alike(minimum.x))
         # The largest entry may be one that is the same in all; of no other may it be one.
-        smaller = found.fun < start and np.abs(alike(found.x)).max() <= np.abs(K).max() * (1 + SAME)
+        smaller = minimum.fun < start and np.abs(alike(minimum.x)).max() <= np.abs(K).max() * (1 + SAME)
         norm, moved = self.landscape.norm(x)[0], self.landscape.norm(other)[0]
         same = abs(moved - norm) <= 1e-9 * min(moved, norm)  # rounding where the units differ much
         return other if smaller and same else x

@@ -1,6 +1,6 @@
 """The other ways to design a controller, by the names that a vehicle file has for them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,8 @@ def named_design(
     states: Sequence[str],
     noise: Sequence[float] | None,
     Dyw: Array | None,
+    stable: bool,
+    as_run: Callable[[LinearLaw], LinearLaw],
 ) -> NamedDesign:
     """Designs a controller by one of these methods.
 
@@ -46,19 +48,21 @@ def named_design(
         lower_bound: for controllers from these measurements.
         noise: of each measurement, for "lqg", see `lqg_design`; None without noise.
         Dyw: shape (q, r), for "full" and "h2"; None for zero.
+        stable: True for a law that is stable by itself, for "full".
+        as_run: returns a law as it is run, see `full_order_design`.
 
     Raises:
         InputError, InfeasibleError, DesignError: as `full_order_design` and `quadratic_design`.
     """
     if name == "full":
-        full = full_order_design(plant, Cy, Dyw, lower_bound, states)
+        full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
-    found = quadratic_design(name, plant, Cy, states, noise, Dyw)
+    quadratic = quadratic_design(name, plant, Cy, states, noise, Dyw)
     # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.
     heard = {"lqg": noise, "h2": Dyw}.get(name)
     beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
     best = (
-        f"the best in the mean: H2 norm {found.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
+        f"the best in the mean: H2 norm {quadratic.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
         f"{beside[name] if heard is not None and np.any(heard) else ''}"
     )
-    return NamedDesign(found.law, found.certificate, (best, *([found.remark] if found.remark else [])))
+    return NamedDesign(quadratic.law, quadratic.certificate, (best, *([quadratic.remark] if quadratic.remark else [])))

@@ -9,12 +9,13 @@ A discrete plant is designed as the continuous one that it is mapped to.
 """
 
 import contextlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import Positive
 from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
@@ -23,7 +24,8 @@ from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, obstacles
 from synth.design.descent.refine import refine
-from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, Traded, chosen, leading
+from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, chosen, leading
+from synth.design.full_order.stable import stable_laws
 from synth.design.static import LARGEST_GAIN, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.augmented import on_larger_plant
@@ -68,7 +70,7 @@ SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
-def descents(search: RiccatiSearch, start: Traded | None, fastest: float) -> list[Traded]:
+def descents(search: RiccatiSearch, start: TradeOffPoint | None, fastest: float) -> list[TradeOffPoint]:
     """Returns the results of descents: a static gain, and a law of the start's order; empty if the plant is too large.
 
     Args:
@@ -76,7 +78,7 @@ def descents(search: RiccatiSearch, start: Traded | None, fastest: float) -> lis
         start: the law to descend from, or None.
         fastest: largest pole, times the plant's own speed.
     """
-    own, found = search.own, list[Traded | None]()
+    own, points = search.own, list[TradeOffPoint | None]()
     n, (q, m) = len(own.plant.A), (len(own.Cy), own.plant.B.shape[1])
     if (n + m) * (n + q) > MOST:
         return []
@@ -84,19 +86,19 @@ def descents(search: RiccatiSearch, start: Traded | None, fastest: float) -> lis
     largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
         gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw).gain
-        found.append(search.judged(0.0, static_law(gain)))
+        points.append(search.judged(0.0, static_law(gain)))
         # Where that is too fast the best that is not lies before it, on the way from no control.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
         slower = [each for each in fractions if each is not None and each.speed_up <= fastest]
-        found.append(min(slower, key=lambda each: each.norm, default=None))
+        points.append(min(slower, key=lambda each: each.norm, default=None))
     if start is not None and start.own.states:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             larger, G = on_larger_plant(own.plant, own.Cy, start.own)
             noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))])
             gain = refine(larger, G.Cy, G.K, noise).gain
             law = LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
-            found.append(search.judged(0.0, law))
-    return [each for each in found if each is not None]
+            points.append(search.judged(0.0, law))
+    return [each for each in points if each is not None]
 
 
 DEADBEAT = 4.0  # over dt: so fast is z = -1/3 on the map, and z = 0 half as fast; whatever sets a force in each sample can follow
@@ -117,7 +119,7 @@ class FullOrderDesign:
 
     law: LinearLaw
     certificate: Certificate
-    trade: tuple[Traded, ...]
+    trade: tuple[TradeOffPoint, ...]
     remark: str
     stable: bool
 
@@ -129,7 +131,9 @@ def full_order_design(
     Dyw: Array | None = None,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    fastest: float = FASTEST,
+    fastest: Positive = FASTEST,
+    stable: bool = False,
+    as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
 ) -> FullOrderDesign:
     """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
 
@@ -141,11 +145,13 @@ def full_order_design(
         states: names of the states, for messages.
         fastest: times the plant's own speed; faster loops are taken only where no slower one is stable. Of a discrete plant
             deadbeat is never too fast.
+        stable: True for a law that is stable by itself.
+        as_run: returns a law as it is run, for a law that takes forces out of what it reads.
 
     Raises:
         InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
         InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: no law was found whose loop is stable beyond rounding.
+        DesignError: no law was found whose loop is stable beyond rounding, or none that is stable by itself.
 
     Example:
         >>> from synth import GeneralizedPlant, full_order_design
@@ -154,7 +160,7 @@ def full_order_design(
         ... )
         >>> design = full_order_design(oscillator, Cy=[[0, 1]])
         >>> design.law.states, f"{design.certificate.norm.value:.3f}", design.stable
-        (1, '0.250', True)
+        (2, '0.250', True)
     """
     Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
     check_posed(plant)
@@ -166,7 +172,7 @@ def full_order_design(
     if plant.dt is not None:
         fastest = max(fastest, DEADBEAT / plant.dt / search.fastest)
 
-    def proved(best: Traded, trade: Sequence[Traded]) -> FullOrderDesign:
+    def proved(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> FullOrderDesign:
         reduced = search.reduced(best)
         law = reduced.law if plant.dt is None else discrete_law(reduced.law, where, plant.dt)
         certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), below, by_itself=plant)
@@ -175,33 +181,71 @@ def full_order_design(
         remark = _remark(reduced, trade, below.gamma, fastest)
         return FullOrderDesign(law, certificate, tuple(trade), remark, is_stable(law.A, plant.dt))
 
-    lost = list[Exception]()
-    near = search.near(fastest)
-    if near is not None:
-        try:
-            return proved(near, ())
-        except (InputError, np.linalg.LinAlgError) as error:
-            lost.append(error)
-    trade = leading(search.trade(fastest))
-    best = chosen(trade, fastest)
-    if lost or best is None or best.norm > below.gamma * (1 + WITHIN):
-        trade = leading([*trade, *descents(search, best, fastest)])
-    left = trade
-    while (best := chosen(left, fastest)) is not None:
-        try:
-            return proved(best, trade)
-        except (InputError, np.linalg.LinAlgError) as error:
-            lost.append(error)
-            left = [each for each in left if each is not best]
-    if lost:
-        raise DesignError(str(lost[0])) from lost[0]
+    def nearest() -> FullOrderDesign:
+        lost = list[Exception]()
+        near = search.near(fastest)
+        if near is not None:
+            try:
+                return proved(near, ())
+            except (InputError, np.linalg.LinAlgError) as error:
+                lost.append(error)
+        trade = leading(search.trade(fastest))
+        best = chosen(trade, fastest)
+        if lost or best is None or best.norm > below.gamma * (1 + WITHIN):
+            trade = leading([*trade, *descents(search, best, fastest)])
+        left = trade
+        while (best := chosen(left, fastest)) is not None:
+            try:
+                return proved(best, trade)
+            except (InputError, np.linalg.LinAlgError) as error:
+                lost.append(error)
+                left = [each for each in left if each is not best]
+        if lost:
+            raise DesignError(str(lost[0])) from lost[0]
+        raise DesignError(
+            "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
+            f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
+        )
+
+    def fits(each: TradeOffPoint) -> bool:
+        with contextlib.suppress(InputError):
+            return not as_run(each.law).growth and each.speed_up <= fastest
+        return False
+
+    unconstrained = nearest()
+    if not stable or not as_run(unconstrained.law).growth:
+        return unconstrained
+    laws = leading([each for each in (*stable_laws(search, fits, MOST), *descents(search, None, fastest)) if fits(each)])
+    numbers = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
+    undescended = f"; no descent: of a law of {numbers} numbers it would take too long, {MOST} are the most" * (numbers > MOST)
+    while (best := chosen(laws, fastest)) is not None:
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            own = proved(best, laws)
+            if not as_run(own.law).growth:
+                against = _against(own, unconstrained, as_run) + undescended
+                return replace(own, remark=f"{own.remark}; {against}" if own.remark else against)
+        laws = [each for each in laws if each is not best]
     raise DesignError(
-        "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
-        f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
+        f"no law was found that is stable by itself, only one that is not{undescended}; leave stable = true out, or measure more"
     )
 
 
-def _remark(best: Traded, trade: Sequence[Traded], bound: float, limit: float) -> str:
+def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
+    """Returns the price of a law that is stable by itself against one that is not, in words."""
+    norms = [each.certificate.norm.value for each in (own, other)]
+    share = norms[0] / norms[1] - 1
+    price = "at no price" if share <= WITHIN else f"its norm is {percent(share)} higher"
+    slowest = f", its slowest pole {_slowest(as_run(own.law)):.4g} 1/s" if own.law.states else ", without states"
+    return f"stable by itself{slowest}; against {norms[1]:.7g} of an unstable law (+{as_run(other.law).growth:.4g} 1/s) {price}"
+
+
+def _slowest(law: LinearLaw) -> float:
+    """Returns the real part of a law's slowest pole [1/s]."""
+    poles = np.linalg.eigvals(law.A)
+    return float(poles.real.max()) if law.sample_period is None else float(np.log(np.abs(poles).max()) / law.sample_period)
+
+
+def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float, limit: float) -> str:
     """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""

@@ -161,8 +161,8 @@ def quadratic_design(
             "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
             '"lqg" or "h2", or order = "full", or constant weights'
         )
-    found = lqr_design(plant, states)
-    return replace(found, law=static_law(np.linalg.solve(Cy.T, found.law.D.T).T))
+    lqr = lqr_design(plant, states)
+    return replace(lqr, law=static_law(np.linalg.solve(Cy.T, lqr.law.D.T).T))
 
 
 def h2_norm(loop: GeneralizedPlant) -> float:

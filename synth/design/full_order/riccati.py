@@ -196,7 +196,7 @@ SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have
 
 
 @dataclass(frozen=True, eq=False)
-class Traded:
+class TradeOffPoint:
     """A controller on the way to the best norm.
 
     Attributes:
@@ -221,14 +221,14 @@ class Traded:
         return not self.stable, self.speed_up
 
 
-def leading(found: Sequence[Traded]) -> list[Traded]:
+def leading(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
     """The controllers that no other beats in norm and speed, the slowest first."""
-    found = sorted(found, key=lambda each: (each.speed_up, each.norm))
-    norms = np.minimum.accumulate([np.inf, *(each.norm for each in found)])
-    return [each for each, least in zip(found, norms, strict=False) if each.norm < least]
+    points = sorted(points, key=lambda each: (each.speed_up, each.norm))
+    norms = np.minimum.accumulate([np.inf, *(each.norm for each in points)])
+    return [each for each, least in zip(points, norms, strict=False) if each.norm < least]
 
 
-def chosen(trade: Sequence[Traded], fastest: float) -> Traded | None:
+def chosen(trade: Sequence[TradeOffPoint], fastest: float) -> TradeOffPoint | None:
     """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
 
     Where all are, the slowest stands for the plant.
@@ -253,44 +253,44 @@ class RiccatiSearch:
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
 
-    def near(self, fastest: float) -> Traded | None:
+    def near(self, fastest: float) -> TradeOffPoint | None:
         """Returns the first controller by `trouble` within WITHIN of the bound and not too fast, or None."""
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
-        found = list[Traded]()
-        first = next((share for share in SHARES if self.reaches(target, share, target, found)), None)
+        points = list[TradeOffPoint]()
+        first = next((share for share in SHARES if self.reaches(target, share, target, points)), None)
         if first is not None:
             for reach, part in product(REACHES, AROUND):
-                self.reaches(target, first * part, target * (1 + reach), found)
-        slow = [each for each in found if each.speed_up <= fastest]
+                self.reaches(target, first * part, target * (1 + reach), points)
+        slow = [each for each in points if each.speed_up <= fastest]
         if not slow:
-            tried = self.slower(found, fastest)
+            tried = self.slower(points, fastest)
             slow = [each for each in tried if each.norm * self.own.norm <= target and each.speed_up <= fastest]
         return min(slow, key=lambda each: each.trouble, default=None)
 
-    def reaches(self, target: float, share: float, gamma: float, found: list[Traded]) -> bool:
-        """Appends the controller of a share for some gamma to `found` and returns True if its norm is at most the target."""
+    def reaches(self, target: float, share: float, gamma: float, points: list[TradeOffPoint]) -> bool:
+        """Appends the controller of a share for some gamma to `points` and returns True if its norm is at most the target."""
         each = self.traded(share, gamma)
         if each is None or each.norm * self.own.norm > target:
             return False
-        found.append(each)
+        points.append(each)
         return True
 
-    def trade(self, fastest: float) -> list[Traded]:
+    def trade(self, fastest: float) -> list[TradeOffPoint]:
         """Controllers of all shares and of some gamma, and without their poles beyond the fastest where they have such."""
-        found, gamma = list[Traded](), LARGEST
+        points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)
             if gamma < LARGEST:
                 tried = [self.traded(share, gamma * (1 + margin)) for margin in MARGINS]
-                found += [each for each in tried if each is not None]
-        return found + self.slower(found, fastest)
+                points += [each for each in tried if each is not None]
+        return points + self.slower(points, fastest)
 
-    def slower(self, found: Sequence[Traded], fastest: float) -> list[Traded]:
+    def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
         """Returns the too fast controllers without the fast poles of their laws, if their loops stay stable."""
-        left = list[Traded]()
-        for each, part in product([each for each in found if each.speed_up > fastest], PARTS):
+        left = list[TradeOffPoint]()
+        for each, part in product([each for each in points if each.speed_up > fastest], PARTS):
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 law = reduced_law(each.own, part * fastest * self.fastest / self.own.rate)
                 less = self.judged(each.share, law) if law.states < each.own.states else None
@@ -310,13 +310,13 @@ class RiccatiSearch:
                 low, guess = middle, 4 * guess
         return high
 
-    def traded(self, share: float, gamma: float) -> Traded | None:
+    def traded(self, share: float, gamma: float) -> TradeOffPoint | None:
         """Returns the controller of a share for some gamma, with its norm; None if it does not exist or is not stable."""
         with contextlib.suppress(InputError):  # infeasible, or an entry is too large for a law
             return self.judged(share, self.law(share, gamma))
         return None
 
-    def judged(self, share: float, law: LinearLaw) -> Traded | None:
+    def judged(self, share: float, law: LinearLaw) -> TradeOffPoint | None:
         """Returns a law in own units with the norm of its loop, or None if the loop is not stable.
 
         Raises:
@@ -325,14 +325,14 @@ class RiccatiSearch:
         own, back = self.own, self.own.back(law)
         larger, G = on_larger_plant(own.plant, own.Cy, law, own.Dyw)
         loop = larger.closed_loop(G)
-        found = stability(loop.A)
-        if not found.stable:
+        loop_stability = stability(loop.A)
+        if not loop_stability.stable:
             return None
-        poles = np.linalg.eigvals(beside_weights(self.given, loop.A)) if self.given.weights else found.poles
+        poles = np.linalg.eigvals(beside_weights(self.given, loop.A)) if self.given.weights else loop_stability.poles
         speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
-        return Traded(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
+        return TradeOffPoint(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
 
-    def reduced(self, best: Traded) -> Traded:
+    def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
         """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)

@@ -31,7 +31,8 @@ def in_band(posed: Posed, band: Band) -> Posed:
     before = append(*[band_filter(band)] * plant.Bw.shape[1])
     wide = with_weights(plant, gain(np.eye(len(plant.C))), before)
     Dyw = np.zeros((len(posed.Cy), plant.Bw.shape[1])) if posed.Dyw is None else posed.Dyw
-    return Posed(wide, np.hstack([posed.Cy, Dyw @ before.C]), None if posed.Dyw is None else Dyw @ before.D)
+    Cy = np.hstack([posed.Cy, Dyw @ before.C])
+    return Posed(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
 
 
 def band_filter(band: Band) -> System:

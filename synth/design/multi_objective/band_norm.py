@@ -34,6 +34,7 @@ class BandLandscape(Landscape):
         Dyw: Array | None,
         band: Band,
         like: Landscape | None = None,
+        through: Array | None = None,
     ) -> None:
         """Args:
         plant: n states, m inputs, r disturbances.
@@ -41,8 +42,9 @@ class BandLandscape(Landscape):
         Dyw: shape (q, r); zero where it is not given.
         band: from and to [rad/s].
         like: one whose points are the same gains; None for its own scales.
+        through: feedthrough from forces to measurements, shape (q, m); zero where it is not given.
         """
-        super().__init__(plant, Cy, Dyw)
+        super().__init__(plant, Cy, Dyw, through)
         self.band = band if plant.dt is None else (mapped_frequency(band[0], plant.dt), mapped_frequency(band[1], plant.dt))
         self.own = len(plant.A) - plant.weights
         if like is not None:

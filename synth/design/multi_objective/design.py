@@ -4,7 +4,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from models.common.arrays import Array
+from models.common.checks import check_shape
 from models.common.errors import InputError
 from synth.design.multi_objective.problem import Errors, GoalProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
@@ -37,14 +40,14 @@ class GoalDesign:
         No error that was found makes a loop unstable. If the proof is too large, as for many errors of a large plant,
         `synth.design.uncertainty.worst_case.worst_norm` may prove it.
         """
-        tolerance, found = self.problem.tolerance, []
+        tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
             posed = member.posed[self.problem.minimise.which].unfiltered
             with up_to_rounding():
-                if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces):
+                if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces, posed.through):
                     continue
-            found.append(i)
-        return tuple(found)
+            members.append(i)
+        return tuple(members)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -94,13 +97,15 @@ def design_for_goals(
     """
     if any(posed.plant.dt is not None for member in problem.members for posed in member.posed) and problem.decay is not None:
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
+    for i, start in enumerate(starts := list(starts)):
+        check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
     search = MinimaxSearch(problem, told)
     try:
-        x, height, refused = search.result(starts, otherwise)
+        x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
         kept = search.interrupted()
         if kept is None:
             raise
-        x, height = kept
-        raise Interrupted(GoalDesign(search.full.gain(x), height.goal, None, tuple(search.met), problem)) from error
-    return GoalDesign(search.full.gain(x), height.goal, refused, tuple(search.met), problem)
+        x, evaluation = kept
+        raise Interrupted(GoalDesign(search.full.gain(x), evaluation.goal, None, tuple(search.met), problem)) from error
+    return GoalDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.met), problem)

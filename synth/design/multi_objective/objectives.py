@@ -188,6 +188,8 @@ class EnergyPeak(Term):
         if not square > 0:
             return 0.0, np.zeros(len(x))
         # Half the slope of c P c': through the dynamics, through the signal, and through the noise of what is measured.
-        half = land.B.T @ Q @ P @ land.Cy.T + np.outer(self.signal.g, land.Cy @ P @ c) + land.B.T @ Q @ Bw @ land.Dyw.T
+        ports = land.ports(x)
+        moved = ports.B.T @ Q
+        half = moved @ P @ ports.Cy.T + np.outer(self.signal.g @ ports.after, ports.Cy @ P @ c) + moved @ Bw @ ports.Dyw.T
         value = self.signal.root * np.sqrt(square) / self.unit
         return value, (half * land.scale).ravel() * (value / square)

@@ -49,18 +49,18 @@ class RoadPeak(Term):
     def support(self, x: Array, value: float, depth: float) -> Support:
         """The signal at the times of its peaks, each with its sign."""
         _, y, slopes, ends = self._signal(x)
-        found, floor = [], (1 - max(depth, 0.2)) * value * self.unit
+        touching, floor = [], (1 - max(depth, 0.2)) * value * self.unit
         for sign in (1, -1):
             heights, where = self.response.between(sign * y, sign * slopes)
             around = np.concatenate([[0.0], heights, [0.0]])
             top = np.flatnonzero((heights >= floor) & (heights >= around[:-2]))
             top = top[heights[top] > around[top + 2]]
-            found += [(sign, float(where[k]), float(heights[k])) for k in top]
+            touching += [(sign, float(where[k]), float(heights[k])) for k in top]
         if len(ends) and np.abs(ends).max() >= floor:  # the highest at a kink
             i = int(np.abs(ends).argmax())
             piece = self.response.pieces[i]
-            found.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
-        return self._made(x, found, touching=True)
+            touching.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
+        return self._made(x, touching, touching=True)
 
     def again(self, x: Array, support: Support) -> Support:
         """The signal at the same times."""
@@ -68,25 +68,27 @@ class RoadPeak(Term):
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in support.cuts]
         return self._made(x, again, touching=False)
 
-    def _made(self, x: Array, found: Sequence[tuple[int, float, float]], touching: bool) -> Support:
+    def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Support:
         """The functions, with their slopes: the integral of what a change of the gain does to the signal at a time."""
-        slopes = np.zeros((len(found), *self.scale.shape))
-        for row, (sign, at, _) in zip(slopes, found, strict=True):
+        slopes = np.zeros((len(peaks), *self.scale.shape))
+        for row, (sign, at, _) in zip(slopes, peaks, strict=True):
             k = min(int(at), len(self.response.time) - 2)
             row += sign * ((1 - at + k) * self._moved(x, k) + (at - k) * self._moved(x, k + 1))
-        values = np.array([height for _, _, height in found]) / self.unit
-        slopes = (slopes * self.scale / self.unit).reshape(len(found), self.scale.size)
-        return Support(values, slopes, np.full(len(found), touching), list(found))
+        values = np.array([height for _, _, height in peaks]) / self.unit
+        slopes = (slopes * self.scale / self.unit).reshape(len(peaks), self.scale.size)
+        return Support(values, slopes, np.full(len(peaks), touching), list(peaks))
 
     def _moved(self, x: Array, k: int) -> Array:
         """Returns the gradient of the signal at a time by the entries of K, shape (m, q)."""
         states, _, _, _ = self._signal(x)
         (A, c), driven, h = self.driven.loop(self._gain(x)), self.driven, self.response.h
-        measured = states[: k + 1] @ driven.Cy.T
+        K = self._gain(x)
+        after = driven.after(K)
+        measured = states[: k + 1] @ (driven.Cy + driven.Dyu @ after @ K @ driven.Cy).T
         seen = free(A.T, c, h, k + 1)[::-1]  # of it by a state at each time before, shape (k + 1, n)
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
-        return ((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k])
+        return after.T @ (((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k]))
 
     def _gain(self, x: Array) -> Array:
         return x.reshape(self.scale.shape) * self.scale

@@ -3,10 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Annotated
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import AT_LEAST_ONE, Bound, Checked, Index, Matrix, NotNegative, Positive, Vector, check_shape
+from models.common.errors import InputError
+from models.laws.linear import static_law
+from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
 from synth.design.multi_objective.objectives import Decay, EnergyPeak, NormObjective, Signal, Term
@@ -16,7 +21,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 @dataclass(frozen=True, eq=False)
-class NormGoal:
+class NormGoal(Checked):
     """A norm in a band, of at most so much.
 
     Attributes:
@@ -24,38 +29,70 @@ class NormGoal:
         band: from and to [rad/s].
         at_most: the bound; infinite for what is minimised.
         name: in words.
+
+    Raises:
+        InputError: the band is empty, or a field is not allowed.
     """
 
-    which: int = 0
+    which: Index = 0
     band: Band = EVERYWHERE
-    at_most: float = np.inf
+    at_most: Bound = np.inf
     name: str = "norm"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_band(*self.band)
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class Posed(Checked):
     """A plant with one z, and what is measured of it.
 
     Attributes:
         plant: n states, m inputs.
         Cy: shape (q, n).
         Dyw: shape (q, r); None without noise.
+        through: feedthrough from forces to measurements, shape (q, m); None without it.
+
+    Raises:
+        InputError: a matrix does not fit the plant.
     """
 
     plant: GeneralizedPlant
-    Cy: Array
-    Dyw: Array | None = None
+    Cy: Matrix
+    Dyw: Matrix | None = None
+    through: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_shape("Cy", self.Cy, (len(self.Cy), len(self.plant.A)), "as the plant has so many states")
+        if self.Dyw is not None:
+            check_shape("Dyw", self.Dyw, (len(self.Cy), self.plant.Bw.shape[1]), "as Cy and the plant's disturbances say")
+        if self.through is not None:
+            check_shape("through", self.through, (len(self.Cy), self.plant.B.shape[1]), "as Cy and the plant's inputs say")
+
+    def acting(self, K: Array) -> Array:
+        """Returns the gain on C_y x + Dyw w that acts as K acts on readings, (I - K through)^-1 K, shape (m, q).
+
+        Raises:
+            InputError: that loop has no solution.
+        """
+        return K if self.through is None else static_law(K).fed_back(self.through).D
+
+    def on_readings(self, G: Array) -> Array:
+        """Returns the gain on readings that acts as G acts on C_y x + Dyw w: the inverse of `acting`."""
+        return G if self.through is None else static_law(G).fed_back(-self.through).D
 
     @property
     def unfiltered(self) -> "Posed":
         """The loops whose stability a gain decides: without the filters, whose states are the last."""
         plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
         alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
-        return Posed(alone, self.Cy[:, own], self.Dyw)
+        return Posed(alone, self.Cy[:, own], self.Dyw, self.through)
 
 
 @dataclass(frozen=True, eq=False)
-class Member:
+class Member(Checked):
     """A plant of a family, with its signals.
 
     Attributes:
@@ -64,13 +101,13 @@ class Member:
         signals: signals of the first of `posed` with a bound for roads of given energy.
     """
 
-    posed: tuple[Posed, ...]
+    posed: Annotated[tuple[Posed, ...], AT_LEAST_ONE]
     driven: tuple[Driven, ...] = ()
     signals: tuple[Signal, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class Errors(Checked):
     """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
 
     Attributes:
@@ -78,8 +115,8 @@ class Errors:
         forces: shape (m,).
     """
 
-    sensors: Array
-    forces: Array
+    sensors: Vector
+    forces: Vector
 
     @property
     def key(self) -> bytes:
@@ -92,11 +129,12 @@ class Errors:
         if np.all(u == 1) and np.all(y == 1):
             return posed
         plant = replace(plant, B=plant.B * u, D=plant.D * u)
-        return Posed(plant, y[:, None] * posed.Cy, None if posed.Dyw is None else y[:, None] * posed.Dyw)
+        Dyw = None if posed.Dyw is None else y[:, None] * posed.Dyw
+        return Posed(plant, y[:, None] * posed.Cy, Dyw, None if posed.through is None else y[:, None] * posed.through * u)
 
 
 @dataclass(frozen=True, eq=False)
-class GoalProblem:
+class GoalProblem(Checked):
     """The problem of minimising over K the largest norm over members and errors, within bounds.
 
     Attributes:
@@ -109,17 +147,38 @@ class GoalProblem:
         tolerance: the largest errors.
         structure: mask of the entries of K that may be nonzero, shape (m, q).
         bests: individual optima of the members, to minimise the largest ratio to them; None to minimise the largest norm.
+
+    Raises:
+        InputError: the parts do not fit one another.
     """
 
-    members: tuple[Member, ...]
+    members: Annotated[tuple[Member, ...], AT_LEAST_ONE]
     minimise: NormGoal
     tolerance: Errors
-    structure: Array
+    structure: Matrix
     norms: tuple[NormGoal, ...] = ()
-    decay: float | None = None
-    peaks: tuple[float, ...] = ()
-    gain: float | None = None
-    bests: tuple[float, ...] | None = None
+    decay: NotNegative | None = None
+    peaks: tuple[Bound, ...] = ()
+    gain: Positive | None = None
+    bests: tuple[Positive, ...] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        plant, Cy = self.members[0].posed[0].plant, self.members[0].posed[0].Cy
+        m, q = plant.B.shape[1], len(Cy)
+        check_shape("structure", self.structure, (m, q), "as a plant has so many inputs, and so many signals are measured")
+        check_shape("tolerance.sensors", self.tolerance.sensors, (q,), "one for each measured signal")
+        check_shape("tolerance.forces", self.tolerance.forces, (m,), "one for each input")
+        for name, members in (("peaks", [len(member.driven) for member in self.members]), ("bests", [len(self.members)])):
+            given = getattr(self, name)
+            if given is not None and any(len(given) != count for count in members):
+                raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each that it is about")
+        fewest = min(len(member.posed) for member in self.members)
+        for goal in (self.minimise, *self.norms):
+            if goal.which >= fewest:
+                raise InputError(
+                    f"norm {goal.name!r} has which = {goal.which}, and a member has {fewest} posed; give one of these"
+                )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -144,12 +203,12 @@ class GoalProblem:
         free = np.flatnonzero(sides)
         if not len(free) or 2 ** len(free) > most:
             return []
-        found = []
+        vertices = []
         for signs in product((-1.0, 1.0), repeat=len(free)):
             error = np.zeros(m + q)
             error[free] = signs * sides[free]
-            found.append(Errors(error[:q], error[q:]))
-        return found
+            vertices.append(Errors(error[:q], error[q:]))
+        return vertices
 
     def alone(self, i: int) -> "GoalProblem":
         """The same for one member by itself."""
@@ -158,7 +217,7 @@ class GoalProblem:
     def landscape(self, i: int, which: int, band: Band, errors: Errors, like: Landscape | None) -> BandLandscape:
         """Returns the landscape of a member's plant with errors."""
         posed = errors.on(self.members[i].posed[which])
-        return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like)
+        return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like, posed.through)
 
     def nominal(self) -> BandLandscape:
         """Returns the landscape of the first member without errors, which defines the points of all."""

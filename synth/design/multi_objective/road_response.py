@@ -44,10 +44,10 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x, and the signal c x + g u + f z that is bounded.
+    """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x + Dyu u, and the signal c x + g u + f z that is bounded.
 
     Attributes:
-        A, B, Cy, Bw, Br: shapes (n, n), (n, m), (q, n), (n, r), (n, r).
+        A, B, Cy, Dyu, Bw, Br: shapes (n, n), (n, m), (q, n), (q, m), (n, r), (n, r).
         c, g, f: of the signal, shapes (n,), (m,), (r,).
         drive: the road.
         name: of the signal and the road, in words.
@@ -56,6 +56,7 @@ class Driven:
     A: Array
     B: Array
     Cy: Array
+    Dyu: Array
     Bw: Array
     Br: Array
     c: Array
@@ -65,9 +66,16 @@ class Driven:
     name: str = "a peak"
 
     def loop(self, K: Array) -> tuple[Array, Array]:
-        """A + B K C_y and c + g K C_y."""
-        G = K @ self.Cy
+        """Returns A + B G and c + g G with G = (I - K Dyu)^-1 K C_y."""
+        G = self.after(K) @ K @ self.Cy
         return self.A + self.B @ G, self.c + self.g @ G
+
+    def after(self, K: Array) -> Array:
+        """Returns (I - K Dyu)^-1, shape (m, m); NaN where the loop through the measurements has no solution."""
+        try:
+            return np.linalg.inv(np.eye(len(K)) - K @ self.Dyu)
+        except np.linalg.LinAlgError:
+            return np.full((len(K), len(K)), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +136,11 @@ class Response:
             for side in (-1, 1):
                 edges |= {float(kink) + side * self.h * 0.5**i for i in range(1, SMALLER)}
         ordered = sorted(edge for edge in edges if start <= edge <= end)
-        found = []
+        intervals = []
         for left, right in pairwise(ordered):
             nodes = self._nodes(np.array([left]), np.array([right - left]))[0]
-            found.append(QuadratureInterval(k, left, right - left, nodes, left in kinks or right in kinks))
-        return found
+            intervals.append(QuadratureInterval(k, left, right - left, nodes, left in kinks or right in kinks))
+        return intervals
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
         """Heights at the nodes of steps, shape (T, NODES, r)."""
@@ -256,8 +264,8 @@ def step_for(rate: float, share: float, end: float) -> float:
 
 def free(A: Array, x: Array, h: float, count: int) -> Array:
     """exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
-    found, power = x[None], linalg.expm(A * h)
-    while len(found) < count:
-        found = np.concatenate([found, found @ power.T])
+    responses, power = x[None], linalg.expm(A * h)
+    while len(responses) < count:
+        responses = np.concatenate([responses, responses @ power.T])
         power = power @ power
-    return found[:count]
+    return responses[:count]

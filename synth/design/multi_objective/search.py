@@ -1,4 +1,4 @@
-"""The gain of least height within its bounds, from many starts.
+"""The gain of the least goal within its bounds, from many starts.
 
 - Starts that make no loop unstable are ranked, and a few of the best go down some rounds; the best of these goes to its end.
 - Without a bound on the gain it grows by stages, as in `synth.design.descent.refine`, as long as that is worth it.
@@ -21,7 +21,7 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
 from synth.design.multi_objective.peak import RoadPeak, largest_over_road
 from synth.design.multi_objective.problem import Errors, GoalProblem, decay, terms_with
-from synth.design.multi_objective.sqp import KEPT, Height, Terrain, descend
+from synth.design.multi_objective.sqp import KEPT, Evaluation, MinimaxProblem, descend
 from synth.design.multi_objective.worst_case import WorstErrors
 from synth.plant.numerics import DesignError
 
@@ -75,63 +75,67 @@ class MinimaxSearch:
     def __init__(self, problem: GoalProblem, told: Told) -> None:
         self.problem, self.full = problem, problem.nominal()
         self.told = told
-        self.least: tuple[Array, Height] | None = None
+        self.least: tuple[Array, Evaluation] | None = None
         self.sure: Array | None = None  # the last point that was asked for its errors, and is stable with all that were met
         self.worst = WorstErrors(problem)
         self.stable_starts: list[Array] = []
         self.rate = problem.decay or 0.0  # rad/s
         self.free = np.flatnonzero(problem.structure.ravel())
         self.met = problem.corners(MOST_VERTICES)
-        self.terrain = self.terrain_of([problem.none, *self.met])
+        self.minimax = self.minimax_problem([problem.none, *self.met])
 
-    def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height, float | None]:
+    def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
         """The whole search: where it ended, and what it refused, as `GoalDesign` has it."""
-        x, height = self.best(starts, otherwise)
+        x, evaluation = self.best(starts, otherwise)
         refused = None
         for _ in range(TURNS):
-            if not height.within:
-                x, height = self.admitted(x)
-            x, height, refused = self.staged(x, height)
-            if self.least is not None and (not height.within or self.cost(*self.least) < self.cost(x, height)):
-                x, height = self.least
-            if not self.sharpened(x, height) and not self.drawn_tighter(x):
+            if not evaluation.within:
+                x, evaluation = self.admitted(x)
+            x, evaluation, refused = self.staged(x, evaluation)
+            if self.least is not None and (not evaluation.within or self.cost(*self.least) < self.cost(x, evaluation)):
+                x, evaluation = self.least
+            if not self.sharpened(x, evaluation) and not self.drawn_tighter(x):
                 break
             self.least = None  # of fewer errors
-            x, height = self.stable(x)
-        if not height.within:
-            x, height = self.admitted(x)
-        if not height.within:
+            x, evaluation = self.stable(x)
+        if not evaluation.within:
+            x, evaluation = self.admitted(x)
+        if not evaluation.within:
             raise DesignError(self.in_the_way(x))
         if self.worst.unstable(self.full.gain(x)):  # new ones again, turn after turn
             raise DesignError(UNSTABLE)
-        return x, height, refused
+        return x, evaluation, refused
 
-    def interrupted(self) -> tuple[Array, Height] | None:
+    def interrupted(self) -> tuple[Array, Evaluation] | None:
         """Returns the best feasible point that no error found so far destabilises, or None."""
         for x in (self.least[0] if self.least is not None else None, self.sure):
-            if x is not None and (height := self.terrain.height(x)).within and not self.worst.unstable(self.full.gain(x)):
-                return x, height
+            if x is not None and (evaluation := self.minimax.evaluate(x)).within and not self.worst.unstable(self.full.gain(x)):
+                return x, evaluation
         return None
 
-    def noted(self, x: Array) -> Height:
-        """The height of a point, which is remembered if it is the best within all bounds."""
-        height = self.terrain.height(x)
-        self.remember(x, height)
-        return height
+    def noted(self, x: Array) -> Evaluation:
+        """The evaluation of a point, which is remembered if it is the best within all bounds."""
+        evaluation = self.minimax.evaluate(x)
+        self.remember(x, evaluation)
+        return evaluation
 
-    def remember(self, x: Array, height: Height) -> None:
+    def remember(self, x: Array, evaluation: Evaluation) -> None:
         """Takes a point for the least, if it is the best within all bounds."""
-        if height.within and np.isfinite(height.goal) and (self.least is None or self.cost(x, height) < self.cost(*self.least)):
-            self.least = x, height
+        if (
+            evaluation.within
+            and np.isfinite(evaluation.goal)
+            and (self.least is None or self.cost(x, evaluation) < self.cost(*self.least))
+        ):
+            self.least = x, evaluation
 
     def norms(self) -> list[NormObjective]:
         """The minimised norms of all loops."""
-        return [term for term in self.terrain.goals if isinstance(term, NormObjective)]
+        return [term for term in self.minimax.goals if isinstance(term, NormObjective)]
 
-    def moved(self, x: Array, height: Height) -> None:
+    def moved(self, x: Array, evaluation: Evaluation) -> None:
         """Takes note of a new point."""
-        self.remember(x, height)
-        self.told(height.goal, height.within)
+        self.remember(x, evaluation)
+        self.told(evaluation.goal, evaluation.within)
 
     def limit(self, gain: float | None) -> Array:
         """The largest entries of a point."""
@@ -139,26 +143,26 @@ class MinimaxSearch:
             return np.full(self.full.scale.size, LARGEST_GAIN)
         return self.full.point(np.full(self.full.shape, gain))
 
-    def terrain_of(self, errors: Sequence[Errors]) -> Terrain:
+    def minimax_problem(self, errors: Sequence[Errors]) -> MinimaxProblem:
         """All terms, for some errors."""
-        return Terrain(*terms_with(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
+        return MinimaxProblem(*terms_with(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
         """Directions that the structure allows, in which all count alike, shape (N, free)."""
         return directions(self.full, x, self.free)
 
-    def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Height]:
+    def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation]:
         """The best of the starts, some rounds further down."""
         points = self.points(starts)
         points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
         given = {x.tobytes() for x in points}
-        points += [np.where(self.problem.structure.ravel(), x, 0.0) for x in survey(self.full, self.terrain.limit)]
+        points += [np.where(self.problem.structure.ravel(), x, 0.0) for x in survey(self.full, self.minimax.limit)]
         ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
         if not self.rate:
             usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may be the best by being slow
             self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
-            self.terrain.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
+            self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
             self.least = None  # it may be slower
         self.sure = ranked[0]
         return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
@@ -184,54 +188,54 @@ class MinimaxSearch:
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
         """The points of gains, as far as structure and limit allow them."""
-        limit, mask = self.terrain.limit, self.problem.structure
+        limit, mask = self.minimax.limit, self.problem.structure
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
-    def glanced(self, x: Array) -> tuple[Array, Height]:
+    def glanced(self, x: Array) -> tuple[Array, Evaluation]:
         """Descends for a few iterations. If the gain is unbounded, it may at most double."""
-        whole = self.terrain.limit
+        whole = self.minimax.limit
         if self.problem.gain is None:
-            self.terrain.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
+            self.minimax.limit = np.minimum(whole, 2 * float(np.abs(x).max()) or 1.0)
         try:
             return self.down(x, GLANCE)
         finally:
-            self.terrain.limit = whole
+            self.minimax.limit = whole
 
-    def cost(self, x: Array, height: Height) -> float:
+    def cost(self, x: Array, evaluation: Evaluation) -> float:
         """Lower is better: a gain twice as large has to be worth it, where nothing bounds it."""
         growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
-        return float(np.log(max(self.rank(height), 1e-300)) + WORTH * growth)
+        return float(np.log(max(self.rank(evaluation), 1e-300)) + WORTH * growth)
 
-    def admitted(self, x: Array) -> tuple[Array, Height]:
+    def admitted(self, x: Array) -> tuple[Array, Evaluation]:
         """A point within all bounds, or as near to that as the search comes."""
-        terrain = self.terrain
-        terrain.limit = self.limit(self.problem.gain)
-        bounds = Terrain(terrain.bounds, [], terrain.limit)
-        others = sorted(self.stable_starts, key=lambda start: bounds.height(start).goal)
-        best, least = x, bounds.height(x)
+        minimax = self.minimax
+        minimax.limit = self.limit(self.problem.gain)
+        bounds = MinimaxProblem(minimax.bounds, [], minimax.limit)
+        others = sorted(self.stable_starts, key=lambda start: bounds.evaluate(start).goal)
+        best, least = x, bounds.evaluate(x)
         for start in (x, *others[:ENTERED]):
             for _ in range(3):
                 start, near = descend(bounds, start, self.coordinates(start), ROUNDS, enough=1.0)
                 if near.goal < least.goal:
                     best, least = start, near
                 if near.goal <= 1:
-                    return best, terrain.height(best)
-        return best, terrain.height(best)
+                    return best, minimax.evaluate(best)
+        return best, minimax.evaluate(best)
 
-    def stable(self, x: Array) -> tuple[Array, Height]:
+    def stable(self, x: Array) -> tuple[Array, Evaluation]:
         """Returns the point, or another at which all loops are stable, also with the errors added since."""
         sure = [] if self.sure is None else [self.sure]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
                 moved = move(start)
-                height = self.terrain.height(moved)
-                if np.isfinite(height.goal):
-                    return moved, height
+                evaluation = self.minimax.evaluate(moved)
+                if np.isfinite(evaluation.goal):
+                    return moved, evaluation
         raise DesignError(UNSTABLE)
 
-    def rank(self, height: Height) -> float:
+    def rank(self, evaluation: Evaluation) -> float:
         """Lower is better."""
-        return height.goal * (1 + RANK * max(height.excess, 0.0))
+        return evaluation.goal * (1 + RANK * max(evaluation.excess, 0.0))
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
         """Returns the stabilising points by increasing cost, without duplicates."""
@@ -246,45 +250,45 @@ class MinimaxSearch:
     def stabilised(self, x: Array) -> Array:
         """A point further down the largest real part of a pole of any loop."""
         moved = downhill_to_stability([term.landscape for term in self.norms()], x, self.free)
-        return np.clip(moved, -self.terrain.limit, self.terrain.limit)
+        return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
-    def down(self, x: Array, rounds: int) -> tuple[Array, Height]:
+    def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
         """A descent."""
-        return descend(self.terrain, x, self.coordinates(x), rounds, self.moved)
+        return descend(self.minimax, x, self.coordinates(x), rounds, self.moved)
 
-    def staged(self, x: Array, height: Height) -> tuple[Array, Height, float | None]:
+    def staged(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
         """A descent to its end: at once where the gain is bounded, else in stages of growth, as long as each is worth it."""
         if self.problem.gain is not None:
-            return *self.settled(x, height), None
+            return *self.settled(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
         dearest = max(size, DEAREST)
         for stage in range(STAGES):
-            self.terrain.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
-            moved, there = self.settled(x, height)
+            self.minimax.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
+            moved, there = self.settled(x, evaluation)
             growth = float(np.abs(moved).max()) / size
-            before = self.rank(height)
+            before = self.rank(evaluation)
             bought = 1 - self.rank(there) / before if before > 0 else 0.0
-            if stage and bought < WORTH and there.within == height.within:
-                return x, height, bought if bought > 1e-6 else None
-            x, height, size = moved, there, max(size, float(np.abs(moved).max()))
+            if stage and bought < WORTH and there.within == evaluation.within:
+                return x, evaluation, bought if bought > 1e-6 else None
+            x, evaluation, size = moved, there, max(size, float(np.abs(moved).max()))
             if stage and growth <= 1 + 1e-6:
                 break
-        return x, height, None
+        return x, evaluation, None
 
-    def settled(self, x: Array, height: Height) -> tuple[Array, Height]:
+    def settled(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
         """Descents, each in coordinates of its own, until one gains nothing."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
-            if not self.rank(there) < self.rank(height) * (1 - 1e-6):
-                return (moved, there) if self.rank(there) < self.rank(height) else (x, height)
-            x, height = moved, there
-        return x, height
+            if not self.rank(there) < self.rank(evaluation) * (1 - 1e-6):
+                return (moved, there) if self.rank(there) < self.rank(evaluation) else (x, evaluation)
+            x, evaluation = moved, there
+        return x, evaluation
 
-    def sharpened(self, x: Array, height: Height) -> bool:
+    def sharpened(self, x: Array, evaluation: Evaluation) -> bool:
         """Looks for gain errors that worsen the point, activates them and returns True if there were any."""
         if not self.problem.has_errors:
             return False
-        worst = self.worst.beyond(self.full.gain(x), height.goal, self.rate)
+        worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)
         fresh = self.fresh(errors for beyond, errors in worst if beyond > 1 + MET)
         if not self.worst.unstable(self.full.gain(x)):
             self.sure = x
@@ -300,13 +304,13 @@ class MinimaxSearch:
         """Activates the errors: adds their objectives and bounds to the problem."""
         self.met += errors
         goals, bounds = terms_with(self.problem, self.full, errors, self.rate)
-        self.terrain.goals += goals
-        self.terrain.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
+        self.minimax.goals += goals
+        self.minimax.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
     def drawn_tighter(self, x: Array) -> bool:
         """Recomputes the road peaks accurately. Tightens each bound that is exceeded and returns True if there was one."""
         tighter = False
-        for term in self.terrain.bounds:
+        for term in self.minimax.bounds:
             if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
                 passed = largest_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
                 if 1 < passed < 2:
@@ -316,5 +320,5 @@ class MinimaxSearch:
 
     def in_the_way(self, x: Array) -> str:
         """Returns the message with the bounds that the search could not keep, and by how much."""
-        passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.terrain.passed(x).items())
+        passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.minimax.passed(x).items())
         return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"

@@ -1,4 +1,4 @@
-"""The way down a terrain, and within its bounds: sequential quadratic programming for a minimax problem with an exact penalty.
+"""Descent on a minimax problem within its bounds: sequential quadratic programming with an exact penalty.
 
 While bounds are exceeded, a share of the excess is added (an exact penalty). At a factor larger than what a bound costs, the
 least of the sum is the least of the goals within the bounds. A sum of two maxima is the maximum over pairs, so that the model
@@ -22,8 +22,8 @@ KEPT = 1e-9  # relative: what is passed by less is kept, as bounds are drawn tig
 
 
 @dataclass(frozen=True)
-class Height:
-    """The merit of a point.
+class Evaluation:
+    """Goal and violation of the bounds at a point.
 
     Attributes:
         goal: the largest value of a goal; infinite if a loop is unstable.
@@ -52,11 +52,11 @@ class Model:
     bounds: tuple[tuple[int, Support], ...]
 
 
-class Terrain:
-    """The terms of a problem.
+class MinimaxProblem:
+    """Minimisation of the largest of some terms, under bounds on others.
 
     Attributes:
-        goals: what is minimised is the largest of them.
+        goals: the largest of them is minimised.
         bounds: none of them may exceed 1.
         limit: the largest entries of a point, shape (N,).
     """
@@ -78,7 +78,7 @@ class Terrain:
             known[key] = value
         return known[key]
 
-    def height(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Height:
+    def evaluate(self, x: Array, above: float = np.inf, penalty: float = 0.0) -> Evaluation:
         """Returns the merit of a point.
 
         Args:
@@ -89,13 +89,13 @@ class Terrain:
         for term in self.goals:
             goal = max(goal, self.value(term, x, above))
             if goal > above:
-                return Height(goal, excess)
+                return Evaluation(goal, excess)
         for term in self.bounds:
             most = above / goal - 1 if goal > 0 else np.inf  # of penalty times excess
             excess = max(excess, self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1)
             if penalty * excess > most:
                 break
-        return Height(goal, excess)
+        return Evaluation(goal, excess)
 
     def passed(self, x: Array) -> dict[str, float]:
         """The bounds that a point passes, by name, and by how much, relative, the worst first."""
@@ -104,13 +104,13 @@ class Terrain:
             excess.setdefault(term.name, term.value(x) - 1)
         return {name: share for name, share in excess.items() if share > KEPT}
 
-    def model(self, x: Array, height: Height, depth: float) -> Model:
+    def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
         """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
         goals, bounds = [], []
         for i, term in enumerate(self.goals):
             value = self.value(term, x)
-            if value >= height.goal * (1 - depth):
-                goals.append((i, term.support(x, value, 1 - height.goal * (1 - depth) / value if value > 0 else depth)))
+            if value >= evaluation.goal * (1 - depth):
+                goals.append((i, term.support(x, value, 1 - evaluation.goal * (1 - depth) / value if value > 0 else depth)))
         for i, term in enumerate(self.bounds):
             value = self.value(term, x)
             if value >= 1 - 3 * depth:
@@ -139,14 +139,14 @@ MOST_PAIRS = 400
 
 
 def descend(
-    terrain: Terrain,
+    minimax: MinimaxProblem,
     x: Array,
     M: Array,
     rounds: int,
-    told: Callable[[Array, Height], None] = lambda x, height: None,
+    told: Callable[[Array, Evaluation], None] = lambda x, evaluation: None,
     enough: float = 0.0,
     settled: float = -np.inf,
-) -> tuple[Array, Height]:
+) -> tuple[Array, Evaluation]:
     """Descends from a point at which all loops are stable, within the bounds if the start is or a way there is found.
 
     Args:
@@ -156,32 +156,32 @@ def descend(
         enough: of the goal; it ends there.
         settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
     """
-    walk = _Walk(terrain, x, M, settled)
+    walk = _Walk(minimax, x, M, settled)
     with up_to_rounding():  # of a loop on the border of stability
         for _ in range(rounds):
-            if walk.height.goal <= enough or not walk.step():
+            if walk.evaluation.goal <= enough or not walk.step():
                 break
-            told(walk.x, walk.height)
-    return walk.x, walk.height
+            told(walk.x, walk.evaluation)
+    return walk.x, walk.evaluation
 
 
 class _Walk:
     """The state of one descent."""
 
-    def __init__(self, terrain: Terrain, x: Array, M: Array, settled: float) -> None:
-        self.terrain, self.x, self.M, self.settled = terrain, x, M, settled
-        self.height = terrain.height(x)
-        if np.isfinite(self.height.goal) and self.height.goal > 0:  # a unit of t is of the size of a step
-            (_, s), (_, w) = self.linear(terrain.model(x, self.height, 1e-3))
+    def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float) -> None:
+        self.minimax, self.x, self.M, self.settled = minimax, x, M, settled
+        self.evaluation = minimax.evaluate(x)
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t is of the size of a step
+            (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
         self.hessian = 0.1 * np.eye(M.shape[1])
         self.kept: Model = Model((), ())
-        self.failures, self.recent = 0, [self.merit(self.height)]
+        self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
-    def merit(self, height: Height) -> float:
+    def merit(self, evaluation: Evaluation) -> float:
         """The goal with the penalty."""
-        return height.goal * (1 + self.penalty * max(height.excess, 0.0))
+        return evaluation.goal * (1 + self.penalty * max(evaluation.excess, 0.0))
 
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
         """The step of the model, the weights of its goals and bounds, and the fall that it promises."""
@@ -191,7 +191,7 @@ class _Walk:
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
         kept = np.argsort(-pairs)[:MOST_PAIRS]
-        t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.terrain.limit)
+        t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.minimax.limit)
         if not some.sum() > 0:
             raise np.linalg.LinAlgError("no function of the model counts")
         weights = np.zeros(len(pairs))
@@ -202,19 +202,19 @@ class _Walk:
 
     def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """The model's functions in the walk's coordinates, relative."""
-        n, goal = len(self.x), self.height.goal
+        n, goal = len(self.x), self.evaluation.goal
         (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
 
     def step(self) -> bool:
         """Performs one iteration. Returns True if another may follow."""
-        terrain, x, M = self.terrain, self.x, self.M
-        if self.failures > 8 or self.height.goal <= 1e-300:
+        minimax, x, M = self.minimax, self.x, self.M
+        if self.failures > 8 or self.evaluation.goal <= 1e-300:
             return False
         if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < FLAT * self.recent[-1]:
             return False
-        fresh = terrain.model(x, self.height, self.depth)
-        old = terrain.again(x, self.kept)
+        fresh = minimax.model(x, self.evaluation, self.depth)
+        old = minimax.again(x, self.kept)
         model = Model(fresh.goals + old.goals, fresh.bounds + old.bounds)
         goals, bounds = self.linear(model)
         _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
@@ -227,11 +227,11 @@ class _Walk:
             t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         if fall < self.settled:
             return False
-        here = self.merit(self.height)
+        here = self.merit(self.evaluation)
         if not fall > 1e-10:
             self.depth, self.failures = self.depth / 4, self.failures + 1
             return True
-        move, length, found, corrected = M @ t, 1.0, Model((), ()), False
+        move, length, beyond_model, corrected = M @ t, 1.0, Model((), ()), False
         while length > 1e-3:
             allowed = here * (1 - 1e-2 * length * fall)
             there = self.at(x + length * move, allowed)
@@ -240,10 +240,10 @@ class _Walk:
             if np.isfinite(there.goal) and not corrected:
                 # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
                 corrected = True
-                whole = terrain.height(x + move)
+                whole = minimax.evaluate(x + move)
                 if np.isfinite(whole.goal):
-                    beyond = terrain.model(x + move, whole, self.depth)
-                    found = beyond
+                    beyond = minimax.model(x + move, whole, self.depth)
+                    beyond_model = beyond
                     better = M @ self.lowest(*self.shifted(beyond, t))[0]
                     there = self.at(x + better, allowed)
                     if self.merit(there) <= allowed:
@@ -252,24 +252,24 @@ class _Walk:
             length *= 0.3
         else:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
-            self.kept = Model((self.kept.goals + found.goals)[-6:], (self.kept.bounds + found.bounds)[-6:])
+            self.kept = Model((self.kept.goals + beyond_model.goals)[-6:], (self.kept.bounds + beyond_model.bounds)[-6:])
             return True
-        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= terrain.limit):  # a minimum far away, or at infinity
+        while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
             needed = self.merit(there) - 0.1 * length * fall * here
             further = self.at(x + 3 * length * move, needed)
             if self.merit(further) > needed:
                 break
             length, there = 3 * length, further
-        self.failures, self.kept = (0 if length > 0.05 else self.failures), found
+        self.failures, self.kept = (0 if length > 0.05 else self.failures), beyond_model
         self.damping = max(self.damping / 4, 1e-8) if length >= 1 else self.damping * 2
-        self.x = np.clip(x + length * move, -terrain.limit, terrain.limit)
-        self.height = terrain.height(self.x)
-        self.recent.append(self.merit(self.height))
+        self.x = np.clip(x + length * move, -minimax.limit, minimax.limit)
+        self.evaluation = minimax.evaluate(self.x)
+        self.recent.append(self.merit(self.evaluation))
         return True
 
-    def at(self, x: Array, allowed: float) -> Height:
-        """The height of a point, as far as it matters."""
-        return self.terrain.height(x, allowed, self.penalty)
+    def at(self, x: Array, allowed: float) -> Evaluation:
+        """The evaluation of a point, as far as it matters."""
+        return self.minimax.evaluate(x, allowed, self.penalty)
 
     def shifted(self, model: Model, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Functions that were made at the end of a step t, seen from its start."""
@@ -280,8 +280,8 @@ class _Walk:
         """Returns the curvature of the functions that are active at the point, with the weights of the model."""
         total = np.zeros((len(self.x), len(self.x)))
         for terms, supports, weights, unit in (
-            (self.terrain.goals, fresh.goals, of_goals, self.height.goal),
-            (self.terrain.bounds, fresh.bounds, of_bounds, 1.0),
+            (self.minimax.goals, fresh.goals, of_goals, self.evaluation.goal),
+            (self.minimax.bounds, fresh.bounds, of_bounds, 1.0),
         ):
             start = 0
             for i, support in supports:

@@ -81,8 +81,8 @@ class WorstErrors:
         """Returns the worst errors of each member whose loop they destabilise."""
         if not len(self.free):
             return []
-        found = (self.slowest(i, K) for i in range(len(self.problem.members)))
-        return [errors for real, errors in found if not real < 0]
+        slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
+        return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, Errors]:
         """The largest real part of a pole of a member that a gain moves [rad/s], at vertices and inside, and the errors.
@@ -116,9 +116,9 @@ class WorstErrors:
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
         own = slice(landscape.own)
         A = landscape.A[own, own] + landscape.B[own] @ landscape.acting(points) @ landscape.Cy[:, own]
-        sound, found = np.all(np.isfinite(A), axis=(1, 2)), np.full(len(A), np.inf)
-        found[sound] = np.linalg.eigvals(A[sound]).real.max(axis=1)
-        return found
+        sound, slowest = np.all(np.isfinite(A), axis=(1, 2)), np.full(len(A), np.inf)
+        slowest[sound] = np.linalg.eigvals(A[sound]).real.max(axis=1)
+        return slowest
 
     def _acting(self, K: Array, signs: Array) -> Array:
         """(1 + forces) K (1 + sensors) for errors in units of their box, shapes (..., m, q) and (..., q + m)."""

@@ -161,9 +161,9 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
         ray = (inside.at - 1) / far
         amount = _edge(heights, ray, 0.0, far, level)
         errors = amount * ray
-    found = errors_of(gain, _at(gain, errors))
+    errors_at = errors_of(gain, _at(gain, errors))
     if len(box_of_all(gain, 1.0).free) > MOST:
-        return Borne(0.0, np.inf, amount, *found)
+        return Borne(0.0, np.inf, amount, *errors_at)
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     for smaller in tried if np.isfinite(amount) else (0.0, *tried):
         proved = min(amount, 1.0) * (1 - smaller)
@@ -172,8 +172,8 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
             climb(within, box)
         bound = LOOSELY * within.highest if np.isinf(level) else level
         if np.isfinite(bound) and proof_below(within, box, bound) is not None:
-            return Borne(proved, bound, amount, *found)
-    return Borne(0.0, np.inf, amount, *found)
+            return Borne(proved, bound, amount, *errors_at)
+    return Borne(0.0, np.inf, amount, *errors_at)
 
 
 def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Array]:
@@ -210,7 +210,7 @@ SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
 
 
 def fragility_object(
-    found: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
+    report: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
 ) -> dict[str, Any]:
     """Fragility as JSON has it: errors relative, None for what is infinite.
 
@@ -230,16 +230,16 @@ def fragility_object(
         }
 
     return {
-        "norm": found.norm,
-        "stable": borne(found.stable),
-        "within": [{"share": share, **borne(one)} for share, one in found.within.items()],
+        "norm": report.norm,
+        "stable": borne(report.stable),
+        "within": [{"share": share, **borne(one)} for share, one in report.within.items()],
         "rounding": {name: {"norm": finite(one.norm.value), "bound": one.bound} for name, one in rounding.items()},
     }
 
 
-def whose(found: Fragility) -> str:
+def whose(report: Fragility) -> str:
     """Returns the erroneous quantities in words."""
-    return "readings and forces" if len(found.stable.forces) > 1 else "readings"
+    return "readings and forces" if len(report.stable.forces) > 1 else "readings"
 
 
 def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> str:
@@ -248,23 +248,23 @@ def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> s
     return ", ".join(f"{name} {100 * error:+.4g} %" for name, error in named if abs(error) > NOTHING) or "none"
 
 
-def fragility_text(found: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
+def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
     """Returns the fragility of a law as a sentence."""
-    stable, text = found.stable, "fragile: "
+    stable, text = report.stable, "fragile: "
     if math.isfinite(stable.found):
-        text += f"unstable with {whose(found)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
+        text += f"unstable with {whose(report)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
     else:
-        text += f"no errors of {whose(found)} up to 100 % were found that make it unstable; "
-    return text + proved_text(found)
+        text += f"no errors of {whose(report)} up to 100 % were found that make it unstable; "
+    return text + proved_text(report)
 
 
-def proved_text(found: Fragility) -> str:
+def proved_text(report: Fragility) -> str:
     """Returns the proved margins in words."""
-    stable = found.stable
+    stable = report.stable
     text = "that it is stable with errors is not proved"
     if stable.proved:
         text = f"stable with each off by up to {100 * stable.proved:.4g} %, which is proved"
-    for share, one in found.within.items():
+    for share, one in report.within.items():
         beyond = f", and not at {100 * one.found:.4g} %" if math.isfinite(one.found) else ""
         text += f"; the norm within {100 * share:g} % "
         text += f"up to {100 * one.proved:.4g} %{beyond}" if one.proved else f"of errors is not proved{beyond}"

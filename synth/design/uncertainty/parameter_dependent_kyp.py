@@ -28,7 +28,7 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
         unit: about how large the bound is.
     """
     (n, r), d, V = gain.plant.Bw.shape, len(gain.plant.C), 2 ** len(box.free)
-    if V * (2 * n + r + d) ** 2 > MOST or not gain.posed(box) or not 0 < unit < np.inf:
+    if V * (2 * n + r + d) ** 2 > MOST or not gain.well_posed(box) or not 0 < unit < np.inf:
         return None
     for spare in SPARE:
         try:
@@ -36,8 +36,8 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
         except (DesignError, np.linalg.LinAlgError):
             continue
         tried = (replace(least, gamma=least.gamma * (1 + above)) for above in CLOSER)
-        if found := next((one for one in tried if one.holds(gain, box)), None):
-            return found
+        if proof := next((one for one in tried if one.holds(gain, box)), None):
+            return proof
     return None
 
 
@@ -72,8 +72,8 @@ def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, 
     S[:n, :n], S[n : 2 * n, n : 2 * n], S[2 * n :, 2 * n :] = inverse / rate, inverse, np.eye(r)
 
     def hermitian(parts: list, over: float) -> Array:
-        found = unit / over * np.stack([inverse.T @ np.asarray(part.value) @ inverse for part in parts])
-        return (found + found.conj().swapaxes(-1, -2)) / 2
+        matrices = unit / over * np.stack([inverse.T @ np.asarray(part.value) @ inverse for part in parts])
+        return (matrices + matrices.conj().swapaxes(-1, -2)) / 2
 
     of_w = unit / rate * inverse.T @ np.asarray(W.value) @ S
     return ParameterDependentKYP(

@@ -26,9 +26,11 @@ FASTER, CENTRES, NEAR = 8.0, 16, 1e-2  # of the path, as in `worst_case.py`
 LARGEST = 1e3  # of X, F and G, where the middle's X is I: the inequality is homogeneous, and they would grow without end
 
 
-def stable_with_errors(plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array) -> bool:
+def stable_with_errors(
+    plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array, through: Array | None = None
+) -> bool:
     """Returns True if the loop is proved stable for all errors; arguments as for `worst_norm`."""
-    gain = scaled_gain(plant, Cy, K)
+    gain = scaled_gain(plant, Cy, K, None, through)
     return stable_throughout(gain, box_of(gain, d, e)) is not None
 
 
@@ -50,11 +52,11 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
     while todo:
         part = todo.pop()
         try:
-            found = moving_x(gain, part)
+            proof = moving_x(gain, part)
         except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
-            found = None
-        if found is not None and found.holds(gain, part):
-            done.append((part, found))
+            proof = None
+        if proof is not None and proof.holds(gain, part):
+            done.append((part, proof))
         elif len(todo) + len(done) + 2 > PARTS or not len(part.free):
             return None
         else:
@@ -68,11 +70,11 @@ def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
         return np.inf
     for above in CLOSER:
         try:
-            found = moving_x(gain, box, met * (1 + above))
+            proof = moving_x(gain, box, met * (1 + above))
         except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
             continue
-        if found is not None and found.holds(gain, box):
-            return found.gamma
+        if proof is not None and proof.holds(gain, box):
+            return proof.gamma
     return np.inf
 
 
@@ -85,7 +87,7 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDepe
     Raises:
         LinAlgError: rounding leaves no answer.
     """
-    if not gain.posed(box):
+    if not gain.well_posed(box):
         return None
     everywhere, middle = gain.loops(box.corners), gain.loops(box.middle)
     if not np.all(np.linalg.eigvals(everywhere.A).real < 0) or not np.all(np.linalg.eigvals(middle.A).real < 0):
@@ -97,10 +99,10 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDepe
     inverse, unit = np.linalg.inv(T), gamma if whole else 1.0
     A, Bw, C, Dw = everywhere
     own = Loops(inverse @ A @ T / rate, inverse @ Bw / rate, C @ T / unit, Dw / unit)
-    found = _own_x(own, 1.0 if whole else np.inf)
-    if found is None:
+    start = _own_x(own, 1.0 if whole else np.inf)
+    if start is None:
         return None
-    X, F, G = (unit / rate * inverse.T @ matrix @ inverse for matrix in (found.X, found.F, found.G / rate))
+    X, F, G = (unit / rate * inverse.T @ matrix @ inverse for matrix in (start.X, start.F, start.G / rate))
     return ParameterDependentLyapunov((X + X.swapaxes(-1, -2)) / 2, F, G, gamma)
 
 

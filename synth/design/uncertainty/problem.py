@@ -3,6 +3,7 @@
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import Matrix, check, check_shape
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.uncertainty_box import Box, ScaledGain
@@ -26,6 +27,8 @@ def scaled_gain(
     Raises:
         InputError: a matrix has the wrong shape, or is not one of real finite numbers.
     """
+    if through is not None:
+        check_shape("through", check("through", through, Matrix), (len(Cy), plant.B.shape[1]), "signals, inputs")
     Cy, noise = measurement_matrices(plant, Cy, Dyw, through)
     (q, _), m = Cy.shape, plant.B.shape[1]
     law = law if isinstance(law, LinearLaw) else static_law(real_matrix(law, "K", f"({m}, {q})"))
@@ -53,8 +56,8 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
     """
     (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
     width = np.zeros(columns + rows)
-    width[:q] = _tolerance(d, q, "readings") * np.any(gain.K[:, :q], axis=0)
-    width[columns : columns + m] = _tolerance(e, m, "forces") * np.any(gain.K[:m], axis=1)
+    width[:q] = _tolerance(d, q, "d of readings") * np.any(gain.K[:, :q], axis=0)
+    width[columns : columns + m] = _tolerance(e, m, "e of forces") * np.any(gain.K[:m], axis=1)
     return Box(1 - width, 1 + width)
 
 
@@ -79,7 +82,7 @@ def _tolerance(value: Array | float, count: int, of: str) -> Array:
     try:
         width = np.array(np.broadcast_to(np.asarray(value, dtype=float), count))
     except (TypeError, ValueError):
-        raise InputError(f"the tolerance of {of} is {np.shape(value)} numbers; give one for all, or {count}") from None
+        raise InputError(f"the tolerance {of} is {np.shape(value)} numbers; give one for all, or {count}") from None
     if not np.all((width >= 0) & (width <= 1)):
-        raise InputError(f"a tolerance of {of} is {value}; give numbers from 0 to 1, relative: 0.1 is 10 % off at most")
+        raise InputError(f"a tolerance {of} is {value}; give numbers from 0 to 1, relative: 0.1 is 10 % off at most")
     return width

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import optimize
 
 from models.common.arrays import Array
+from models.common.checks import Positive
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of
@@ -78,7 +79,7 @@ class Heights:
         gain, landscape = self.gain, self.landscape
         K, q = gain.acting(factors), gain.K.shape[1]
         by_acting = landscape.slope(landscape.point(K), self._peak(factors)[1]).reshape(K.shape) / landscape.scale
-        after = np.linalg.inv(gain.back(gain.scaled(factors)))
+        after = np.linalg.inv(gain.return_difference(gain.scaled(factors)))
         by_scaled = after.T @ by_acting @ (np.eye(q) + gain.Dyu @ K).T * gain.K
         return np.concatenate([factors[q:] @ by_scaled, by_scaled @ factors[:q]])
 
@@ -184,10 +185,10 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
         if not len(failing):
             return X if highest.max() < 0 else None
         among = np.concatenate([among, failing[np.argsort(-highest[failing], kind="stable")[:JOIN]]])
-        found = _for_all(Loops(*(part[among] for part in everywhere)), X, eta)
-        if found is None:
+        improved = _for_all(Loops(*(part[among] for part in everywhere)), X, eta)
+        if improved is None:
             return None
-        X = found
+        X = improved
 
 
 def _highest(loops: Loops, X: Array, eta: float) -> Array:
@@ -320,7 +321,7 @@ def _x_for(heights: Heights, box: Box, eta: float) -> Array | None:
     """Returns an X that proves a bound on a box, or None if no X is found."""
     gain, level = heights.gain, eta**-0.5
     norm = heights.norm(box.middle)
-    if not norm < level or not gain.posed(box):
+    if not norm < level or not gain.well_posed(box):
         return None
     A, Bw, C, Dw = gain.loops(box.middle)
     loop = GeneralizedPlant(A, np.zeros((len(A), 0)), Bw, C, np.zeros((len(C), 0)), Dw)
@@ -384,7 +385,7 @@ def worst_norm(
     e: Array | float = 0.0,
     Dyw: Array | None = None,
     through: Array | None = None,
-    enough: float | None = None,
+    enough: Positive | None = None,
 ) -> WorstNorm:
     """The worst norm where each reading is off by up to +-d and each force by up to +-e, relative and each by itself.
 
@@ -424,5 +425,5 @@ def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
     proof = proof_near(heights, box)
     if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
         proof = proof_at(heights, box, enough) or proof
-    found = norm_at(gain, heights.at)
-    return WorstNorm(found, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)
+    largest = norm_at(gain, heights.at)
+    return WorstNorm(largest, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)

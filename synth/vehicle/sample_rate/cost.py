@@ -12,6 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.laws.linear import static_law
+from models.vehicle.combinations import goes
 from models.vehicle.controllers import IDEAL, ControllerEntry
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
@@ -22,7 +23,7 @@ from synth.controller.implementation_norm import norm_in_continuous_time, sample
 from synth.controller.open_loop import sampled
 from synth.design.sampled_data import held_design
 from synth.plant.numerics import DesignError
-from synth.vehicle.designer import Shared, supports
+from synth.vehicle.designer import SharedDesignData
 from synth.vehicle.sampled_data import held_problem
 
 SHORTEST = 1e-5  # s; a computer of 100 kHz is the fastest that is asked about
@@ -136,7 +137,7 @@ def cost(
         done: called with the number of finished periods.
     """
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)
-    near, found = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
+    near, rates = [ideal if 0 < ideal < np.inf else 1.0] * 2, []
     for i, period in enumerate(periods):
         both = []
         for k, samples in enumerate((0, delay)):
@@ -146,10 +147,10 @@ def cost(
         prompt, late = both
         again = period in designs and _in_two_steps(vehicle, controller)
         designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
-        found.append(AtRate(period, prompt, late, designed, why))
+        rates.append(AtRate(period, prompt, late, designed, why))
         done(i + 1)
     lost, lost_late = (lost_from(vehicle, controller, samples) for samples in (0, delay))
-    return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(found), lost, lost_late)
+    return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(rates), lost, lost_late)
 
 
 def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
@@ -161,7 +162,7 @@ def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: floa
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if the controller can be designed for a sampled loop, too: a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
-    own = entry is None or supports(entry, "rates")
+    own = entry is None or goes("rates", entry.parts)
     return own and controller.law.acts and not any(controller.hardware.noise)
 
 
@@ -180,4 +181,4 @@ def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
     """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset."""
     if controller.hardware == IDEAL:
         return controller.certificate.lower_bound
-    return Shared(vehicle).lower_bound(controller.measured).gamma or None
+    return SharedDesignData(vehicle).lower_bound(controller.measured).gamma or None

@@ -66,17 +66,17 @@ def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
             f"--front {quoted(asked)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
             f"{listing(AXES)}, a colon between them, e.g. ride:travel"
         )
-    found: list[Axis] = []
+    axes: list[Axis] = []
     for part in parts:
         name, equals, given = part.partition("=")
         if name not in AXES:
             raise InputError(f"--front: there is no axis {quoted(name)}; give two or three of {listing(AXES)}")
-        if any(axis.name == name for axis in found):
+        if any(axis.name == name for axis in axes):
             raise InputError(f"--front names {name} twice; give each axis once")
         if equals and name not in ("band", "tolerance"):
             raise InputError(f"--front {part}: {name} takes nothing behind it; only band=LOW-HIGH [Hz] and tolerance=PERCENT do")
-        found.append(AXES[name](vehicle, given if equals else None))
-    return tuple(found)
+        axes.append(AXES[name](vehicle, given if equals else None))
+    return tuple(axes)
 
 
 def _ride(vehicle: Vehicle, _: str | None) -> Axis:
@@ -134,8 +134,8 @@ AXES: Mapping[str, Callable[[Vehicle, str | None], Axis]] = {
 
 def _edges(given: str) -> tuple[float, float]:
     """A band [Hz] of a text like 4-8."""
-    found = re.fullmatch(f"({NUMBER})-({NUMBER})", given)
-    low, high = (float(part) for part in found.groups()) if found else (0.0, 0.0)
+    match = re.fullmatch(f"({NUMBER})-({NUMBER})", given)
+    low, high = (float(part) for part in match.groups()) if match else (0.0, 0.0)
     if not LOWEST <= low < high <= HIGHEST:
         raise InputError(
             f"--front band={given}: not a band; give where it begins and ends, from {LOWEST:g} to {HIGHEST:g} Hz, e.g. band=4-8"
@@ -145,24 +145,24 @@ def _edges(given: str) -> tuple[float, float]:
 
 def _accelerations(vehicle: Vehicle, axis: str) -> dict[str, float]:
     """Returns the body accelerations that `[performance]` weights, with their weights."""
-    found = {
+    weights = {
         name: weight
         for name, weight in vehicle.performance.items()
         if weight > 0 and name in vehicle.linear_model.outputs and vehicle.kind.signal(name).unit in ACCELERATIONS
     }
-    if not found:
+    if not weights:
         raise InputError(
             f"--front {axis} is of accelerations, and [performance] weighs none; weigh one there, or leave {axis} out"
         )
-    return found
+    return weights
 
 
 def _called(vehicle: Vehicle, axis: str, stem: str) -> dict[str, float]:
     """The signals whose names begin so, all of weight 1."""
-    found = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
-    if not found:
+    weights = {name: 1.0 for name in vehicle.linear_model.outputs if name == stem or name.startswith(f"{stem}_")}
+    if not weights:
         raise InputError(f"--front {axis} is of signals called {stem}, and this vehicle has none; leave {axis} out")
-    return found
+    return weights
 
 
 def _weighed(signals: Mapping[str, float]) -> str:
@@ -199,8 +199,8 @@ def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw
     """A law on an axis; infinite where its loop, or one with errors, is unstable."""
     posed = _posed(vehicle, axis, entry)
     if axis.off and len(entry.measured):
-        found = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
-        return AxisValue(found.found, found.proved, float("nan"))
+        worst = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
+        return AxisValue(worst.found, worst.proved, float("nan"))
     plant, G = posed.closed(law)
     band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
     if not band.stability.stable:
@@ -219,9 +219,9 @@ def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Lands
         InputError: the errors have too many vertices.
     """
     own = _posed(vehicle, axis, entry)
-    plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw), like.shape
+    plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw, own.through), like.shape
     off = (Errors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
-    return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like) for each in off]
+    return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like, each.through) for each in off]
 
 
 def _corners(axis: Axis, readings: int) -> list[Array]:

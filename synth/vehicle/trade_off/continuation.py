@@ -15,7 +15,7 @@ from synth.design.descent.starts import survey
 from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import NormObjective
 from synth.design.multi_objective.search import RANK, UNSTABLE, MinimaxSearch
-from synth.design.multi_objective.sqp import KEPT, Terrain, descend
+from synth.design.multi_objective.sqp import KEPT, MinimaxProblem, descend
 from synth.plant.numerics import DesignError
 
 GROWTH = 5.0  # times the largest entry of the first start: how far gains go where no bound of theirs says
@@ -28,13 +28,13 @@ NOTHING = 1e-9  # of an axis' norm elsewhere: what is less is zero
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
+class EvaluatedGain:
     """An evaluated gain.
 
     Attributes:
         x: of the landscape.
         values: of the axes, shape (K,).
-        excess: over the worst bound, relative; see `Height`.
+        excess: over the worst bound, relative; see `Evaluation`.
     """
 
     x: Array
@@ -58,12 +58,12 @@ class Trace:
         Raises:
             DesignError: no start makes the loop stable, or keeps the bounds.
         """
-        self.search, self.axes, self.met = search, axes, list[Met]()
+        self.search, self.axes, self.met = search, axes, list[EvaluatedGain]()
         points = search.points(starts)
         size = float(max((np.abs(x).max(initial=0.0) for x in points[:1]), default=0.0)) or 1.0
         if search.problem.gain is None:
-            search.terrain.limit = np.full(search.full.scale.size, GROWTH * size)
-        limit, mask = search.terrain.limit, search.problem.structure.ravel()
+            search.minimax.limit = np.full(search.full.scale.size, GROWTH * size)
+        limit, mask = search.minimax.limit, search.problem.structure.ravel()
         points += [0.5 * x for x in points] + [np.zeros(len(limit))]
         points += [np.where(mask, x, 0.0) for x in survey(search.full, limit)]
         for x in points:
@@ -79,16 +79,16 @@ class Trace:
             if self.met[-1].excess > KEPT:
                 raise DesignError(search.in_the_way(x))
 
-    def look(self, x: Array) -> Met | None:
+    def look(self, x: Array) -> EvaluatedGain | None:
         """Evaluates and stores a point. Returns None if its loop is unstable."""
         values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
         if not np.all(np.isfinite(values)):
             return None
-        excess = max((term.value(x) - 1 for term in self.search.terrain.bounds), default=-1.0)
-        self.met.append(Met(x, values, excess))
+        excess = max((term.value(x) - 1 for term in self.search.minimax.bounds), default=-1.0)
+        self.met.append(EvaluatedGain(x, values, excess))
         return self.met[-1]
 
-    def gain(self, met: Met) -> Array:
+    def gain(self, met: EvaluatedGain) -> Array:
         """K, shape (m, q)."""
         return self.search.full.gain(met.x)
 
@@ -96,7 +96,7 @@ class Trace:
         """The norms at the end of every axis, shape (K, K): a row an end, where its axis is within a thousandth of its least."""
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
-    def towards(self, unit: Array) -> Met:
+    def towards(self, unit: Array) -> EvaluatedGain:
         """The best on a ray.
 
         Args:
@@ -106,15 +106,15 @@ class Trace:
         start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
         return self._down(start, {k: float(unit[k]) for k in range(len(unit))}, {})
 
-    def _end(self, k: int) -> Met:
+    def _end(self, k: int) -> EvaluatedGain:
         """Returns the end of the front on an axis."""
         start = min((each for each in self.met if each.excess <= KEPT), key=lambda each: float(each.values[k]))
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
                 return start
-            found = self._down(start, {k: 1.0}, {})
-            done = found.values[k] > start.values[k] * (1 - 1e-5)
-            start = min(start, found, key=lambda each: (each.excess > KEPT, float(each.values[k])))
+            end = self._down(start, {k: 1.0}, {})
+            done = end.values[k] > start.values[k] * (1 - 1e-5)
+            start = min(start, end, key=lambda each: (each.excess > KEPT, float(each.values[k])))
             if done:
                 break
         most = float(start.values[k]) * (1 + NEARLY)
@@ -122,21 +122,21 @@ class Trace:
         others = {j: float(start.values[j]) for j in range(len(self.axes)) if j != k}
         start = min(inside, key=lambda each: max(each.values[j] / unit for j, unit in others.items()))
         for _ in range(TIMES):
-            found = self._down(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
-            if found.values[k] > most or found.excess > KEPT:
+            end = self._down(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
+            if end.values[k] > most or end.excess > KEPT:
                 break
-            done = all(found.values[j] > start.values[j] * (1 - 1e-5) for j in others)
-            start = found
+            done = all(end.values[j] > start.values[j] * (1 - 1e-5) for j in others)
+            start = end
             if done:
                 break
         return start
 
-    def _down(self, start: Met, goals: dict[int, float], bounds: dict[int, float]) -> Met:
+    def _down(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
         """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
         terms = {k: [NormObjective(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
         held = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
-        terrain = self.search.terrain
-        ground = Terrain([each for some in terms.values() for each in some], [*terrain.bounds, *held], terrain.limit)
+        minimax = self.search.minimax
+        ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *held], minimax.limit)
         x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
         return self.look(x) or start
 

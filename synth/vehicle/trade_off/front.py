@@ -11,6 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.interrupt import Parts, finishing
 from models.laws.linear import static_law
+from models.vehicle.combinations import check_command
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.goals import Goals, PeakBound
 from models.vehicle.vehicle import Vehicle
@@ -24,12 +25,12 @@ from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, numerics
-from synth.vehicle.designer import Designer, check_supported
+from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, weighing
 from synth.vehicle.trade_off.axes import Axis, AxisValue, landscapes, norm_on
-from synth.vehicle.trade_off.continuation import Met, Trace, rays, undominated
+from synth.vehicle.trade_off.continuation import EvaluatedGain, Trace, rays, undominated
 from synth.vehicle.trade_off.lower_bound import Limit, limits, nothing
-from synth.vehicle.verification import Judged
+from synth.vehicle.verification import Verification
 
 DESIGNS = 200
 SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
@@ -122,7 +123,7 @@ def front(
     trace = _trace(vehicle, entry, axes)
     judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
-    met: list[Met] = []
+    met: list[EvaluatedGain] = []
     parts = Parts()
     with parts.part(DESIGNING):
         for i, unit in enumerate(rays(trace.ends(), count)):
@@ -183,11 +184,9 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     why = ""
     if entry is None:
         why = "it measures nothing" if name == "passive" else "this vehicle has none of that name"
-    elif entry.goals is not None and (entry.goals.family or entry.goals.tolerance):
-        why = "its goals have a family or a tolerance of their own, and a front is of one vehicle without errors"
     if why or entry is None:
         raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
-    check_supported(entry, "front")
+    check_command(f"controller {name!r}", entry.parts, "front")
     return entry
 
 
@@ -214,9 +213,9 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Tr
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one
-        starts.append(two_step_design(posed.plant, posed.Cy).gain)
+        starts.append(posed.on_readings(two_step_design(posed.plant, posed.Cy).gain))
     if asked.decay is None and starts:
-        decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ starts[-1] @ posed.Cy).poles).max())
+        decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
         asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
     search = MinimaxSearch(asked, lambda goal, within: None)
     return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
@@ -228,7 +227,7 @@ def _judged(vehicle: Vehicle, entry: ControllerEntry):
         return lambda K: ()
     goals = entry.goals
     asked = goal_problem(vehicle, entry, goals)
-    return lambda K: Judged(vehicle, entry, goals, asked, K).promises()
+    return lambda K: Verification(vehicle, entry, goals, asked, K).promises()
 
 
 def _others(

@@ -25,45 +25,45 @@ NUMBERS: tuple[Column[Point], ...] = (
 )
 
 
-def front_lines(found: Front) -> list[str]:
+def front_lines(front: Front) -> list[str]:
     """The axes, the marked points, the other controllers, and what bounds them."""
     lines = []
-    for axis in found.axes:
+    for axis in front.axes:
         lines += wrapped(f"{axis.name}: {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}", hang=2)
-    for text in judged_lines(found.points[0].controller):
+    for text in judged_lines(front.points[0].controller):
         lines += wrapped(text, hang=2)
-    names = [axis.name for axis in found.axes]
-    signals = found.points[0].controller.measured
-    with_travel = any(point.travel is not None for point in found.points)
+    names = [axis.name for axis in front.axes]
+    signals = front.points[0].controller.measured
+    with_travel = any(point.travel is not None for point in front.points)
     rows: list[tuple[str, ...]] = [("point", *names, *([TRAVEL.title] * with_travel), "gain")]
-    for i in found.marked:
-        point = found.points[i]
+    for i in front.marked:
+        point = front.points[i]
         travel = [TRAVEL.cell(point)] * with_travel
         rows.append((str(i + 1), *(f"{value:.6g}" for value in point.values), *travel, _gain(point)))
-    lines += ["", f"controller {found.name}: static gains on {', '.join(signals)}", *table(rows)]
-    if found.others:
-        rows = [("beside them", *names), *((o.controller.name, *(f"{v:.6g}" for v in o.values)) for o in found.others)]
+    lines += ["", f"controller {front.name}: static gains on {', '.join(signals)}", *table(rows)]
+    if front.others:
+        rows = [("beside them", *names), *((o.controller.name, *(f"{v:.6g}" for v in o.values)) for o in front.others)]
         lines += ["", *table(rows)]
-    for name, why in found.missing.items():
+    for name, why in front.missing.items():
         lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
-    return [*lines, "", *(line for text in _limit_texts(found) for line in wrapped(text, hang=2))]
+    return [*lines, "", *(line for text in _limit_texts(front) for line in wrapped(text, hang=2))]
 
 
-def sentences(found: Front) -> list[str]:
+def sentences(front: Front) -> list[str]:
     """Returns the results, a sentence each."""
     ends = ", ".join(
         f"{axis.name} from {min(values):.5g} to {max(values):.5g}"
-        for axis, values in zip(found.axes, found.values.T.tolist(), strict=True)
+        for axis, values in zip(front.axes, front.values.T.tolist(), strict=True)
         if values
     )
-    lines = [f"{len(found.points)} certified designs, none of which another beats in all: {ends}"]
-    if found.interrupted not in ("", LATE):
-        whole = f"after {found.tried} designs: the front" if found.interrupted == DESIGNING else f"at {found.interrupted}: that"
+    lines = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}"]
+    if front.interrupted not in ("", LATE):
+        whole = f"after {front.tried} designs: the front" if front.interrupted == DESIGNING else f"at {front.interrupted}: that"
         lines.append(f"interrupted {whole} is not whole")
-    if found.unproved:
-        lines.append(f"left out: {found.unproved} designs of which a claim could not be proved")
-    for one in found.others:
-        beaten = [i for i, point in enumerate(found.points) if _beats(point.values, one.values)]
+    if front.unproved:
+        lines.append(f"left out: {front.unproved} designs of which a claim could not be proved")
+    for one in front.others:
+        beaten = [i for i, point in enumerate(front.points) if _beats(point.values, one.values)]
         if beaten:
             lines.append(
                 f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}"
@@ -71,10 +71,10 @@ def sentences(found: Front) -> list[str]:
     return lines
 
 
-def front_object(found: Front) -> dict[str, Any]:
+def front_object(front: Front) -> dict[str, Any]:
     """The front as JSON has it: SI units."""
     return {
-        "controller": found.name,
+        "controller": front.name,
         "axes": [
             {
                 "name": axis.name,
@@ -84,30 +84,30 @@ def front_object(found: Front) -> dict[str, Any]:
                 "band": [finite(edge) for edge in axis.norm.band] if axis.norm.narrow else None,
                 "off": axis.off or None,
             }
-            for axis in found.axes
+            for axis in front.axes
         ],
-        "points": [{"point": i + 1, **_object(found, point)} for i, point in enumerate(found.points)],
-        "others": [{"name": one.controller.name, **_object(found, one)} for one in found.others],
-        "missing": found.missing,
-        "limits": [_limit_object(found, limit) for limit in found.limits],
-        "loads": dict(found.points[0].controller.hardware.loads) if found.points else {},
-        "designs": found.tried,
-        "unproved": found.unproved,
-        "interrupted": bool(found.interrupted),
+        "points": [{"point": i + 1, **_object(front, point)} for i, point in enumerate(front.points)],
+        "others": [{"name": one.controller.name, **_object(front, one)} for one in front.others],
+        "missing": front.missing,
+        "limits": [_limit_object(front, limit) for limit in front.limits],
+        "loads": dict(front.points[0].controller.hardware.loads) if front.points else {},
+        "designs": front.tried,
+        "unproved": front.unproved,
+        "interrupted": bool(front.interrupted),
     }
 
 
-def write_csv(found: Front, path: Path) -> None:
+def write_csv(front: Front, path: Path) -> None:
     """A row to a point and to every other controller, SI units; what is not known is left empty."""
-    names = [axis.name for axis in found.axes]
-    entries = [f"gain_{i + 1}_{j + 1}" for i, j in _indices(found)]
+    names = [axis.name for axis in front.axes]
+    entries = [f"gain_{i + 1}_{j + 1}" for i, j in _indices(front)]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["point", *names, *(f"{name}_proved" for name in names), *(one.key for one in NUMBERS), *entries])
-        for i, point in enumerate(found.points):
+        for i, point in enumerate(front.points):
             gain = point.controller.gain
-            writer.writerow([i + 1, *_cells(point), *(gain[k] for k in _indices(found))])
-        for one in found.others:
+            writer.writerow([i + 1, *_cells(point), *(gain[k] for k in _indices(front))])
+        for one in front.others:
             writer.writerow([one.controller.name, *_cells(one), *("" for _ in entries)])
 
 
@@ -116,10 +116,10 @@ def _cells(point: Point) -> list[float | str]:
     return ["" if value is None or not math.isfinite(value) else value for value in numbers]
 
 
-def _object(found: Front, point: Point) -> dict[str, Any]:
+def _object(front: Front, point: Point) -> dict[str, Any]:
     controller = point.controller
     return {
-        "values": {axis.name: _norm(norm) for axis, norm in zip(found.axes, point.norms, strict=True)},
+        "values": {axis.name: _norm(norm) for axis, norm in zip(front.axes, point.norms, strict=True)},
         "measured": list(controller.measured),
         "gain": controller.gain.tolist(),
         **json_object(NUMBERS, point),
@@ -130,20 +130,20 @@ def _norm(norm: AxisValue) -> dict[str, float | None]:
     return {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
 
 
-def _limit_object(found: Front, limit: Limit) -> dict[str, Any]:
+def _limit_object(front: Front, limit: Limit) -> dict[str, Any]:
     return {
-        "axes": [found.axes[k].name for k in limit.axes],
+        "axes": [front.axes[k].name for k in limit.axes],
         "weights": limit.weights.tolist(),
         "norms": limit.norms.tolist(),
     }
 
 
-def _limit_texts(found: Front) -> list[str]:
+def _limit_texts(front: Front) -> list[str]:
     """Returns the distance of the front from the lower bound, a sentence for every two axes."""
     texts = []
-    for limit in found.limits:
-        first, second = (found.axes[k].name for k in limit.axes)
-        shares = limit.share(found.values[:, list(limit.axes)])
+    for limit in front.limits:
+        first, second = (front.axes[k].name for k in limit.axes)
+        shares = limit.share(front.values[:, list(limit.axes)])
         i = int(shares.argmin())
         if math.isfinite(shares[i]):
             texts.append(
@@ -161,9 +161,9 @@ def _gain(point: Point) -> str:
     return " ".join(f"{entry:.6g}" for entry in entries) if len(entries) <= 4 else f"{len(entries)} entries"
 
 
-def _indices(found: Front) -> list[tuple[int, int]]:
+def _indices(front: Front) -> list[tuple[int, int]]:
     """Returns the indices of the gain's entries."""
-    m, q = found.points[0].controller.gain.shape
+    m, q = front.points[0].controller.gain.shape
     return [(i, j) for i in range(m) for j in range(q)]
 
 
@@ -178,15 +178,15 @@ FINE = 400  # points of the line, each way
 DESIGNS, LINE, MEASURED = "#1f77b4", "#000000", "#d62728"
 
 
-def front_figure(found: Front, measured: Array | None = None) -> Figure:
+def front_figure(front: Front, measured: Array | None = None) -> Figure:
     """Returns the figure of a front.
 
     Args:
         measured: its marked points in MuJoCo, shape (M, K), NaN for missing ones; None if they were not driven.
     """
-    panels = tuple(_panel(found, limit, measured) for limit in found.limits)
-    kind = found.vehicle.kind.name.replace("_", " ")
-    title = f"{kind}, controller {found.name}: {len(found.points)} certified designs, none of which another beats in all"
+    panels = tuple(_panel(front, limit, measured) for limit in front.limits)
+    kind = front.vehicle.kind.name.replace("_", " ")
+    title = f"{kind}, controller {front.name}: {len(front.points)} certified designs, none of which another beats in all"
     if len(panels) > 1:
         return Figure("front", title, panels, 3)
     return Figure("front", title, panels, 1, (6.5, 4.6))
@@ -202,13 +202,13 @@ def line(limit: Limit, x: tuple[float, float], y: tuple[float, float]) -> tuple[
     return a[kept][order], b[kept][order]
 
 
-def _panel(found: Front, limit: Limit, measured: Array | None) -> Panel:
+def _panel(front: Front, limit: Limit, measured: Array | None) -> Panel:
     i, j = limit.axes
-    values = found.values[:, [i, j]]
-    others = {one.controller.name: (one.values[i], one.values[j]) for one in found.others}
+    values = front.values[:, [i, j]]
+    others = {one.controller.name: (one.values[i], one.values[j]) for one in front.others}
     ranges, beyond = _shown(values, np.array(list(others.values())).reshape(-1, 2))
     dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "none", "+", name="design")
-    if len(found.axes) == 2:
+    if len(front.axes) == 2:
         dots = Curve(values[:, 0], values[:, 1], "designs on the front", DESIGNS, "solid", "", 2.2)
     curves = [dots, Curve(*line(limit, *ranges), "no controller comes below this line", LINE, "dot", width=1.2)]
     look = styles(tuple(others))
@@ -218,27 +218,27 @@ def _panel(found: Front, limit: Limit, measured: Array | None) -> Panel:
     if measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
         curves.append(Curve(measured[:, i], measured[:, j], "MuJoCo", MEASURED, "none", "x", name="MuJoCo"))
     away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
-    title = f"{found.axes[i].name} and {found.axes[j].name}".replace("_", " ")
+    title = f"{front.axes[i].name} and {front.axes[j].name}".replace("_", " ")
     if away:
         title += f"; beyond: {', '.join(away)}"
-    return Panel(title, found.axes[i].label, found.axes[j].label, tuple(curves), xlim=ranges[0], ylim=ranges[1])
+    return Panel(title, front.axes[i].label, front.axes[j].label, tuple(curves), xlim=ranges[0], ylim=ranges[1])
 
 
 def _together(
     others: dict[str, tuple[float, float]], beyond: Array, ranges: tuple[tuple[float, float], tuple[float, float]]
 ) -> list[list[str]]:
     """The names of those that are shown, such that lie in one place together."""
-    size, found = np.array([high - low for low, high in ranges]), list[list[str]]()
+    size, groups = np.array([high - low for low, high in ranges]), list[list[str]]()
     for (name, place), far in zip(others.items(), beyond, strict=True):
         if far:
             continue
-        for names in found:
+        for names in groups:
             if np.all(np.abs(np.subtract(place, others[names[0]])) < SAME * size):
                 names.append(name)
                 break
         else:
-            found.append([name])
-    return found
+            groups.append([name])
+    return groups
 
 
 def _shown(values: Array, others: Array) -> tuple[tuple[tuple[float, float], tuple[float, float]], Array]:

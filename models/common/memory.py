@@ -1,0 +1,58 @@
+"""Room in memory, where a shell or a batch system limits the address space (`ulimit -v`)."""
+
+import errno
+from pathlib import Path
+
+from models.common.errors import InputError
+
+LEAST = 512_000_000  # bytes; with less, OpenBLAS asks the system for its buffers again and again, for ever
+AMPLE = 2**32  # bytes, with which every command has room
+SHORT = 2**27  # bytes of room; with less, any error may be for want of memory
+
+
+def limit() -> float:
+    """Returns the allowed size of the address space in bytes, infinite if there is no limit."""
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return float("inf")
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return float("inf") if soft == resource.RLIM_INFINITY else soft
+
+
+def room() -> float:
+    """Returns what is left of the address space in bytes, infinite if there is no limit."""
+    try:
+        import resource
+
+        return limit() - int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):  # not every system says what is taken
+        return limit()
+
+
+def words() -> str:
+    """Says how much is allowed."""
+    return f"the address space is limited to {limit() / 1e6:.0f} MB (ulimit -v)"
+
+
+def check(least: float = LEAST, instead: str = "") -> None:
+    """Checks that the limit leaves room to begin with, and takes what must not be missing later.
+
+    Args:
+        least: needed address space in bytes.
+        instead: advice beside that to raise the limit, for the message.
+
+    Raises:
+        InputError: it does not.
+    """
+    if limit() < least:
+        raise InputError(f"{words()}, and at least {least / 1e6:.0f} MB are needed; raise the limit{instead}")
+    if limit() < AMPLE:
+        import scipy.linalg  # noqa: F401 - its OpenBLAS takes its buffer now, and would ask for ever where none is left
+
+
+def is_short(error: BaseException) -> bool:
+    """Returns True if an error is, or may be, for want of memory."""
+    wants = isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
+    text = str(error).lower()
+    return wants or "allocate memory" in text or "failed to map segment" in text or room() < SHORT

@@ -1,0 +1,124 @@
+"""Adaptive quadrature over a frequency band.
+
+The band is divided into panels no longer than a share of the distance to the nearest pole in the complex plane. So a spectrum is
+equally smooth on all panels, and a resonance of damping 1e-6 only takes some more of them. Each panel has Gauss-Legendre nodes,
+exact for polynomials up to degree 19. The error estimate is the integrand's content of degrees 8 and 9, far more than the true
+error. Panels with a large estimate are halved.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.common.arrays import Array
+
+SHARE = 0.7  # length of a panel over the distance to the nearest pole
+ORDER = 10  # nodes of a panel
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
+LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T  # moments with the last two polynomials
+ENOUGH = 1e-5  # allowed error estimate of a panel, relative to the integral
+HALVINGS = 20
+MOST_PANELS = 20_000  # 200 000 frequencies; if they do not suffice, the error estimate shows it
+FINEST = 1e-12  # shortest panel, relative to its frequency
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """A function at the quadrature nodes of a band.
+
+    Attributes:
+        omega: nodes, ascending [rad/s], shape (F,).
+        share: quadrature weights [Hz], shape (F,): an integral over frequency is `share @ integrand`.
+        values: of the function at the nodes, shape (F, ...).
+        error: estimate of the largest relative error of a checked integral.
+    """
+
+    omega: Array
+    share: Array
+    values: Array
+    error: float
+
+    def before(self, other: "Band") -> "Band":
+        """Concatenates two adjacent bands. The error is that of `other`, whose integrals dominate."""
+        pairs = zip((self.omega, self.share, self.values), (other.omega, other.share, other.values), strict=True)
+        return Band(*(np.concatenate(pair) for pair in pairs), error=other.error)
+
+    def turning(self, time: float) -> Array:
+        """Returns complex weights, shape (F,): `turning(t) @ f` is the integral of f exp(j omega t) over frequency.
+
+        It is accurate for any t [s]: on a panel f is the polynomial through its nodes. The integral of P_l(x) exp(j a x) from -1
+        to 1 is 2 j^l j_l(a), with the Legendre polynomial P_l and the spherical Bessel function j_l.
+        """
+        from scipy import special  # takes a tenth of a second
+
+        share, middle = self.share.reshape(-1, ORDER), self.omega.reshape(-1, ORDER).mean(axis=1)
+        half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the weights' sum is 2
+        moments = (2 * degrees + 1) * 1j**degrees * special.spherical_jn(degrees, half[:, None] * time)
+        turned = moments @ np.polynomial.legendre.legvander(NODES, ORDER - 1).T
+        return (share * turned * np.exp(1j * middle * time)[:, None]).ravel()
+
+
+def sample_band(
+    function: Callable[[Array], Array],
+    checked: Callable[[Array, Array], Array],
+    low: float,
+    high: float,
+    poles: Array,
+    longest: float,
+) -> Band:
+    """Returns a function at enough nodes of a band for accurate integrals of functions of its values.
+
+    Args:
+        function: of frequencies [rad/s], (F,) to (F, ...).
+        checked: of frequencies, shape (F,), and the function's values there: the nonnegative integrands, shape (F, c).
+        low, high: ends of the band, above 0 [rad/s].
+        poles: of the function [rad/s], complex, shape (n,); panels are short near them.
+        longest: limit of a panel [rad/s].
+    """
+    left, right = _panels(low, high, poles, longest)
+    omega = _nodes(left, right)
+    values = function(omega)
+    integrands = checked(omega, values)
+    for _ in range(HALVINGS):
+        rough = _estimate(integrands, right - left) > ENOUGH
+        if not rough.any() or len(left) > MOST_PANELS:
+            break
+        middle = (left[rough] + right[rough]) / 2
+        left, right = (
+            np.concatenate([left[~rough], left[rough], middle]),
+            np.concatenate([right[~rough], middle, right[rough]]),
+        )
+        kept, new = np.repeat(~rough, ORDER), _nodes(left, right)[np.count_nonzero(~rough) * ORDER :]
+        more = function(new)
+        omega, values = np.concatenate([omega[kept], new]), np.concatenate([values[kept], more])
+        integrands = np.concatenate([integrands[kept], checked(new, more)])
+    share = (np.outer((right - left) / 2, WEIGHTS) / (2 * np.pi)).ravel()
+    order = np.argsort(omega)
+    error = float(_estimate(integrands, right - left).sum())
+    return Band(omega[order], share[order], values[order], error)
+
+
+def _panels(low: float, high: float, poles: Array, longest: float) -> tuple[Array, Array]:
+    """Returns the left and right ends of the panels."""
+    ends, longest = [low], max(longest, (high - low) / MOST_PANELS)
+    while ends[-1] < high:
+        here = ends[-1]
+        # 0 counts as a pole, as spectra of roads have one there. Panels need not be shorter than rounding.
+        step = max(SHARE * min(here, float(np.abs(1j * here - poles).min(initial=np.inf))), FINEST * here)
+        end = here + min(step, longest)
+        ends.append(high if end + step / 5 >= high else end)
+    return np.array(ends[:-1]), np.array(ends[1:])
+
+
+def _nodes(left: Array, right: Array) -> Array:
+    """Returns the nodes of all panels, in their order, shape (P ORDER,)."""
+    return ((left + right)[:, None] / 2 + np.multiply.outer((right - left) / 2, NODES)).ravel()
+
+
+def _estimate(integrands: Array, width: Array) -> Array:
+    """Returns the largest relative error estimate of any integral, for every panel, shape (P,)."""
+    by_panel = integrands.reshape(len(width), ORDER, -1)
+    whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
+    last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)
+    return np.divide(last, whole, out=np.zeros_like(last), where=whole > 0).max(axis=1, initial=0.0)

@@ -1,0 +1,69 @@
+"""Figures in a notebook, below the table of an object."""
+
+import hashlib
+from html import escape
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.figures.figure import Curve, Dash, Panel
+from models.figures.svg import svg
+
+POINTS = 400  # of a curve over frequency
+BLUE, RED, GREY, DARK = "#1f77b4", "#d62728", "#888888", "#404040"
+STYLE = f"""<style>
+.roadproof {{max-width: 600px; margin: 0}}
+.roadproof .area, .roadproof .line, .roadproof .point {{fill: none}}
+.roadproof .grid {{stroke: #ddd}}
+.roadproof text {{font: 12px sans-serif; fill: currentColor}}
+{"".join(f".roadproof .s-{color[1:]} {{stroke: {color}}}" for color in (BLUE, RED, GREY, DARK))}
+</style>"""
+DASHES = {"dash": "╌", "dot": "┈"}
+
+
+def notebook_figure(panel: Panel) -> str:
+    """Returns a panel as an HTML figure, with title and legend as its caption."""
+    entries = [
+        f'<span style="color:{curve.color}">{3 * DASHES.get(curve.dash, "─")}</span> {escape(curve.label)}'
+        for curve in panel.curves
+        if curve.label
+    ]
+    caption = " &#8195; ".join([escape(panel.title), *entries])
+    drawn = svg(panel, "notebook", wide=True)
+    drawn = drawn.replace("plot-notebook", f"plot-{hashlib.sha256(drawn.encode()).hexdigest()[:16]}")  # one page has many figures
+    return f'{STYLE}<figure class="roadproof"><figcaption>{caption}</figcaption>{drawn}</figure>'
+
+
+def gain_curve(A: Array, B: Array, C: Array, D: Array, dt: float | None = None) -> tuple[Array, Array]:
+    """Returns frequencies around the poles of a system [rad/s], and its largest singular value there, shapes (POINTS,).
+
+    Args:
+        A, B, C, D: the system, shapes (n, n), (n, r), (p, n), (p, r).
+        dt: sample period [s]; None for a continuous system.
+    """
+    poles = np.linalg.eigvals(A).astype(complex)
+    speeds = np.abs(poles if dt is None else np.log(np.where(poles == 0, 1, poles)) / dt)
+    speeds = speeds[speeds > 1e-9 * speeds.max(initial=0.0)]
+    low, high = (speeds.min(), speeds.max()) if len(speeds) else (1.0, 1.0)
+    omega = np.geomspace(low / 10, 10 * high if dt is None else np.pi / dt, POINTS)
+    points = 1j * omega if dt is None else np.exp(1j * omega * dt)
+    response = C @ np.linalg.solve(points[:, None, None] * np.eye(len(A)) - A, B) + D
+    return omega, np.linalg.norm(response, 2, axis=(1, 2))
+
+
+def gain_panel(title: str, omega: Array, curve: Array, levels: dict[str, float]) -> Panel:
+    """Returns a panel with a gain over frequency, and horizontal lines at given levels.
+
+    Args:
+        title: of the panel.
+        omega: frequencies [rad/s], shape (N,).
+        curve: largest singular value at each, shape (N,).
+        levels: by name, at most two.
+    """
+    dashes: tuple[Dash, ...] = ("dash", "dot")
+    lines = [
+        Curve(omega[[0, -1]], np.full(2, level), label=name, color=GREY, dash=dash)
+        for (name, level), dash in zip(levels.items(), dashes, strict=False)
+    ]
+    curves = (*lines, Curve(omega, curve, color=BLUE))
+    return Panel(title, "frequency [rad/s]", "gain [-]", curves, xlog=True, ylog=True)

@@ -1,0 +1,45 @@
+"""Interface of exact equations of motion: without MuJoCo, and linear only where the vehicle is."""
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from models.common.arrays import Array
+
+# Forces that pull suspensions together [N], by their deflections [m] and the rates of these [m/s]; each of shape (T, s).
+Pulls = Callable[[Array, Array], Array]
+
+
+class Motion(Protocol):
+    """Equations of motion of a vehicle with s suspensions, m inputs, l loads and r wheels, for T states at once."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Returns the names of the signals that `read` returns, p of them."""
+        ...
+
+    def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
+        """Returns the states, shape (T, n).
+
+        Args:
+            signals: those of `names`, each of shape (T,).
+            heights: of the road under the wheels [m], shape (T, r).
+        """
+        ...
+
+    def usable(self, state: Array) -> Array:
+        """Returns True for each state from which the equations hold, shape (T,)."""
+        ...
+
+    def read(self, state: Array, heights: Array) -> Array:
+        """Returns the signals of some states, shape (T, p)."""
+        ...
+
+    def rate(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Array:
+        """Returns the rates of the states, shape (T, n).
+
+        Args:
+            inputs: forces [N], shape (T, m).
+            pulls: of the suspensions, beyond their linear springs and dampers.
+            loads: on the body [N, N m], shape (T, l).
+        """
+        ...

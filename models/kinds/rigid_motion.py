@@ -1,0 +1,157 @@
+"""Exact equations of motion of a rigid body on struts, however far it pitches and rolls. `rigid_body` has their linear part.
+
+The body heaves by z, then turns by theta about the lateral axis, then by phi about its own longitudinal one: R = R_y R_x. Strut i
+goes from its hub, which a slide keeps at (x_i, y_i), to R (x_i, y_i, 0) on the body. With r_i the vector between both, of length
+L_i, and q = (z, theta, phi),
+
+    d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
+
+the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and
+k_u (static - t). With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
+
+    m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
+
+An anti-roll bar has the angle a = phi - (arms) z_u and the moment k a. Nothing here comes from the MJCF but L_0, which
+the vehicle file does not say.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.kind import GRAVITY
+from models.kinds.rigid_body import RigidBody
+from models.kinds.signals import Signal
+
+if TYPE_CHECKING:
+    from models.kinds.motion import Pulls
+
+STRUT = 0.44  # m, of every strut at rest in the MJCF; the linear model does without
+SHORTEST = 0.1  # m, of a strut; further on no vehicle is one
+MOST_TURNED, LEAST_UPRIGHT = 0.5, 0.5  # rad of a body, and cosine of a strut's lean
+CLOSEST = 1e-15  # m, rad; where the search for the body's position ends
+MOST_TRIALS = 60  # of that search, each of which comes nearer by the size of the angles
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMotion:
+    """Equations of motion of a body on c struts with k of heave, pitch and roll. The states are q, z_u and their rates.
+
+    Attributes:
+        body: its masses, places and elements.
+        shape: S of `RigidBody`, or its first columns, shape (c, k).
+        yaw_inertia: I_z; it counts only if a body pitches and rolls at once.
+        names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
+    """
+
+    body: RigidBody
+    shape: Array
+    yaw_inertia: float
+    names: tuple[str, ...]
+
+    def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
+        """See `Motion`. The position of the body is sought whose struts have these deflections."""
+        c = len(self.shape)
+        columns = np.stack([signals[name] for name in self.names], axis=-1)
+        deflections, hubs = columns[:, :c], columns[:, c : 2 * c] + heights
+        inverse = np.linalg.pinv(self.shape).T
+        q = (deflections + hubs) @ inverse
+        still = np.zeros_like(q)
+        for _ in range(MOST_TRIALS if self.shape.shape[1] > 1 else 0):
+            far = (deflections - self._struts(q, hubs, still, still[:, :1])[0]) @ inverse
+            q = q + far
+            if np.abs(far).max(initial=0.0) < CLOSEST:
+                break
+        return np.concatenate([q, hubs, columns[:, 2 * c :]], axis=1)
+
+    def usable(self, state: Array) -> Array:
+        """See `Motion`. Where a body lies over, or a strut has no length left, its position does not follow from the struts."""
+        q, hubs, rates, hub_rates = self._split(state)
+        with np.errstate(invalid="ignore"):
+            d, _, _, up = self._struts(q, hubs, rates, hub_rates)
+            turned, shortest = np.abs(q[:, 1:]).max(axis=1, initial=0.0), STRUT + d.min(axis=1)
+            upright = (turned < MOST_TURNED) & (up.min(axis=1) > LEAST_UPRIGHT)
+            return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1)))
+
+    def read(self, state: Array, heights: Array) -> Array:
+        """See `Motion`."""
+        q, hubs, rates, hub_rates = self._split(state)
+        return np.concatenate([self._struts(q, hubs, rates, hub_rates)[0], hubs - heights, rates, hub_rates], axis=1)
+
+    def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
+        """See `Motion`."""
+        q, hubs, rates, hub_rates = self._split(state)
+        spring, damper, tyre, unsprung = (
+            np.array([getattr(corner, name) for corner in self.body.corners])
+            for name in ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "unsprung_mass")
+        )
+        d, v, J, up = self._struts(q, hubs, rates, hub_rates)
+        resting = self.body.static_loads()
+        push = resting - spring * d - damper * v - pulls(d, v) + inputs
+        tyres = np.maximum(0.0, resting + unsprung * GRAVITY - tyre * (hubs - heights))
+        on_hubs = tyres - up * push
+        on_body = (J * push[:, :, None]).sum(axis=1)
+        if loads.shape[1]:
+            on_body = on_body + loads
+        for bar in self.body.bars:
+            arms = self.body.arms(bar)
+            moment = bar.stiffness * (q[:, 2] - hubs @ arms)
+            on_body[:, 2] -= moment
+            on_hubs = on_hubs + moment[:, None] * arms
+        return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
+
+    def _turned(self, q: Array, rates: Array, push: Array) -> Array:
+        """Returns q'' under generalized forces, shape (T, k)."""
+        second = np.empty_like(q)
+        second[:, 0] = push[:, 0] / self.body.mass - GRAVITY
+        if q.shape[1] < 3:
+            second[:, 1:] = push[:, 1:] / self.body.pitch_inertia
+            return second
+        assert self.body.roll_inertia is not None, "a body that rolls"
+        sin, cos = np.sin(q[:, 2]), np.cos(q[:, 2])
+        more = self.yaw_inertia - self.body.pitch_inertia
+        inertia, slope = self.body.pitch_inertia + more * sin**2, 2 * more * sin * cos
+        second[:, 1] = (push[:, 1] - slope * rates[:, 1] * rates[:, 2]) / inertia
+        second[:, 2] = (push[:, 2] + slope * rates[:, 1] ** 2 / 2) / self.body.roll_inertia
+        return second
+
+    def _split(self, state: Array) -> tuple[Array, Array, Array, Array]:
+        """Returns q, z_u and their rates."""
+        c, k = self.shape.shape
+        q, hubs, rates, hub_rates = np.split(state, [k, k + c, 2 * k + c], axis=1)
+        return q, hubs, rates, hub_rates
+
+    def _struts(self, q: Array, hubs: Array, rates: Array, hub_rates: Array) -> tuple[Array, Array, Array, Array]:
+        """Returns d and d', shape (T, c), J, shape (T, c, k), and e, shape (T, c)."""
+        if q.shape[1] == 1:
+            return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
+        x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
+        sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
+        roll = q[:, 2:3] if q.shape[1] > 2 else np.zeros_like(q[:, :1])
+        side, turned = np.sin(roll), np.cos(roll)
+        over = side * y  # of R_x (x, y, 0) = (x, y cos, y sin)
+        along, across = x * cos + over * sin - x, y * turned - y
+        rise = q[:, :1] - hubs - x * sin + over * cos
+        height = STRUT + rise
+        length = np.sqrt(along**2 + across**2 + height**2)
+        J = [height / length, (along * (over * cos - x * sin) - height * (x * cos + over * sin)) / length]
+        if q.shape[1] > 2:
+            J.append(y * (along * turned * sin - across * side + height * turned * cos) / length)
+        by_q = np.stack(J, axis=-1)
+        # Of a strut that leans by little, the difference of two lengths would lose what this keeps.
+        d = (along**2 + across**2) / (length + height) + rise
+        return d, (by_q * rates[:, None]).sum(axis=-1) - J[0] * hub_rates, by_q, J[0]
+
+
+def rigid_motion(body: RigidBody, signals: Sequence[Signal]) -> RigidMotion:
+    """Returns the equations of a body.
+
+    Args:
+        signals: deflections of its c suspensions, of its c tyres, its own rates, as many as it has, and those of its c hubs.
+    """
+    inertias = [body.pitch_inertia] + ([] if body.roll_inertia is None else [body.roll_inertia])
+    rates = len(signals) - 3 * len(body.corners)
+    return RigidMotion(body, body.shape[:, :rates], max(inertias), tuple(signal.name for signal in signals))

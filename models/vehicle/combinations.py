@@ -1,0 +1,168 @@
+"""The table of what goes together in a controller's section, and with a command that is given its name.
+
+Two parts of a section, or a part and a command, go together unless `REFUSED` has a reason why not. Every message of a refused
+combination is made of this table, and so is that of `models/README.md`.
+"""
+
+from collections.abc import Collection, Mapping
+from itertools import combinations
+from typing import Any
+
+from models.common.errors import InputError, quoted
+from models.laws.linear import MATRICES
+from models.vehicle import GOAL_KEYS
+
+KINDS = {  # of controllers: a section is one of them
+    "gain": "`gain`",
+    "states": "`A`, `B`, `C`, `D`",
+    "steps": "the two steps",
+    "full": '`order = "full"`',
+    "lqr": '`design = "lqr"`',
+    "lqg": '`design = "lqg"`',
+    "h2": '`design = "h2"`',
+    "law": "`law` (Python)",
+    "semi_active": "`semi_active`",
+}
+DEMANDS = {  # beside a kind
+    "stable": "`stable`",
+    "anti_windup": "`anti_windup`",
+    "noise": "`noise`",
+    "lag": "`lag`",
+    "sampled": "`sampled`",
+    "loads": "`loads`",
+    "goals": "goals",
+    "tolerance": "`tolerance`",
+    "family": "`family`",
+    "force": "`control_force`",
+}
+COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
+KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the README's first table
+FLAGS = ("stable", "noise", "lag", "sampled")
+
+_OF_STATE = "it is of the state itself, which no sensor reads"
+_DESIGNED = "full lqr lqg h2"
+_GOALS = "goals tolerance family"
+_NO_CLAIM = "it is run as it is, and there is no linear claim of it"
+_REASONS = (  # a part or command, the parts that it does not go with, and why
+    (
+        "stable",
+        f"gain states steps lqr lqg h2 sampled {_GOALS}",
+        'it is a law designed with order = "full" that is made stable by itself',
+    ),
+    ("anti_windup", f"gain steps lqr sampled {_GOALS}", "a static gain has no states that wind up"),
+    ("noise", "lqr", _OF_STATE),
+    ("noise", "lqg", "it takes the noise of [implementation] by itself"),
+    ("lag", "lqr", _OF_STATE),
+    ("sampled", "gain states", "a law that is given is not designed"),
+    ("sampled", _DESIGNED, "what is designed for the sampled loop is a static gain"),
+    ("sampled", f"noise loads {_GOALS}", "what is designed for the sampled loop has the least norm, of the road alone"),
+    ("loads", "lqr lqg h2", "the mean square is of the road alone"),
+    ("loads", _GOALS, "goals are of the road alone"),
+    *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
+    ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
+    ("force", "lqr", _OF_STATE),
+    ("force", "semi_active", "it measures what it needs"),
+    (
+        "refine",
+        f"states {_DESIGNED} stable anti_windup sampled {_GOALS}",
+        "it is static gains of the least norm of the ideal loop that are refined",
+    ),
+    ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),
+    ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
+    ("front", "tolerance family", "a front is of one vehicle without errors"),
+    (
+        "rates",
+        f"gain states {_DESIGNED} stable anti_windup noise",
+        "it is gains of the two steps that are designed anew for a rate",
+    ),
+    *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, *COMMANDS) if one != "force"),
+)
+REFUSED = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
+ONE_KIND = "a controller has one law, or one way to design it"
+
+
+def refusal(one: str, other: str) -> str:
+    """Returns the reason why two parts, or a part and a command, do not go together; empty if they do."""
+    return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED.get(frozenset((one, other)), "")
+
+
+def goes(what: str, parts: Collection[str]) -> bool:
+    """Returns True if a part or a command goes with all parts of a section."""
+    return not any(refusal(what, part) for part in parts)
+
+
+def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
+    """Returns the parts of a section, each as the section has it written. Values are not checked.
+
+    Args:
+        inputs: the forces of the vehicle.
+    """
+    parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
+    if matrices := [key for key in (*MATRICES, "sample_period") if key in section]:
+        parts["states"] = matrices[0]
+    for key in ("order", "design"):
+        if key in section and isinstance(section[key], str):
+            parts[section[key]] = f'{key} = "{section[key]}"'
+    if not parts and not any(key in section for key in GOAL_KEYS):
+        parts["steps"] = "no law, order or design"
+    parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
+    if goals := [key for key in GOAL_KEYS if key in section]:
+        parts["goals"] = goals[0]
+    parts |= {key: key for key in ("anti_windup", "tolerance", "family", "loads") if key in section}
+    measured = section.get("measured")
+    if isinstance(measured, list) and "lag" not in parts and (forces := [name for name in measured if name in inputs]):
+        parts["force"] = f"measured = {quoted(forces[0])}"
+    return parts
+
+
+def check_together(where: str, parts: Mapping[str, str]) -> None:
+    """Checks that the parts of a section go together.
+
+    Args:
+        where: the section, for the message.
+        parts: each as it is written; kinds first.
+
+    Raises:
+        InputError: two do not; the message says why, and what each of them goes with.
+    """
+    for one, other in combinations(parts, 2):
+        if why := refusal(one, other):
+            choice = " or ".join(_with_partners(part, beside, parts[part]) for part, beside in ((one, other), (other, one)))
+            raise InputError(f"{where} {parts[one]} with {parts[other]}: {why}; choose {choice}")
+
+
+def check_command(where: str, parts: Mapping[str, str], command: str, error: type[InputError] = InputError) -> None:
+    """Checks that a command goes with all parts of a section.
+
+    Args:
+        command: one of `COMMANDS`.
+
+    Raises:
+        InputError: it does not, or the `error` that is given.
+    """
+    option = COMMANDS[command].strip("`")
+    for part, written in parts.items():
+        if why := refusal(command, part):
+            raise error(f"{where}: {written} with {option}: {why}; leave {option} out, or name a controller without {written}")
+
+
+def _with_partners(part: str, beside: str, written: str) -> str:
+    """Returns a part with all that it goes with of the sort of another part, in words."""
+    if {part, beside} <= KINDS.keys():
+        return written
+    names = KINDS if beside in KINDS else DEMANDS
+    partners = [name.replace("`", "") for one, name in names.items() if one != part and not refusal(part, one)]
+    return f"{written} (goes with {', '.join(partners)})" if partners else written
+
+
+def readme_tables() -> list[str]:
+    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
+    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
+    lines = []
+    for columns in (KEYS, COMMANDS):
+        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
+        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
+        for row, name in rows.items():
+            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
+            lines.append([name, *cells])
+    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]

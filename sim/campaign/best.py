@@ -1,0 +1,264 @@
+"""The best controller of a campaign by one metric, within limits on others; and the vehicle file that has it.
+
+Candidates are all controllers, and every variant of those whose laws are drawn. All have been driven over the same roads.
+"""
+
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
+from models.common.files import whole_file
+from models.common.printed import pasted, percent
+from models.vehicle.names import check_name
+from models.vehicle.vehicle import Vehicle, parse_vehicle
+from sim.campaign.file import Campaign
+from sim.campaign.law_keys import section_lines
+from sim.campaign.plan import Candidate, Plan
+from sim.campaign.store import Store
+from sim.campaign.summary import Standings
+from sim.studies.ride.metrics import Metric, metrics_of
+from sim.studies.ride.standing import KEYS, Standing, columns_of
+
+SUFFIX = "_tuned"
+GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
+LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
+MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
+SIGNED = ("at_end",)
+
+
+@dataclass(frozen=True)
+class Request:
+    """The metric of `--best` and the limits of `--subject-to`.
+
+    Attributes:
+        metric: of which the least is best.
+        limits: the most that other metrics may be, in SI units.
+    """
+
+    metric: str
+    limits: Mapping[str, float]
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """All metrics that are asked for."""
+        return tuple(dict.fromkeys((self.metric, *self.limits)))
+
+    @property
+    def words(self) -> str:
+        """The limits in words, after the metric; empty without them."""
+        return " and ".join(f"{name} <= {limit:g}" for name, limit in self.limits.items())
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The best of a vehicle's controllers, or the one nearest to the limits.
+
+    Attributes:
+        vehicle: its name in the campaign.
+        request: what was asked for.
+        candidate: the controller; None if none has numbers.
+        values: drawn keys of its law.
+        numbers: of the metrics that were asked for.
+        within: how many candidates are within the limits; 0 if the candidate is only the nearest.
+        count: how many candidates there are.
+    """
+
+    vehicle: str
+    request: Request
+    candidate: Candidate | None
+    values: Mapping[str, float]
+    numbers: Mapping[str, float]
+    within: int
+    count: int
+
+    @property
+    def misses(self) -> dict[str, float]:
+        """By how much the limits are missed, in SI units."""
+        limits = self.request.limits.items() if self.candidate is not None else ()
+        return {name: self.numbers[name] - limit for name, limit in limits if self.numbers[name] > limit}
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The choice as JSON has it: the controller, or the nearest one if none is within the limits."""
+        candidate, request = self.candidate, self.request
+        about = {"vehicle": self.vehicle, "metric": request.metric, "limits": dict(request.limits)}
+        about |= {"within": self.within, "of": self.count, "best": None, "nearest": None}
+        if candidate is None:
+            return about
+        controller = {"controller": candidate.controller, "variant": candidate.variant}
+        found = {**controller, "values": dict(self.values), "numbers": dict(self.numbers)}
+        return {**about, "best": found} if self.within else {**about, "nearest": {**found, "misses": self.misses}}
+
+    @property
+    def line(self) -> str:
+        """The choice on one line."""
+        request, candidate = self.request, self.candidate
+        if candidate is None:
+            absent = f"has {listing(request.metrics)} of all runs, as some broke off"
+            return f"{self.vehicle}: none of {self.count} {absent}; nothing is best"
+        keys = "".join(f", {key} {value:.6g}" for key, value in self.values.items())
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in self.numbers.items())
+        if self.within:
+            limits = f" within {request.words}" if request.limits else ""
+            count = f"; {self.within} of {self.count} are within" if request.limits else f"; of {self.count}"
+            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}"
+        missed = " and ".join(
+            f"{name} by {by:.3g}{f' ({percent(by / abs(limit))})' if (limit := request.limits[name]) else ''}"
+            for name, by in self.misses.items()
+        )
+        nearest = f"{candidate.name}{keys} is nearest, and misses {missed}"
+        return f"{self.vehicle}: none of {self.count} is within {request.words}; {nearest}"
+
+
+def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:
+    """Returns what the options ask for; None without `--best`.
+
+    Raises:
+        InputError: a metric is unknown, or none of a vehicle's; a limit is no number; options do not go together.
+    """
+    if best is None:
+        for option, given in (("--subject-to", bool(limits)), ("--save", save is not None)):
+            if given:
+                raise InputError(f"{option} says what --best chooses; give it with --best METRIC, or leave it out")
+        return None
+    _check_metric("--best", best, campaign)
+    read: dict[str, float] = {}
+    for text in limits:
+        metric, colon, number = text.rpartition(":")
+        where = f"--subject-to {text}"
+        if not colon:
+            raise InputError(f"{where} has no limit; {GIVE}")
+        _check_metric("--subject-to", metric, campaign)
+        try:
+            limit = float(number)
+        except ValueError:
+            limit = math.nan
+        if not math.isfinite(limit):
+            raise InputError(f"{where}: {quoted(number)} is no finite number; {GIVE}")
+        if metric in read:
+            raise InputError(f"{where}: {metric} has two limits; give the smaller one")
+        read[metric] = limit
+    if save is not None:
+        _check_save(campaign, save)
+    return Request(best, read)
+
+
+def _check_metric(option: str, name: str, campaign: Campaign) -> None:
+    """Refuses a metric that a vehicle lacks."""
+    known = {key for vehicle in campaign.vehicles.values() for key in _known(vehicle, campaign.loaded)} | {*KEYS}
+    if name not in known:
+        raise InputError(
+            f"{option} {quoted(name)} is no metric of this campaign; give {listing(KEYS)}, or a metric's column of its "
+            "results, as sprung_acceleration_weighted"
+        )
+    for vehicle, one in campaign.vehicles.items():
+        if name not in (there := _known(one, campaign.loaded)):
+            raise InputError(f"{option} {name}: vehicle {vehicle!r} has no such metric; it has {listing(there)}")
+
+
+def _known(vehicle: Vehicle, loaded: bool) -> list[str]:
+    """Returns the names of all metrics of a vehicle: those of the table of standings, and columns of the results."""
+    return [*(key for key, names in columns_of(vehicle).items() if names), *_by_name(vehicle, loaded)]
+
+
+def _by_name(vehicle: Vehicle, loaded: bool) -> dict[str, Metric]:
+    return {metric.name: metric for metric in metrics_of(vehicle, loaded) if metric.what not in SIGNED}
+
+
+def _check_save(campaign: Campaign, path: Path) -> None:
+    """Refuses to save a controller of several vehicles, under a name that is taken, or where the file could not be read."""
+    if len(campaign.vehicles) > 1:
+        raise InputError(f"--save writes one vehicle file, and the campaign has {len(campaign.vehicles)}; name one vehicle in it")
+    ((name, vehicle),) = campaign.vehicles.items()
+    for controller in campaign.variants[name]:
+        check_name("--save:", controller + SUFFIX, ())
+        if controller + SUFFIX in vehicle.controllers:
+            raise InputError(f"--save: {name} has a controller {controller + SUFFIX!r} already; rename or remove that one")
+    try:
+        parse_vehicle(vehicle.text, folder=path.parent)
+    except InputError as error:
+        raise InputError(f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it") from error
+
+
+def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> list[Choice]:
+    """Returns the choice of every vehicle.
+
+    Args:
+        standings: of all candidates, by vehicle.
+    """
+    return [_choice(plan, store, request, vehicle, some) for vehicle, some in standings.items()]
+
+
+def _choice(plan: Plan, store: Store, request: Request, vehicle: str, standings: Mapping[Candidate, Standing]) -> Choice:
+    candidates = plan.candidates(vehicle)
+    own = _by_name(plan.campaign.vehicles[vehicle], plan.campaign.loaded)
+    columns = [name for name in request.metrics if name not in KEYS]
+    table = store.read(["run", *columns])
+    values = {name: table[name].to_numpy().astype(float) for name in columns}
+    numbers: dict[Candidate, dict[str, float]] = {}
+    for candidate, runs in candidates.items():
+        here = {name: _over_runs(own[name], values[name][runs]) for name in columns}
+        found = {name: here.get(name, standings[candidate].values.get(name)) for name in request.metrics}
+        if all(value is not None and math.isfinite(value) for value in found.values()):
+            numbers[candidate] = {name: float(value) for name, value in found.items() if value is not None}
+    within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
+    best = min(within, key=lambda one: numbers[one][request.metric], default=None)
+    if best is None:
+        best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
+    of_law = plan.campaign.variants[vehicle].get(best.controller, ()) if best is not None else ()
+    drawn = of_law[best.variant] if best is not None and best.variant is not None else {}
+    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates))
+
+
+def _over_runs(metric: Metric, values: Array) -> float:
+    """Returns a metric over all runs: the largest of peaks, the mean of shares and work, the root mean square of all else."""
+    if metric.what in LARGEST_OF:
+        return float(values.max())
+    return float(values.mean()) if metric.what in MEAN_OF else float(np.sqrt(np.mean(values**2)))
+
+
+def _excess(numbers: Mapping[str, float], limits: Mapping[str, float]) -> float:
+    """Returns by which share the limits are missed, the worst of them; of a limit of 0 by how much."""
+    return max(((numbers[name] - limit) / (abs(limit) or 1.0) for name, limit in limits.items()), default=0.0)
+
+
+def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity: str) -> str:
+    """Writes the vehicle file with the chosen controller, whole or not at all; returns the controller's name in it.
+
+    A variant becomes a section NAME_tuned; another controller stands in the file as it is. A comment says where it comes from.
+
+    Args:
+        command: that was called.
+        identity: checksum of the campaign.
+
+    Raises:
+        InputError: it cannot be written, or would not be read back as it is.
+    """
+    candidate, vehicle = choice.candidate, campaign.vehicles[choice.vehicle]
+    assert candidate is not None, "there is one"
+    name = candidate.controller if candidate.variant is None else candidate.controller + SUFFIX
+    request = choice.request
+    within = f" within {request.words}" if request.limits else ""
+    of_law = "" if candidate.variant is None else f", variant {candidate.variant} of {candidate.controller}"
+    numbers = ", ".join(f"{metric} {value!r}" for metric, value in choice.numbers.items())
+    drawn = "" if candidate.variant is None else f"; variants by seed {campaign.sample_seed} of [samples]"
+    lines = [
+        f"# {name}{of_law}: the best {request.metric}{within}, of {choice.count} and in SI units, by:",
+        f"# {pasted(shlex.split(command))}",
+        f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
+        f"# SHA-256 of the campaign and the files that it names: {identity}",
+    ]
+    if candidate.variant is not None:
+        lines += section_lines(vehicle, candidate.controller, choice.values, name)
+    text = vehicle.text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
+    parse_vehicle(text, folder=path.parent)  # what is written can be read
+    with whole_file(path, "save") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+    return name

@@ -1,0 +1,204 @@
+"""Comparison of controllers, a line each: ride, travel, tyre load and force, relative to passive, with the best marked.
+
+For a vehicle with several wheels, suspensions or actuators, each column has the worst one.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import finite, table
+from models.vehicle.names import PASSIVE
+from models.vehicle.vehicle import Vehicle
+from sim.studies.ride.metrics import dynamic_load, off_ground, points
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A column of the table.
+
+    Attributes:
+        key: name in JSON.
+        title, unit: heading on the terminal, two lines.
+        heading: heading on a page.
+        scale: factor from SI units to those of the table.
+        against: True if the change against passive is shown.
+        effort: True for forces, which passive does not have.
+    """
+
+    key: str
+    title: str
+    unit: str
+    heading: str
+    scale: float = 1.0
+    against: bool = False
+    effort: bool = False
+
+
+RIDE, TRAVEL, LOAD = "ride", "peak_travel", "dynamic_load"
+MEASURES = (
+    Measure(RIDE, "ride", "m/s2", "ride [m/s²]", against=True),
+    Measure(TRAVEL, "travel", "peak mm", "peak travel [mm]", 1e3, against=True),
+    Measure(LOAD, "tyre load", "dynamic", "dynamic load [-]", against=True),
+    Measure("off_ground", "off", "road %", "off the ground [%]", 100.0),
+    Measure("force_rms", "force", "rms N", "force, rms [N]", effort=True),
+    Measure("force_peak", "force", "peak N", "force, peak [N]", effort=True),
+    Measure("at_stops", "at", "stops %", "at stops [%]", 100.0),
+)
+KEYS = tuple(one.key for one in MEASURES)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A row of the comparison: a controller's metrics on a road, in MuJoCo.
+
+    Attributes:
+        controller: its name.
+        values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
+    """
+
+    controller: str
+    values: Mapping[str, float | None]
+
+
+def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
+    """Returns, for each of `KEYS`, the metrics of which it is the largest; empty if the vehicle has no such metrics."""
+    where, stops = points(vehicle), vehicle.limits.stops(vehicle.kind.suspensions)
+    forces = [name for name, *_ in where.actuators]
+    return {
+        RIDE: tuple(f"{name}_weighted" for name in where.accelerations),
+        TRAVEL: tuple(f"{name}_peak" for name in where.suspensions),
+        LOAD: tuple(dynamic_load(name) for name in where.tyres),
+        "off_ground": tuple(off_ground(name) for name in where.tyres),
+        "force_rms": tuple(f"{name}_rms" for name in forces),
+        "force_peak": tuple(f"{name}_peak" for name in forces),
+        "at_stops": tuple(f"{name}_at_stops" for name in where.suspensions if name in stops),
+    }
+
+
+def standing(vehicle: Vehicle, controller: str, metrics: Mapping[str, float | None]) -> Standing:
+    """Returns a controller's row from the metrics of its run, by name; all None without metrics, for a run that broke off."""
+    values = {key: [metrics.get(name) for name in names] for key, names in columns_of(vehicle).items()}
+    return Standing(
+        controller,
+        {key: max((one for one in some if one is not None), default=None) for key, some in values.items()},
+    )
+
+
+OVER_RUNS: dict[str, Callable[[Array], float]] = {  # statistic over all runs, by key of `MEASURES`
+    **dict.fromkeys((RIDE, LOAD, "force_rms"), lambda values: float(np.sqrt(np.mean(values**2)))),
+    **dict.fromkeys((TRAVEL, "force_peak"), lambda values: float(values.max())),
+    **dict.fromkeys(("off_ground", "at_stops"), lambda values: float(values.mean())),
+}
+
+
+def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, Array]) -> Standing:
+    """Returns a controller's row over several runs; each metric is an array with a number for every run.
+
+    Ride, load and force are root mean squares over the runs, shares of time are means, and peaks are the largest. All are None if
+    a run has no metrics.
+    """
+    over = {name: OVER_RUNS[key](metrics[name]) for key, names in columns_of(vehicle).items() for name in names}
+    return standing(vehicle, controller, over if all(map(math.isfinite, over.values())) else {})
+
+
+def best(standings: Sequence[Standing]) -> dict[str, list[str]]:
+    """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
+
+    Passive is not compared in forces. If all numbers are equal, none is best.
+    """
+    names: dict[str, list[str]] = {}
+    for one in MEASURES:
+        compared = [each for each in standings if not (one.effort and each.controller == PASSIVE)]
+        values = {each.controller: value for each in compared if (value := each.values[one.key]) is not None}
+        shown = {name: digits(value * one.scale) for name, value in values.items()}
+        least = shown[min(values, key=values.__getitem__)] if values else ""
+        names[one.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
+    return names
+
+
+def digits(value: float) -> str:
+    """Returns a number with three significant digits, or more if it has more before the point."""
+    return f"{value:.0f}" if value >= 99.95 or not value else f"{value:#.3g}"
+
+
+def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
+    """Returns the table for JSON, in SI units, with the best of each column."""
+    rows = [{"controller": one.controller} | {key: finite(one.values[key]) for key in KEYS} for one in standings]
+    return {"controllers": rows, "best": best(standings)}
+
+
+@dataclass(frozen=True)
+class ComparedColumn:
+    """The cells of a column.
+
+    Attributes:
+        measure: the column.
+        numbers: for every controller, the best marked.
+        changes: against passive [%]; None if they are not shown.
+    """
+
+    measure: Measure
+    numbers: list[str]
+    changes: list[str] | None
+
+
+def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn], str]:
+    """Returns the columns that have numbers, and a legend of their marks."""
+    passive = next((one for one in standings if one.controller == PASSIVE and len(standings) > 1), None)
+    marked = best(standings)
+    columns = []
+    for one in MEASURES:
+        if not any(_is_there(one, each.values[one.key]) for each in standings):
+            continue
+        numbers = [f"{_shown(one, each)}{'*' if each.controller in marked[one.key] else ' '}" for each in standings]
+        changes = None
+        if one.against and passive is not None:
+            changes = [_change(each.values[one.key], passive.values[one.key]) for each in standings]
+        columns.append(ComparedColumn(one, numbers, changes))
+    legend = "*: the best; " if any(marked[column.measure.key] for column in columns) else ""
+    legend += "%: against passive; " if any(column.changes is not None for column in columns) else ""
+    return columns, legend
+
+
+def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
+    """Returns the table, with a note below.
+
+    Args:
+        about: the note: when is measured.
+    """
+    columns, legend = compared_columns(standings)
+    rows = zip(["", "", *(one.controller for one in standings)], *map(_cells, columns), strict=True)
+    return [*table(rows), f"  {legend}{about}"]
+
+
+def _is_there(one: Measure, value: float | None) -> bool:
+    """Returns True if a number is worth a column: a force of zero is not."""
+    return bool(value) if one.effort else value is not None
+
+
+def _cells(column: ComparedColumn) -> list[str]:
+    """Returns a column on the terminal: its title, its unit, and a cell for each controller."""
+    one = column.measure
+    if column.changes is None:
+        return [f"{one.title} ", f"{one.unit} ", *column.numbers]
+    width = max(map(len, column.changes))
+    pairs = zip(column.numbers, column.changes, strict=True)
+    return [one.title, f"{one.unit} %", *(f"{number} {change:>{width}}" for number, change in pairs)]
+
+
+def _shown(one: Measure, standing: Standing) -> str:
+    value = standing.values[one.key]
+    return "-" if value is None else digits(value * one.scale)
+
+
+def _change(value: float | None, passive: float | None) -> str:
+    """Returns by how many per cent a number exceeds passive's; empty if either is missing, zero or equal."""
+    if not passive or value is None or value == passive:
+        return ""
+    change = round(100 * (value / passive - 1))
+    return f"{change:+d}" if change else "0"

@@ -1,0 +1,75 @@
+"""Full-order laws that are stable by themselves, so that nothing winds up where forces are clipped.
+
+Central laws of larger gamma are slower, and some of them are stable. From the best of these a descent goes on: one gain
+[D, C; B, A] for two plants. One is the plant with the law's states. The other has these states alone, x_c' = v, lightly weighed.
+Its loop is x_c' = A x_c, whose norm is finite as long as the law is stable. A law that takes forces out of what it reads runs
+with another A than it is designed with: it is judged as it runs.
+"""
+
+import contextlib
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from synth.design.full_order.riccati import SHARES, RiccatiSearch, TradeOffPoint
+from synth.design.multi_objective.design import design_for_goals
+from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+
+GAMMAS = (1.0005, 1.002, 1.01, 1.05, 1.3, 3.0, 1e3)  # times the bound; a smaller one is a law nearer to it, and faster
+STARTS = 2  # from which a descent goes on
+LIGHTLY = 1e-3  # of the norm, in own units: how much a law's own states weigh
+LARGER = 10.0  # times a start's largest entry: so large may entries become
+
+
+def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
+    """Returns laws that fit, of which all loops are stable.
+
+    Args:
+        search: of the plant, whose own units are used.
+        fits: returns True for a law that is stable by itself, with a loop that is not too fast.
+        most: numbers of a law up to which a descent goes on from the best.
+    """
+    tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
+    laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: each.norm)
+    for start in laws[:STARTS]:
+        if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.Cy)) <= most:
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                lower = search.judged(0.0, _descended(search, start))
+                laws += [lower] if lower is not None and fits(lower) else []
+    return laws
+
+
+def _descended(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
+    """Returns the law at the end of the descent from a stable one, in own units; it may be unstable by rounding.
+
+    Raises:
+        DesignError: there is no way down.
+    """
+    own, k = search.own, start.own.states
+    m, q, r = own.plant.B.shape[1], len(own.Cy), own.Dyw.shape[1]
+    larger, G = on_larger_plant(own.plant, own.Cy, start.own)
+    light = LIGHTLY * start.norm * own.norm
+    alone = GeneralizedPlant(
+        A=np.zeros((k, k)),
+        B=np.hstack([np.zeros((k, m)), np.eye(k)]),
+        Bw=np.eye(k),
+        C=light * np.eye(k),
+        D=np.zeros((k, m + k)),
+        Dw=np.zeros((k, k)),
+    )
+    noise = np.vstack([own.Dyw, np.zeros((k, r))]) if own.Dyw.any() else None
+    states = np.vstack([np.zeros((q, k)), np.eye(k)])
+    problem = GoalProblem(
+        members=(Member((Posed(larger, G.Cy, noise),)), Member((Posed(alone, states),))),
+        minimise=NormGoal(),
+        tolerance=Errors(np.zeros(q + k), np.zeros(m + k)),
+        structure=np.ones((m + k, q + k), dtype=bool),
+        gain=LARGER * float(np.abs(G.K).max()),
+    )
+    gain = design_for_goals(problem, [G.K]).gain
+    return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])

@@ -1,0 +1,67 @@
+"""Expected ride of a loop on a random road: the rms acceleration of the body, weighted as ISO 2631-1 has it.
+
+A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may lower it and make the ride worse.
+So the ride is said beside it, by the road's spectrum through the ideal loop: the road's vertical velocity is white within its
+band, rear wheels meet it later, and the right track shares of it what the coherency says. With the response H of an acceleration
+to the road under every wheel, e of the road to two independent white sources, and the weighting W_k,
+
+    mean square = G_v integral of |W_k H e|^2 df.
+
+The loop is continuous, without limits, and gives every force: `sim.drive` has the same as a computer runs it.
+"""
+
+import math
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.quadrature import sample_band
+from models.common.threads import one_thread
+from models.kinds.signals import UNSPRUNG_ACCELERATION
+from models.roads.iso8608 import Iso8608
+from models.roads.road import track_width
+from models.roads.spectrum import longest_panel, sources
+from models.vehicle.filter import WEIGHTINGS, Filter
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller
+from synth.controller.open_loop import continuous
+
+ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
+WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
+
+
+@one_thread()
+def expected_ride(vehicle: Vehicle, controller: Controller, road_class: str = ROAD_CLASS, speed: float = SPEED) -> float | None:
+    """Returns the expected weighted rms acceleration at the vehicle's worst point [m/s2], or None.
+
+    It is None if the ideal loop is not stable, or no vertical acceleration of the body is a signal.
+
+    Args:
+        road_class: of ISO 8608.
+        speed: [m/s].
+    """
+    cut = continuous(vehicle, controller)
+    model = cut.model
+    loop = model.A + model.B @ cut.G
+    rows = [
+        i
+        for i, name in enumerate(vehicle.linear_model.outputs)
+        if vehicle.kind.signal(name).unit == "m/s2" and not name.startswith(UNSPRUNG_ACCELERATION.name)
+    ]
+    poles = np.linalg.eigvals(loop)
+    if not rows or not controller.certificate.stable:
+        return None
+    road = Iso8608(road_class, speed=speed, track_width=track_width(vehicle)).spectrum
+    C, Cr = (model.C + model.D @ cut.G)[rows], model.Cr[rows]
+
+    def spectra(omega: Array) -> Array:
+        """Returns the spectra of the weighted accelerations over the road's, shape (F, a)."""
+        s = 1j * omega[:, None, None]
+        response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, model.Bw + model.Br / s) + Cr / s
+        weighted = WEIGHTED.response(omega)[:, None, None] * (response @ sources(vehicle, road, omega))
+        return np.sum(np.abs(weighted) ** 2, axis=-1)
+
+    filter_poles = np.concatenate([np.roots(below) for _, below in WEIGHTED.sections])
+    every = np.concatenate([poles, filter_poles])
+    band = sample_band(spectra, lambda _, found: found, *road.band, every, longest_panel(vehicle, speed))
+    return math.sqrt(road.density * float((band.share @ band.values).max()))

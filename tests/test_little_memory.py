@@ -1,0 +1,94 @@
+"""Little address space, or the user's own models.py beside the files: a command does its work, or says in one line why not."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from models.common.errors import InputError
+from models.vehicle.vehicle import parse_vehicle
+from sim.runs.run import sample_times
+from tests.commands import environment
+
+pytest.importorskip("resource", reason="address space is limited on POSIX alone")
+ROOT = Path(__file__).parent.parent
+CAMPAIGN = 'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.1\n'
+BUMP = ["sim.bump", "--controller", "I", "--duration", "0.1", "--logs", "logs"]
+RUN = ["sim.campaign", "campaign.toml", "--results", "results", "--workers", "1"]
+LIMITED = [  # command, MiB, exit codes that are allowed, what it leaves
+    (BUMP, 300, {2}, set()),
+    (BUMP, 512, {0}, {"mcap", "layout.json"}),
+    (BUMP, 1024, {0}, {"mcap", "layout.json"}),
+    (BUMP, 2048, {0}, {"mcap", "layout.json", "rrd"}),
+    (RUN, 512, {2}, set()),
+    (RUN, 1024, {0, 2}, {"json", "parquet"}),
+    (RUN, 2048, {0}, {"json", "parquet"}),
+    (["sim.drive", "--controller", "I", "--duration", "0.2", "--no-logs"], 512, {0, 2}, set()),
+    (["synth", "--controller", "I", "--save", "saved.toml"], 512, {0, 2}, {"toml"}),
+    (["sim.margins", "--controller", "I"], 512, {0, 2}, set()),
+    (["sim.report", "--quick", "--out", "report.html"], 512, {0, 2}, {"html"}),
+]
+
+
+def limited(arguments: list[str], mebibytes: int, folder: Path) -> subprocess.CompletedProcess[str]:
+    """A command in a folder, with so much address space."""
+    line = ["sh", "-c", f'ulimit -v {mebibytes * 1024}; exec "$@"', "sh", sys.executable, "-m", *arguments]
+    return subprocess.run(line, cwd=folder, env=environment(), capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize(
+    ("arguments", "mebibytes", "codes", "left"), LIMITED, ids=[f"{row[0][0]} {row[1]} MiB" for row in LIMITED]
+)
+def test_little_address_space(arguments, mebibytes, codes, left, tmp_path):
+    """With 300 MiB to 2 GiB a command ends well, or with 2 and one line that names the limit; what it leaves is whole."""
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    run = limited(arguments, mebibytes, tmp_path)
+    assert run.returncode in codes, run.stderr
+    files = {path.name for path in tmp_path.rglob("*") if path.is_file()} - {"campaign.toml", ".lock"}
+    assert not [name for name in files if name.startswith(".")], files
+    if run.returncode == 2:
+        assert run.stderr.startswith("roadproof: ")
+        assert run.stderr.count("\n") == 1
+        assert f"the address space is limited to {mebibytes * 2**20 / 1e6:.0f} MB (ulimit -v)" in run.stderr
+        assert files <= {"campaign.json"}
+    else:
+        assert {name.partition(".")[2] for name in files} == left
+        assert run.stderr == ""
+        assert ("no .rrd file, as the address space is limited" in run.stdout) == ("mcap" in left and "rrd" not in left)
+
+
+def test_files_of_the_users_own_names(tmp_path):
+    """`models.py` and `synth.py` beside the user's files hinder no command; nor does `sim.py` the installed `roadproof`."""
+    for name in ("models", "synth"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')\n")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "roadproof").write_text("from sim.__main__ import roadproof\nroadproof()\n")
+    quick = ["--controller", "passive", "--duration", "0.1", "--no-logs", "--brief"]
+    known = environment() | {"PYTHONPATH": str(ROOT)}
+    for command in (["-m", "sim.bump", *quick], ["elsewhere/roadproof", "bump", *quick]):
+        run = subprocess.run([sys.executable, *command], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=120)
+        assert (run.returncode, run.stderr) == (0, "")
+        (tmp_path / "sim.py").write_text("raise SystemExit('the wrong file')\n")
+
+
+def test_a_valve_too_fast_is_named():
+    """A timestep that is too large for the valve of an adjustable damper is refused with the key of the valve."""
+    text = (ROOT / "models" / "quarter_car.toml").read_text(encoding="utf-8")
+    fast = parse_vehicle(f'{text}\n[actuators]\nkind = "damper"\nc_min = 300.0\nc_max = 3000.0\nbandwidth = 1e9\n')
+    with pytest.raises(InputError, match=r"above 2.78e-09 s, because of \[actuators\] bandwidth = 1e\+09 rad/s; give a smaller"):
+        sample_times(fast, 1.0, 1e-3)
+
+
+@pytest.mark.attack
+def test_processes_beside(tmp_path):
+    """The processes that a report begins are ours, too, where the user's folder has a `sim.py`."""
+    for name in ("models", "synth", "sim"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')\n")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "roadproof").write_text("from sim.__main__ import roadproof\nroadproof()\n")
+    command = [sys.executable, "elsewhere/roadproof", "report", "--quick", "--out", "report.html"]
+    known = environment() | {"PYTHONPATH": str(ROOT)}
+    run = subprocess.run(command, cwd=tmp_path, env=known, capture_output=True, text=True, timeout=300)
+    assert (run.returncode, run.stderr) == (0, "")

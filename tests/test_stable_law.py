@@ -1,0 +1,106 @@
+"""`stable = true`: full-order laws that are stable by themselves, and what that costs."""
+
+import numpy as np
+import pytest
+
+from models.common.printed import percent
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.command.check import check
+from synth.design.full_order import full_order
+from synth.design.full_order.full_order import full_order_design
+from synth.plant.generalized import GeneralizedPlant
+from synth.plant.numerics import DesignError
+from synth.vehicle.designer import Designer
+from synth.vehicle.state_space import law_system
+from tests.commands import refused
+from tests.shared import made, printed
+
+HUB = 'measured = ["unsprung_acceleration", "control_force"]\norder = "full"\n'
+TEXT = f"{read_vehicle('quarter_car_semi_active').text}\n[controllers.free]\n{HUB}\n[controllers.calm]\n{HUB}stable = true\n"
+
+
+def test_a_law_that_is_stable_by_itself():
+    """Beside the unstable law the same design with `stable = true` is stable by itself, proved, saved and told its price."""
+    (free, calm) = (made(_designed, name) for name in ("free", "calm"))
+    assert free.law.growth > 1
+    assert not calm.law.growth
+    poles = np.linalg.eigvals(calm.law.A).real
+    assert poles.max() < 0
+    certificate = calm.certificate
+    assert certificate.proof is not None
+    assert certificate.proof.holds
+    assert certificate.lower_bound is not None
+    assert certificate.bound is not None
+    assert certificate.lower_bound * (1 - 1e-9) <= certificate.norm.value <= certificate.bound  # rounding of the norm
+    assert certificate.norm.value <= free.certificate.norm.value * 1.001  # here it costs nothing, to the design's own 0.1 %
+    (remark,) = calm.remarks
+    assert f"stable by itself, its slowest pole {poles.max():.4g} 1/s" in remark
+    assert f"of an unstable law (+{free.law.growth:.4g} 1/s) at no price" in remark
+
+
+def _designed(name):
+    return Designer(parse_vehicle(TEXT)).design(name)
+
+
+def test_it_is_saved_and_read_again():
+    """`--json` says of which law it is that it grows, and the stable one is saved, checked and handed on as it is."""
+    names = [part for name in ("free", "calm") for part in ("--controller", name)]
+    found = printed("synth", "--vehicle", "car.toml", *names, "--json", "--save", "saved.toml", files={"car.toml": TEXT})
+    assert [("law_growth" in row) for row in found.json["controllers"] if row["name"] in ("free", "calm")] == [True, False]
+    vehicle = read_vehicle(found.folder / "saved.toml")
+    (row,) = [row for row in check(Designer(vehicle), None) if row.name == "calm_designed"]
+    assert row.failures == ()
+    controller = Designer(vehicle).design("calm_designed")
+    assert np.all(np.real(law_system(vehicle, controller).poles()) < 0)
+
+
+def test_without_a_descent_it_says_so(monkeypatch):
+    """A law of too many numbers is the best of the central ones: the remark has its price, and that there was no descent."""
+    monkeypatch.setattr(full_order, "MOST", 24)
+    vehicle, (free, reached) = parse_vehicle(TEXT), (made(_designed, name) for name in ("free", "calm"))
+    calm = Designer(vehicle).design("calm")
+    assert not calm.law.growth
+    share = calm.certificate.norm.value / free.certificate.norm.value - 1
+    assert calm.certificate.norm.value > reached.certificate.norm.value
+    (remark,) = calm.remarks
+    assert remark.endswith("; no descent: of a law of 25 numbers it would take too long, 24 are the most")
+    assert f"its norm is {percent(share)} higher" in remark
+
+
+@pytest.mark.attack
+def test_where_none_is_found_it_says_so():
+    """A pole right of the plant's zero cannot be stabilised by a stable law: one line says that none was found."""
+    plant = GeneralizedPlant(  # y = (s - 1) / ((s - 2) (s + 1)) u
+        A=np.array([[2.0, 1.0], [0.0, -1.0]]),
+        B=np.array([[1.0], [-2.0]]),
+        Bw=np.array([[1.0], [0.0]]),
+        C=np.array([[1.0, 0.0], [0.0, 0.0]]),
+        D=np.array([[0.0], [0.1]]),
+        Dw=np.zeros((2, 1)),
+    )
+    with pytest.raises(DesignError, match="no law was found that is stable by itself"):
+        full_order_design(plant, np.array([[1.0, 0.0]]), stable=True)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (
+            'measured = ["sprung_velocity"]\nstable = true',
+            'no law, order or design with stable = true: it is a law designed with order = "full"',
+        ),
+        (
+            'measured = ["sprung_velocity"]\ndesign = "lqg"\nstable = true',
+            'with stable = true: it is a law designed with order = "full"',
+        ),
+        (
+            'measured = ["sprung_velocity"]\ngain = [[1.0]]\nstable = true',
+            'with stable = true: it is a law designed with order = "full"',
+        ),
+        ('measured = ["sprung_velocity"]\norder = "full"\nstable = 1', "stable = 1 is not allowed; give true or false"),
+    ],
+)
+def test_a_mistake_is_named(entry, said):
+    """Where no full order is designed, `stable = true` is refused in one line that names the controller."""
+    with refused(said, match=r"controllers[.]mine"):
+        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{entry}\n")
