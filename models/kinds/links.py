@@ -16,9 +16,9 @@ wheel, so that a suspension's deflection is z - x theta + y phi - z_u at any ang
 
 Links carry a horizontal force F on the body to the tyres. Of a sideways one each axle takes the share s, the other's distance
 over L. Its outer wheels gain s F h_axle / track by the links. A lengthways force moves the load F h / L from axle to axle. The
-share of an axle's part that links carry is its `anti_...`. The front has the share b_f of the braking force, and beta is the slope
-of the line from a tyre's contact to the instant centre of the side view. Then (Gillespie, ch. 7; Milliken, ch. 17), where the rear
-wheels drive,
+share of an axle's part that links carry is its `anti_...`. The front has the share b_f of the braking force, and beta is the
+slope of the line from a tyre's contact to the instant centre of the side view. Then (Gillespie, ch. 7; Milliken, ch. 17), where
+the rear wheels drive,
 
     anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L / h.
 
@@ -26,7 +26,7 @@ Such a link pushes the body at its axle, and the wheels there the other way. The
 times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from models.common.errors import InputError
 from models.kinds.kind import BodyLoad, Parameter, Parameters
@@ -101,6 +101,14 @@ def carried(p: Parameters, corners: Sequence[str], way: str, force: float, accel
         moment = exchanged * (front * p["axle_distance_front"] + rear * p["axle_distance_rear"])
         on_body = {HEAVE_LOAD.name: (front - rear) * exchanged, PITCH_LOAD.name: -moment}
     return on_body | {f"{WHEEL_LOAD.name}_{name}": value for name, value in on_wheels.items()}
+
+
+def left_out(p: Parameters, angles: Collection[str]) -> str:
+    """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
+    axes = (("rolls", "roll_angle", ROLL_CENTRES[0]), ("pitches", "pitch_angle", PITCH_CENTRE))
+    turning = [turns for turns, angle, part in axes if angle in angles and part.name not in p]
+    how = "turns" if len(turning) == len(angles) else " and ".join(turning)
+    return f"the moment of the body's own weight as it {how} is left out" if turning else ""
 
 
 def check_links(p: Parameters) -> None:
