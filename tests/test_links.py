@@ -247,7 +247,7 @@ def test_designs_weigh_banks_and_loads_on_wheels():
     (run,) = run_controllers(car, [controller], road_of(HARD["full_car"], car), sample_times(car, 0.6, 1e-3))
     assert run.holds
     assert "roll_acceleration" not in car.linear_model.measurable  # it has the road's height in it
-    assert "the height of its roll and pitch and twist, of which 1 m counts as" in twist_lines(car)[0]
+    assert "the height of its pitch, roll, twist, of which 1 m counts as" in twist_lines(car)[0]
 
 
 def test_a_body_leans_on_a_banked_road():

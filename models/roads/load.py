@@ -7,11 +7,10 @@ sprung mass m_s, whose centre is h over the ground,
     braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
     a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
 
-No anti-dive, no anti-squat, and roll centres on the ground: the links take no vertical force, so springs and tyres carry every
-moment. The moment of the body's own weight is left out. With K the roll stiffness of springs, bars and tyres, a body that rolls
-about the ground turns by M / (K - m_s g h) (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6); here it turns by M / K. So
-does one that pitches. The braking force of the wheels' own mass does not go through the springs, and is left out. A payload is
-its weight alone, added while the vehicle goes; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
+Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file says what links do: its roll centres,
+pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and what
+the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes, and does not sway;
+for its inertia raise `sprung_mass` and the inertias of the vehicle file.
 """
 
 import math

@@ -8,6 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
+from models.common.errors import listing
 from models.common.printed import Column, finite, matrix, percent
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw
@@ -206,7 +207,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
     felt += ["twist"] if len(twists(model)) > len(felt) else []
     return [
-        f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {' and '.join(felt)}, of which "
+        f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
         f"1 m counts as {model.twist_rate:.4g} m/s (models/README.md)"
     ]
 
