@@ -8,9 +8,9 @@ sprung mass m_s, whose centre is h over the ground,
     a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
 
 Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file says what links do: its roll centres,
-pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and what
-the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes, and does not sway;
-for its inertia raise `sprung_mass` and the inertias of the vehicle file.
+pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and
+what the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes. It does not
+sway; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
 """
 
 import math
