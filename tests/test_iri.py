@@ -12,6 +12,7 @@ from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import (
+    COUNTED,
     SPEED,
     STEP,
     A,
@@ -152,14 +153,15 @@ def test_200_roads(vehicle, distance):
 
 def test_start():
     """What the start of the car costs is that of lines of any phase, a cosine and a sine each; 0.95 m of white slopes."""
-    n, variances, x = np.array([0.02, 0.11, 0.7]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
+    lines, variances, x = np.array([10, 56, 2400]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
+    n = lines / COUNTED
     square = np.zeros(len(x) - 10)
     for each, variance in zip(n, variances, strict=True):
         for wave in (np.sin, np.cos):
             square += variance * suspension_slopes(wave(2 * np.pi * each * x) / (2 * np.pi * each), STEP) ** 2
     final = math.sqrt(np.abs(slope_response(n, STEP)) ** 2 @ variances)
     lost = np.cumsum(1 - np.sqrt(square[:4000:10]) / final) * 0.25
-    assert np.allclose(missing(n, variances, STEP)[:400], lost, rtol=0, atol=1e-9)  # m; rounding of 400 terms
+    assert np.allclose(missing(lines, variances)[:400], lost, rtol=0, atol=1e-9)  # m; rounding of 400 terms
     short, long = (theory(roughness_of(Iso8608("C", length=3e4), QUARTER, distance)[0])[0] for distance in (20.0, 1e4))
     assert (1 - short / long) * 20.0 == pytest.approx(0.95, abs=0.01)  # the long one lacks it, too, by 0.002
 
