@@ -134,6 +134,8 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.design.uncertainty.fragility.fragility",
 )
 
+BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
+
 
 def share_designs() -> None:
     """Has every design made once in a session, before anything of the product takes the functions that make them.
@@ -194,12 +196,14 @@ def nothing_shared() -> Iterator[None]:
 
 @contextmanager
 def making_designs_anew(patch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    """From the first `setattr` of a patch on designs are not shared."""
+    """From the first `setattr` of a patch on designs are not shared, but where it patches what no design imports."""
     plain = patch.setattr
 
-    def setattr(*arguments: Any, **named: Any) -> None:
-        _patching.add(id(patch))
-        plain(*arguments, **named)
+    def setattr(target: Any, *arguments: Any, **named: Any) -> None:
+        module = target if isinstance(target, str) else getattr(target, "__module__", None) or getattr(target, "__name__", "")
+        if not module.startswith(BEYOND_DESIGNS):
+            _patching.add(id(patch))
+        plain(target, *arguments, **named)
 
     patch.setattr = setattr
     yield patch
