@@ -62,15 +62,14 @@ def test_mujoco_pulls_as_the_tables_say():
 
 
 BUILT = {"": "", "lag": "bandwidth = 100.0\n", "late": LATE}
-USUAL = ("sky", "skyhook", "hybrid", "pdd")  # linear; of two values, of any, of none where the spring's force counts
+# A linear law, those of two values, of any, and of none where the spring's force counts, and each way to be late.
+USUAL = (("passive", ""), ("sky", "late"), ("skyhook", ""), ("hybrid", "lag"), ("pdd", "late"))
 
 
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        pytest.param(
-            name, more, id=f"{name}-{how}", marks=() if name in USUAL + (() if how else ("passive",)) else pytest.mark.attack
-        )
+        pytest.param(name, more, id=f"{name}-{how}", marks=() if (name, how) in USUAL else pytest.mark.attack)
         for name in ("passive", "sky", "leaky", *NAMES)
         for how, more in BUILT.items()
     ],

@@ -117,7 +117,11 @@ def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.
 
 @pytest.mark.parametrize(
     ("low", "high", "loose"),
-    [(4.0, 8.0, 0.01), pytest.param(0.0, 2.0, 0.25, marks=pytest.mark.attack), (6.0, np.inf, 0.05)],
+    [
+        (4.0, 8.0, 0.01),
+        pytest.param(0.0, 2.0, 0.25, marks=pytest.mark.attack),
+        pytest.param(6.0, np.inf, 0.05, marks=pytest.mark.attack),
+    ],
 )
 def test_a_norm_in_a_band_with_errors(low, high, loose):
     """In a band with two ends or one, no sample of the errors exceeds what is proved, and that lies within a hundredth of it;

@@ -70,8 +70,8 @@ def cars(tmp_path_factory):
         ("built", "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs"),
         ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
         ("built", "sim.margins --controller II --timestep 8e-3 --logs logs"),
-        pytest.param("full_car", "sim.sweep --controller all --timestep 4e-3", marks=pytest.mark.attack),  # half a minute
-        pytest.param("full_car", "sim.margins --controller II --timestep 4e-3", marks=pytest.mark.attack),  # a minute
+        pytest.param("full_car", "sim.sweep --controller all --timestep 8e-3", marks=pytest.mark.attack),
+        pytest.param("full_car", "sim.margins --controller II --timestep 8e-3", marks=pytest.mark.attack),
     ],
 )
 def test_lines_fit_and_the_answer_is_last(line, car, cars, tmp_path, monkeypatch, capsys):

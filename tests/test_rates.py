@@ -28,7 +28,6 @@ from tests.analysed import implemented_loop
 from tests.commands import prose
 from tests.shared import made
 
-DESIGNED = ("state", "I", "II")
 RATES = ("10", "100")  # ms; II is lost before the last where forces are late
 
 
@@ -70,11 +69,7 @@ def asked(capsys, *arguments: str) -> tuple[int, dict]:
         ("half_car", "I"),
         *(
             pytest.param(*one, marks=pytest.mark.attack)
-            for one in (
-                *(("quarter_car", name) for name in ("state", "I")),
-                *(("half_car", name) for name in ("state", "II")),
-                *(("full_car", name) for name in DESIGNED),
-            )
+            for one in (*(("quarter_car", name) for name in ("state", "I")), ("half_car", "II"), ("full_car", "I"))
         ),
     ],
 )
@@ -91,8 +86,7 @@ def test_it_is_lost_where_the_margins_say(car, name):
     ("car", "delay"),
     [
         ("quarter_car", 0),
-        *(pytest.param("quarter_car", delay, marks=pytest.mark.attack) for delay in (1, 3)),
-        *(pytest.param("half_car", delay, marks=pytest.mark.attack) for delay in (0, 1, 3)),
+        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", 3), ("half_car", 0), ("half_car", 1))),
     ],
 )
 def test_it_is_lost_there_and_not_before(car, delay):
@@ -146,7 +140,7 @@ def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     assert found.lower_bound <= min(at.prompt.value for at in found.rates)
 
 
-@pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "10", "50", "100"), marks=pytest.mark.attack)], ids=" ".join)
+@pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "50"), marks=pytest.mark.attack)], ids=" ".join)
 def test_table(capsys, never_lost, norms_once, rates):
     """What is printed of every controller and rate is what JSON says, and no controller beats the lower bound."""
     code, found = asked(capsys, *rates)

@@ -93,6 +93,7 @@ def check_ride(ride: list[dict], classes: int) -> None:
 
 def test_tables_of_a_whole_report(tmp_path, monkeypatch):
     """A whole report has a law's describing function, and its ride, from physics."""
+    monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
     vehicle = read_vehicle(vehicle_of(tmp_path, SKYHOOK, measured=MEASURED))
     law, step = vehicle.controllers["mine"].driver(), 2 * STEP
     own = describing_function(vehicle, law, 1e-4, step, Bump().speed)

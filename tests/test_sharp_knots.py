@@ -49,13 +49,12 @@ CARS = {  # a file, one of its controllers, the height of a bump
 }
 
 
-# A right run is looked at of all of them, as is each kind of curve in what costs two runs more.
-SOME = [
-    name
-    if name in ("friction", "bends", "measured pair, with friction", "full car")
-    else pytest.param(name, marks=pytest.mark.attack)
-    for name in CARS
-]
+def in_the_suite(*some: str) -> list:
+    """The names of the cars, of which all but some are for the attack."""
+    return [name if name in some else pytest.param(name, marks=pytest.mark.attack) for name in CARS]
+
+
+SOME = in_the_suite("friction", "measured pair, with friction")
 
 
 def controller_of(vehicle: Vehicle, name: str) -> Controller | SemiActive:
@@ -102,7 +101,7 @@ def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
     return predict(vehicle, controller, road, time)
 
 
-@pytest.mark.parametrize("name", CARS)
+@pytest.mark.parametrize("name", in_the_suite("friction", "bends", "measured pair, with friction", "full car"))
 def test_right_physics_agrees(name):
     """What RK4 makes of knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
     run = right_run(name)
