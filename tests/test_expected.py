@@ -18,6 +18,7 @@ from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.weighting import sampled_wk
 from synth.controller.open_loop import continuous
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.conftest import TEXTBOOK
 from tests.shared import designed
 
@@ -93,13 +94,7 @@ def test_a_rougher_class_is_a_factor(textbook):
             assert four_times.mean[name] == pytest.approx(4 * found.mean[name])
 
 
-@pytest.mark.parametrize(
-    ("name", "controller"),
-    [
-        ("half_car", "I"),
-        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", "I"), ("half_car", "passive"))),
-    ],
-)
+@pytest.mark.parametrize(("name", "controller"), [("half_car", "I"), *attacks((("quarter_car", "I"), ("half_car", "passive")))])
 def test_lyapunov(name, controller, wide_band):
     """With any controller, and with rear wheels that come later, the spectral integral is the Lyapunov equation's covariance."""
     vehicle = read_vehicle(name)

@@ -54,10 +54,7 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
     """A law told its own force, u = -4000 v + 0.1 u, has the norm of u = -4444 v; missing, that reading costs a tenth of it."""
     (posed, one), (_, plain) = (
         (problem(paper, measured, Hardware()), static_law(np.array([gain])))
-        for measured, gain in (
-            (("sprung_velocity", "control_force"), [-4000.0, 0.1]),
-            (("sprung_velocity",), [-4000.0 / 0.9]),
-        )
+        for measured, gain in ((("sprung_velocity", "control_force"), [-4000.0, 0.1]), (("sprung_velocity",), [-4000.0 / 0.9]))
     )
     gain = scaled_gain(posed.plant, posed.Cy, one, posed.Dyw, posed.through)
     alone = scaled_gain(posed.plant, posed.Cy[:1], plain, None, posed.through[:1])

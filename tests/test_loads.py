@@ -56,10 +56,7 @@ def car(kind, more=""):
     return parse_vehicle(read_vehicle(kind).text.replace("[parameters]", more or "[parameters]", 1))
 
 
-@pytest.mark.parametrize(
-    ("text", "reality"),
-    [*zip(itertools.cycle(QUARTER), REALITIES, strict=False), (QUARTER[1], "ideal")],
-)
+@pytest.mark.parametrize(("text", "reality"), [*zip(itertools.cycle(QUARTER), REALITIES, strict=False), (QUARTER[1], "ideal")])
 def test_exact_in_the_quarter_car(text, reality):
     """However its controller is built, MuJoCo follows the exact sampled response to RK4's own error; no geometry."""
     implementation, limits = REALITIES[reality]
@@ -121,10 +118,7 @@ def test_error_is_of_the_fourth_order(paper, designer):
 
 @pytest.mark.parametrize(
     ("kind", "text"),
-    [
-        ("quarter_car", "bump + payload:mass=40"),
-        ("quarter_car_accelerometer", "flat + lift:force=300:rise=0.0305:hold=0.1"),
-    ],
+    [("quarter_car", "bump + payload:mass=40"), ("quarter_car_accelerometer", "flat + lift:force=300:rise=0.0305:hold=0.1")],
 )
 def test_continuous_response_is_that_of_the_differential_equation(kind, text):
     """The continuous loop's response to road and load is what an independent integrator makes of x' = A x + B u + Bw w + Bl f."""

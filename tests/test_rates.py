@@ -25,7 +25,7 @@ from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, lost_from, norm_at
 from synth.vehicle.sample_rate.report import LITTLE, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
-from tests.commands import prose
+from tests.commands import attacks, prose
 from tests.shared import made
 
 RATES = ("10", "100")  # ms; II is lost before the last where forces are late
@@ -82,13 +82,7 @@ def test_it_is_lost_where_the_margins_say(car, name):
     assert made(lost_anew, vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("car", "delay"),
-    [
-        ("quarter_car", 0),
-        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", 3), ("half_car", 0), ("half_car", 1))),
-    ],
-)
+@pytest.mark.parametrize(("car", "delay"), [("quarter_car", 0), *attacks((("quarter_car", 3), ("half_car", 0), ("half_car", 1)))])
 def test_it_is_lost_there_and_not_before(car, delay):
     """The loop that is driven grows just beyond the period at which it is lost, and at none of many before."""
     vehicle = read_vehicle(car)

@@ -19,6 +19,7 @@ from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response
+from tests.commands import attacks
 from tests.conftest import recorded_runs
 from tests.shared import designed
 
@@ -154,8 +155,7 @@ def test_cars(name):
 
 
 @pytest.mark.parametrize(
-    "implementation",
-    [Implementation(delay=3), *(Implementation(sample_period=8e-3, delay=delay) for delay in (1, 0.5))],
+    "implementation", [Implementation(delay=3), *(Implementation(sample_period=8e-3, delay=delay) for delay in (1, 0.5))]
 )
 def test_implemented(paper, designer, implementation):
     """So does a controller that computes for a while, samples less often, or both, through a slow actuator."""
@@ -164,7 +164,7 @@ def test_implemented(paper, designer, implementation):
     assert one.error(one.sampled).max() < 1e-4  # as above
 
 
-@pytest.mark.parametrize("period", [0.03, *(pytest.param(period, marks=pytest.mark.attack) for period in (0.02, 0.04))])
+@pytest.mark.parametrize("period", [0.03, *attacks((0.02, 0.04))])
 def test_slower_than_the_lines(paper, designer, period):
     """A controller whose half sample rate lies below 25 Hz has lines up to there, and images of them disturb no claim."""
     vehicle = dataclasses.replace(paper, implementation=Implementation(sample_period=period, delay=1))

@@ -76,9 +76,7 @@ def gain(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "how",
-    [None, pytest.param(Implementation(sample_period=4e-3, delay=1), marks=pytest.mark.attack)],
-    ids=["prompt", "slow"],
+    "how", [None, pytest.param(Implementation(sample_period=4e-3, delay=1), marks=pytest.mark.attack)], ids=["prompt", "slow"]
 )
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
     """Of a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
