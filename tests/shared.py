@@ -151,7 +151,7 @@ def share_designs() -> None:
             if getattr(other, name, None) is original:
                 setattr(other, name, shared)
     _originals["design"] = Designer.design
-    Designer.design = functools.wraps(Designer.design)(_design)
+    Designer.design = functools.wraps(Designer.design)(_design)  # pyright: ignore[reportAttributeAccessIssue] - names of arguments
 
 
 def _design(designer: Designer, name: str, *arguments: Any, **named: Any) -> Controller:
