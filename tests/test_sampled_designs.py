@@ -23,7 +23,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, given
 from synth.vehicle.sampled_data import held_problem
-from tests.commands import main_of, refused
+from tests.commands import in_the_suite, main_of, refused
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
 HELD = "[implementation]\nsample_period = 0.01\n"
@@ -232,8 +232,7 @@ def test_refused_where_it_is_done(tmp_path, capsys):
     vehicle = asked()
     designer = Designer(vehicle)
     with pytest.raises(
-        DesignError,
-        match="sampled = true with --refine: it is static gains of the least norm of the ideal loop that are refined",
+        DesignError, match="sampled = true with --refine: it is static gains of the least norm of the ideal loop that are refined"
     ):
         designer.refine("I")
     with pytest.raises(InputError, match="sampled = true with --zero-l: there is no L"):
@@ -308,10 +307,7 @@ def never_worse(name: str, controller: str, period: float, delay: float) -> None
     assert built.instead.startswith("not by the two steps but by descent") == ("promises" not in built.remarks[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "controller", "period", "delay"),
-    [pytest.param(*car, marks=() if car in SOME else pytest.mark.attack) for car in CARS],
-)
+@pytest.mark.parametrize(("name", "controller", "period", "delay"), in_the_suite(SOME, CARS))
 def test_never_worse_than_what_is_there(name, controller, period, delay):
     """The claim of `never_worse`, at fast rates and slow ones, at once and late."""
     never_worse(name, controller, period, delay)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -108,6 +109,7 @@ HERE = Path(__file__).parent.parent  # folder of the shipped kinds
 GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
+MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
@@ -273,9 +275,19 @@ class VehicleKind(Checked):
         return tuple(signal.name for signal in self.on_demand if signal not in self.signals)
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with the signals of this kind's vehicles."""
-        names = {signal.name for signal in self.signals}
-        return self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+        """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
+        key, kept = tuple(parameters.items()), self._models
+        if key not in kept:
+            names = {signal.name for signal in self.signals}
+            model = self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept[key] = model
+        return kept[key]
+
+    @cached_property
+    def _models(self) -> dict[tuple[tuple[str, float], ...], LinearModel]:
+        return {}
 
     def whole_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals: those on demand, and the suspensions' velocities."""
