@@ -16,11 +16,12 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.stability.loop_transfer import loop_transfer
 from sim.studies.stability.stability_margins import largest_sample_period
 from synth.__main__ import main
+from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.design.sampled_data import SampledDataDesign, SampledDataProblem, held_design
+from synth.design.sampled_data import SampledDataDesign, held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, lost_from, norm_at

@@ -93,7 +93,7 @@ def sweep(
     loads = minimum_loads(vehicle.pushing, controllers, timestep)
     ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
-        norm = norm_if_implemented(ideal, controller, timestep)
+        norm = norm_if_implemented(ideal, controller.quiet, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
         sweeps.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
     return sweeps
