@@ -32,6 +32,7 @@ from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import Refinement, from_some, refine
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint, fits
+from synth.lmi.full_order_bound import bound_beyond_control
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
 from synth.plant.generalized import GeneralizedPlant
@@ -39,7 +40,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError, nu
 from synth.plant.units import own_units
 
 DESCENTS = 8
-WORTH = 1e-5  # relative; a descent that gains less is the last
+WORTH = 1e-4  # relative; a descent that gains less is the last, for what each leaves is the square of that
 KEPT = 5e-5  # relative; the gain of the two steps stays where descent gains less
 SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
 STARTS = 3  # the best of them
@@ -196,9 +197,11 @@ def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> t
     others = {"the continuous design": known, "no control": [nothing]}
     least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
     if K is not None and np.isfinite(norm):
-        starts = [(norm, K), *((norm_of(problem, other, near), other) for other in known)]
-        ends = (down(problem, start, height) for height, start in starts if np.isfinite(height))
-        moved, reached = min(ends, key=lambda end: end[1])
+        moved, reached = K, norm
+        for start in (K, *known):
+            height = norm_of(problem, start, near)
+            if np.isfinite(height) and not _at_the_limit(problem, reached):
+                moved, reached = min((moved, reached), down(problem, start, height), key=lambda end: end[1])
         if least < reached:
             moved, reached = min((moved, reached), descended(problem, [*known, K], near), key=lambda end: end[1])
         quietly = not problem.noise.size
@@ -215,6 +218,12 @@ def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> t
         why = str(failure)
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
     return moved, norm_of(problem, moved, near), None, why
+
+
+def _at_the_limit(problem: SampledDataProblem, norm: float) -> bool:
+    """Returns True if a norm is next to what no control force changes."""
+    plant = problem.at(norm * (1 - KEPT))
+    return plant is None or bound_beyond_control(plant).gamma >= 1
 
 
 def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
