@@ -45,6 +45,12 @@ noise = { sprung_velocity = 0.005 }
 measured = ["suspension_deflection", "sprung_velocity"]
 sampled = true
 
+[controllers.sampled_full]
+measured = ["suspension_deflection", "sprung_velocity"]
+order = "full"
+noise = true
+sampled = true
+
 [controllers.noisy]
 measured = ["suspension_deflection", "sprung_velocity"]
 order = "full"
@@ -60,7 +66,7 @@ D = [[8000.0, -1500.0]]
 """
 CONTROLLERS = [
     *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "python")),
-    *(("built", name) for name in ("sampled", "noisy", "discrete")),
+    *(("built", name) for name in ("sampled", "sampled_full", "noisy", "discrete")),
     ("quarter_car_accelerometer", "accelerometer"),
     ("quarter_car_semi_active", "skyhook"),
 ]

@@ -78,8 +78,9 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     alike = math.isfinite(ideal) and ideal and controller.hardware == IDEAL
     more = f", {against(norm.value, ideal)} the ideal loop's" if alike else ""
     seen = "frequencies" if norm.by_sweep else "level sets"
+    heard = ", and what is read has its noise" if any(controller.hardware.noise) else ""
     lines = [
-        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on",
+        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on{heard}",
         f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
@@ -272,7 +273,7 @@ def judged_lines(controller: Controller) -> list[str]:
         loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
         texts.append(
             f"norm and bounds are of road and loads together: {loads} count as much as 1 m/s of w each; a norm as implemented, "
-            "and one that sim.sweep measures, is of the road alone"
+            "and one that sim.sweep measures, knows no loads"
         )
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")

@@ -100,7 +100,7 @@ def sweep(
         small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
     ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
-        norm = norm_if_implemented(ideal, controller, timestep)
+        norm = norm_if_implemented(ideal, controller.quiet, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
         blur = vehicle.implementation.blur
         sweeps.append(Sweep(line, extreme, norm, road, load, blur, small.get(controller.name)))
