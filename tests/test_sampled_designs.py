@@ -22,7 +22,6 @@ from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, given
-from synth.vehicle.sampled_data import held_problem
 from tests.commands import in_the_suite, main_of, refused
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
