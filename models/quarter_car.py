@@ -129,19 +129,39 @@ def motion(p: Parameters) -> "Motion":
     return rigid_motion(body, STATES)
 
 
+def hub_frequency(p: Parameters) -> float:
+    """Returns the frequency of the wheel on its tyre alone [rad/s]."""
+    return math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"])
+
+
+def mass_ratio(p: Parameters) -> float:
+    """Returns the unsprung mass over the sprung mass."""
+    return p["unsprung_mass"] / p["sprung_mass"]
+
+
+def rigid_frequency(p: Parameters) -> float:
+    """Returns the frequency of both masses as one on the tyre [rad/s]."""
+    return math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"]))
+
+
+def whole_ratio(p: Parameters) -> float:
+    """Returns the whole mass over the sprung mass."""
+    return (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"]
+
+
 # From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which contains no suspension force.
 INVARIANTS = (
     Invariant(
         name="z_s/z_r",
         signals=(signals.SUSPENSION_DEFLECTION.name, signals.TYRE_DEFLECTION.name, signals.ROAD_DISPLACEMENT.name),
-        omega=lambda p: math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"]),
-        magnitude=lambda p: p["unsprung_mass"] / p["sprung_mass"],
+        omega=hub_frequency,
+        magnitude=mass_ratio,
     ),
     Invariant(
         name="(z_s-z_u)/z_r",
         signals=(signals.SUSPENSION_DEFLECTION.name,),
-        omega=lambda p: math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"])),
-        magnitude=lambda p: (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"],
+        omega=rigid_frequency,
+        magnitude=whole_ratio,
     ),
 )
 

@@ -15,7 +15,7 @@ from sim.campaign.file import read_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import trade_off
 from sim.studies.ride.standing import KEYS
-from tests.commands import prose
+from tests.commands import prose, refused
 
 CAR = (
     read_vehicle("quarter_car_semi_active").text
@@ -227,7 +227,12 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
     """Where a controller of the file is best, the saved file is that file, with a comment; a lone table leaves no best out."""
     folder, _ = campaign
     options = ["--best", "force_peak", "--save", str(folder / "saved.toml"), "--brief"]
-    assert main([str(folder / "campaign.toml"), *options]) == 0
+    (folder / "saved.toml").write_text(CAR)
+    with refused("saved.toml exists and was not written by --save"):
+        main([str(folder / "campaign.toml"), *options])
+    (folder / "saved.toml").unlink()
+    for _ in range(2):  # it replaces what it wrote
+        assert main([str(folder / "campaign.toml"), *options]) == 0
     out = prose(capsys.readouterr().out)
     assert "the best force_peak has passive: force_peak 0; of 12" in out
     assert "variants that are best at nothing are left out" in out

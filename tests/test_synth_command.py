@@ -350,6 +350,18 @@ def test_check_needs_no_solver(capsys, tmp_path):
     assert "came without a certificate" in done.stdout
 
 
+def test_no_file_of_the_users_own_is_replaced(capsys, tmp_path):
+    """`--save` replaces its own file, and an empty one, and refuses any other: here the one that --vehicle was to name."""
+    own, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    own.write_text(read_vehicle("quarter_car").text)
+    saved.touch()
+    for _ in range(2):
+        table(capsys, "--controller", "I", "--save", str(saved))
+    with refused(f"--save {own} exists and was not written by --save; give another name or remove it"):
+        main(["--controller", "I", "--save", str(own)])
+    assert own.read_text() == read_vehicle("quarter_car").text
+
+
 def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
     """Nothing is left beside it, and a name that is taken is refused before anything is written."""
     file = tmp_path / "car.toml"

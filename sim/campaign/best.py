@@ -16,6 +16,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
+from models.figures.outputs import CAMPAIGN_SUM
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.campaign.file import Campaign
@@ -253,7 +254,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
         f"# {name}{of_law}: the best {request.metric}{within}, of {choice.count} and in SI units, by:",
         f"# {pasted(shlex.split(command))}",
         f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
-        f"# SHA-256 of the campaign and the files that it names: {identity}",
+        f"{CAMPAIGN_SUM}{identity}",
     ]
     if candidate.variant is not None:
         lines += section_lines(vehicle, candidate.controller, choice.values, name)

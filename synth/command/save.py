@@ -7,6 +7,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import whole_file
+from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
@@ -69,7 +70,7 @@ def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound
         *([f"loads = {_toml(dict(controller.hardware.loads))}"] if controller.hardware.loads else []),
         *(["lag = true"] if controller.hardware.bandwidth is not None else []),
         "",
-        f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
+        f"[controllers.{key}.certificate]    {CHECKED_BY}",
         *(f"{key} = {_toml(value)}" for key, value in record.items()),
     ]
 
