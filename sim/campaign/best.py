@@ -182,10 +182,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
         check_name("--save:", controller + SUFFIX, ())
         if controller + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {name} has a controller {controller + SUFFIX!r} already; rename or remove that one")
-    try:
-        parse_vehicle(vehicle.text, folder=path.parent)
-    except InputError as error:
-        raise InputError(f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it") from error
+    vehicle.text_for(path)
 
 
 def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> list[Choice]:
@@ -258,7 +255,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     ]
     if candidate.variant is not None:
         lines += section_lines(vehicle, candidate.controller, choice.values, name)
-    text = vehicle.text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
+    text = vehicle.text_for(path).rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
