@@ -192,6 +192,8 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
     ("text", "said"),
     [
         (GOOD.replace("rear", "back"), "no column is called rear, after the wheel that would stand on it, but back, front"),
+        (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' is of no wheel of this vehicle, which has front"),
+        (GOOD.replace("rear", "front"), "two columns are called 'front'"),
         (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', are of one wheel"),
         (GOOD.replace("front [mm]", "front"), "column 2, 'front', has no unit; allowed: cm, ft, in, km, m, mm; write front [m]"),
         (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit; allowed: ms, s; write time [s]"),
