@@ -172,7 +172,9 @@ def test_the_saved_file_drives_as_the_variant(tmp_path, capsys, car, law, keys):
     tuned = f"{law}_tuned"
     assert f"saved as controller {tuned}" in capsys.readouterr().out
     said = (tmp_path / "tuned.toml").read_text()
-    (variant,) = re.findall(rf"variant (\d) of {law}: the best ride within control_force_rms <= 10000 and ride <= 1000", said)
+    (variant,) = re.findall(
+        rf"variant (\d) of {law}: the best ride within control_force_rms <= 10000 N and ride <= 1000 m/s2", said
+    )
     assert "seed 4 of [samples]" in said
     assert "--subject-to control_force_rms:1e4 --subject-to ride:1e3 --save" in said
     again = text.replace(f'"{law}"', f'"{tuned}"').replace("variants = 3\n", "").replace("car.toml", "tuned.toml")
@@ -202,7 +204,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert nearest["misses"] == {"peak_travel": numbers[who][0] - travel, "dynamic_load": numbers[who][1] - load}
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
-    limits = r"peak_travel <= \S+ and dynamic_load <= \S+"
+    limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
     said = rf"none of 12 is within {limits}; {name}.* is nearest, and misses peak_travel by \S+ \(.* %\)"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
@@ -256,6 +258,8 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
         (["--best", "colour"], "--best 'colour' is no metric of this campaign; give at_stops, dynamic_load, force_peak"),
         (["--best", "linear_error"], "--best 'linear_error' is no metric of this campaign"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
+        (["--best", "ride", "--subject-to", "travel:0.08"], "'travel' is no metric of this campaign, and peak_travel is; give"),
+        (["--best", "ride", "--subject-to", "peak_travel:-1"], "peak_travel:-1: peak_travel is never below 0; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "colour:1"], "--subject-to 'colour' is no metric"),
         (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is no finite number; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel:-inf"], "'-inf' is no finite number"),

@@ -208,6 +208,19 @@ def test_vehicles_and_controllers_go_to_other_processes():
         np.testing.assert_array_equal(again.gain, controller.gain)
 
 
+def test_one_controller_is_a_list_of_one():
+    """A single name, or controller, is run and designed as a list of it; no controller at all is refused by both."""
+    vehicle, bump = models.read_vehicle("quarter_car"), models.Bump()
+    (passive,) = synth.design_controllers(vehicle, "passive")
+    for one in ("passive", passive):
+        (alone,), (listed,) = (sim.run(vehicle, given, bump, duration=0.1) for given in (one, [one]))
+        np.testing.assert_array_equal(alone.physics["tyre_deflection"], listed.physics["tyre_deflection"])
+    for call in (lambda: sim.run(vehicle, [], bump), lambda: synth.design_controllers(vehicle, [])):
+        with pytest.raises(models.InputError, match="at least one"):
+            call()
+    assert max(len(repr(one)) for one in (vehicle.kind, synth.Designer(vehicle))) < 130
+
+
 def test_a_vehicle_is_read_only():
     """Its parameters, weights and controllers refuse every change, also copied or unpickled; the caller's own dicts do not."""
     vehicle = models.read_vehicle("quarter_car")

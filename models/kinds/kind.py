@@ -283,6 +283,12 @@ class VehicleKind(Checked):
     motion: Callable[[Parameters], "Motion"] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Returns its name and how much it has."""
+        return (
+            f"VehicleKind {self.name}: {len(self.parameters)} parameters, {len(self.signals)} signals, {len(self.wheels)} wheels"
+        )
+
     def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
         if self.folder == HERE:
             return super().__reduce_ex__(protocol)

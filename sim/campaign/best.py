@@ -32,6 +32,8 @@ GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
 LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
 MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
 SIGNED = ("at_end",)
+SIGNED_LIMITS = ("power", "energy", "dive", "squat")
+UNITS = {"ride": "m/s2", "peak_travel": "m", "force_rms": "N", "force_peak": "N"}  # of `KEYS`; shares have none
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,12 @@ class Request:
     Attributes:
         metric: of which the least is best.
         limits: the most that other metrics may be, in SI units.
+        units: of the limits; empty for numbers without one.
     """
 
     metric: str
     limits: Mapping[str, float]
+    units: Mapping[str, str]
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -54,7 +58,7 @@ class Request:
     @property
     def words(self) -> str:
         """The limits in words, after the metric; empty without them."""
-        return " and ".join(f"{name} <= {limit:g}" for name, limit in self.limits.items())
+        return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
 @dataclass(frozen=True)
@@ -143,21 +147,38 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
             limit = math.nan
         if not math.isfinite(limit):
             raise InputError(f"{where}: {quoted(number)} is no finite number; {GIVE}")
+        if limit < 0 and not _may_be_negative(metric, campaign):
+            raise InputError(f"{where}: {metric} is never below 0; {GIVE}")
         if metric in read:
             raise InputError(f"{where}: {metric} has two limits; give the smaller one")
         read[metric] = limit
     if save is not None:
         _check_save(campaign, save)
-    return Request(best, read)
+    return Request(best, read, {name: _unit(name, campaign) for name in read})
+
+
+def _may_be_negative(metric: str, campaign: Campaign) -> bool:
+    """Returns True for a metric that is a power, an energy, or an angle against level ground."""
+    known = [_by_name(vehicle, campaign.loaded).get(metric) for vehicle in campaign.vehicles.values()]
+    return any(one is not None and one.what in SIGNED_LIMITS for one in known)
+
+
+def _unit(metric: str, campaign: Campaign) -> str:
+    """Returns the SI unit of a metric; empty for a number without one."""
+    if metric in KEYS:
+        return UNITS.get(metric, "")
+    unit = next(_by_name(vehicle, campaign.loaded)[metric].unit for vehicle in campaign.vehicles.values())
+    return "" if unit == "-" else unit
 
 
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     """Refuses a metric that a vehicle lacks."""
     known = {key for vehicle in campaign.vehicles.values() for key in _known(vehicle, campaign.loaded)} | {*KEYS}
     if name not in known:
+        meant = [key for key in KEYS if name and name in key]
+        unknown = f"{quoted(name)} is no metric of this campaign{f', and {listing(meant)} is' if meant else ''}"
         raise InputError(
-            f"{option} {quoted(name)} is no metric of this campaign; give {listing(KEYS)}, or a metric's column of its "
-            "results, as sprung_acceleration_weighted"
+            f"{option} {unknown}; give {listing(KEYS)}, or a metric's column of its results, as sprung_acceleration_weighted"
         )
     for vehicle, one in campaign.vehicles.items():
         if name not in (there := _known(one, campaign.loaded)):

@@ -16,7 +16,7 @@ from synth.vehicle.designer import Designer
 
 def run(
     vehicle: Vehicle,
-    controllers: Annotated[Sequence[Driver | ControllerEntry | str], AT_LEAST_ONE],
+    controllers: Driver | ControllerEntry | str | Annotated[Sequence[Driver | ControllerEntry | str], AT_LEAST_ONE],
     road: Road,
     duration: float = 3.0,
     timestep: float = USUAL_TIMESTEP,
@@ -26,7 +26,7 @@ def run(
     Args:
         vehicle: the vehicle.
         controllers: as `synth.design_controllers` makes them, or names of the vehicle's, or entries of `vehicle.controllers`:
-            those are designed, and laws in Python and semi-active ones driven as they are.
+            those are designed, and laws in Python and semi-active ones driven as they are. A single one is a list of one.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: of the run [s].
         timestep: of MuJoCo [s], and the controllers' sample period where the vehicle file says none.
@@ -46,7 +46,8 @@ def run(
     time = sample_times(vehicle, duration, timestep)
     road.check(vehicle, time)
     designer = Designer(vehicle)
-    drivers = [_driver(designer, one) for one in controllers]
+    several = controllers if isinstance(controllers, Sequence) and not isinstance(controllers, str) else [controllers]
+    drivers = [_driver(designer, one) for one in several]
     check_fits(vehicle, *drivers)
     return run_controllers(vehicle, drivers, road, time)
 

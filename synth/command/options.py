@@ -51,8 +51,9 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
         raise InputError(
             "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
         )
-    if options.front is None and options.given & {"csv", "point"}:
-        raise InputError("--csv and --point are of the designs of --front; give its axes with --front, or leave them out")
+    for name in ("csv", "point"):
+        if options.front is None and name in options.given:
+            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
     return options
 
 
