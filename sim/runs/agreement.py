@@ -271,7 +271,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def _first_loose(vehicle: Vehicle, physics: Response) -> float:
-    """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite if there is none.
+    """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
     MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. The curvature of
     paths within a step, as RK4's stages see it, is bounded by their second differences.
