@@ -18,8 +18,8 @@ curves (`models.suspension`), and s from 0 to 1 the setting of the valve, the da
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of both at rest. A setting is named by its coefficient at rest, c = c_min + s (c_max -
-c_min). h is a velocity that bends as the curves do, with slope 1 at rest; for straight curves h = v and F = c v.
+where c_min and c_max are the slopes of both at rest. The coefficient at rest, c = c_min + s (c_max - c_min), names a setting.
+h is a velocity that bends as the curves do, with slope 1 at rest; for straight curves h = v and F = c v.
 """
 
 from collections.abc import Mapping, Sequence
