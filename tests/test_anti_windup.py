@@ -187,6 +187,16 @@ def test_a_state_that_shows_in_no_force_is_refused():
         anti_windup_gain(law.sampled(1e-3))
 
 
+def test_a_rate_that_rounding_hides_is_refused():
+    """An integrator decays at twice the rate; a rate below a millionth per sample would do nothing, and is refused."""
+    integrator = LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), anti_windup=2e-3)
+    law = integrator.sampled(1e-3)
+    left = 1 - float((law.A - anti_windup_gain(law) @ law.C)[0, 0])
+    assert left == pytest.approx(2 * 2e-3 * 1e-3, rel=1e-5)  # first order of 4e-6, and rounding of 1 + 4e-6
+    with refused("anti_windup = 0.0005", "lost in rounding at a sample period of 0.001 s; give at least 0.001"):
+        anti_windup_gain(replace(law, anti_windup=5e-4))
+
+
 GAIN = 'measured = ["sprung_velocity"]\ngain = [[-100.0]]\n'
 
 

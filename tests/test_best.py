@@ -11,8 +11,9 @@ from scipy.stats import qmc
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main
+from sim.campaign.best import Choice, Request, _near
 from sim.campaign.file import read_campaign
-from sim.campaign.plan import Plan
+from sim.campaign.plan import Candidate, Plan
 from sim.campaign.summary import trade_off
 from sim.studies.ride.standing import KEYS
 from tests.commands import prose, refused
@@ -188,6 +189,15 @@ def test_the_saved_file_drives_as_the_variant(tmp_path, capsys, car, law, keys):
         of_law = [row for row in then if row["controller"] == law and row["sample"] == 1]
         found = {row[f"expected_{RIDE}"] or row[f"linear_{RIDE}"] for row in of_law if row["seed"] != 1}
         assert len(found) == 2 * 3, "every variant has its own prediction, over the random road and the bump"
+
+
+def test_a_near_tie_is_named():
+    """Candidates with the digits that the table prints for the best are named with their distance; others are not."""
+    best, tied, worse = (Candidate(name, None) for name in ("pdd", "acc", "soft"))
+    near = _near("peak_travel", best, {worse: 0.0701, best: 0.07, tied: 0.07 * (1 + 3e-6)})  # in mm: 70.1, 70.0, 70.0
+    assert near == {"acc": pytest.approx(3e-6, rel=1e-6)}  # rounding of 1 + 3e-6
+    said = Choice("car", Request("peak_travel", {}), best, {}, {"peak_travel": 0.07}, 3, 3, near).line
+    assert said == "car: the best peak_travel has pdd: peak_travel 0.07; of 3; and acc within 0.0003 %"
 
 
 def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):

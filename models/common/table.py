@@ -17,7 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 
-SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least doubtful first
+SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
 ABOVE = 50  # lines that may come before the numbers
 LENGTH = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 TIME = {"s": 1.0, "ms": 1e-3}
@@ -71,7 +71,7 @@ class Heading:
             units: the allowed ones.
             asked: the unit that the option asks for; empty for none.
             option: the setting's name; empty for none.
-            unsaid: the unit of a heading without one; empty if a unit must be said.
+            unsaid: the unit of a heading without one; empty if a unit is required.
 
         Raises:
             InputError: the unit is missing or unknown, or another one was asked for.
@@ -278,7 +278,7 @@ def numbers_of(cells: Sequence[str]) -> list[float] | None:
 
 
 def separator_of(line: str) -> str:
-    """Returns the separator of a line's cells: the least doubtful that makes all of them numbers, else the least doubtful."""
+    """Returns the separator of a line's cells: the least ambiguous that makes all of them numbers, or that of any."""
     marks = [mark for mark in SEPARATORS.values() if mark in line] or [" "]
     return next((mark for mark in marks if all(map(_numeric, split_cells(line, mark)))), marks[0])
 

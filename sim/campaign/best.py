@@ -6,7 +6,7 @@ Candidates are all controllers, and every variant of those whose laws are drawn.
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.campaign.summary import Standings
 from sim.studies.ride.metrics import Metric, metrics_of
-from sim.studies.ride.standing import KEYS, Standing, columns_of
+from sim.studies.ride.standing import KEYS, MEASURES, Standing, columns_of, digits
 
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
@@ -34,6 +34,7 @@ MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mea
 SIGNED = ("at_end",)
 SIGNED_LIMITS = ("power", "energy", "dive", "squat")
 UNITS = {"ride": "m/s2", "peak_travel": "m", "force_rms": "N", "force_peak": "N"}  # of `KEYS`; shares have none
+NEAREST = 3  # candidates next to the best that are named
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Choice:
         numbers: of the metrics that were asked for.
         within: how many candidates are within the limits; 0 if the candidate is only the nearest.
         count: how many candidates there are.
+        near: relative distances of the candidates that the table's digits do not tell from the best, by name.
     """
 
     vehicle: str
@@ -82,6 +84,7 @@ class Choice:
     numbers: Mapping[str, float]
     within: int
     count: int
+    near: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def misses(self) -> dict[str, float]:
@@ -113,7 +116,10 @@ class Choice:
         if self.within:
             limits = f" within {request.words}" if request.limits else ""
             count = f"; {self.within} of {self.count} are within" if request.limits else f"; of {self.count}"
-            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}"
+            near = [f"{name} within {percent(share)}" for name, share in self.near.items()]
+            others = f", and {len(near) - NEAREST} more" if len(near) > NEAREST else ""
+            tied = f"; and {', '.join(near[:NEAREST])}{others}" if near else ""
+            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}{tied}"
         missed = " and ".join(
             f"{name} by {by:.3g}{f' ({percent(by / abs(limit))})' if (limit := request.limits[name]) else ''}"
             for name, by in self.misses.items()
@@ -233,7 +239,17 @@ def _choice(plan: Plan, store: Store, request: Request, vehicle: str, standings:
         best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
     of_law = plan.campaign.variants[vehicle].get(best.controller, ()) if best is not None else ()
     drawn = of_law[best.variant] if best is not None and best.variant is not None else {}
-    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates))
+    near = _near(request.metric, best, {one: numbers[one][request.metric] for one in within}) if best in within else {}
+    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates), near)
+
+
+def _near(metric: str, best: Candidate | None, values: Mapping[Candidate, float]) -> dict[str, float]:
+    """Returns relative distances from the best, by name, of the candidates with the same digits in the table of standings."""
+    if best is None or not values[best]:
+        return {}
+    scale, least = next((one.scale for one in MEASURES if one.key == metric), 1.0), values[best]
+    same = [one for one in values if one != best and digits(scale * values[one]) == digits(scale * least)]
+    return {one.name: values[one] / least - 1 for one in sorted(same, key=values.__getitem__)}
 
 
 def _over_runs(metric: Metric, values: Array) -> float:

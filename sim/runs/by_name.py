@@ -29,11 +29,11 @@ def run(
             those are designed, and laws in Python and semi-active ones driven as they are. A single one is a list of one.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: of the run [s].
-        timestep: of MuJoCo [s], and the controllers' sample period where the vehicle file says none.
+        timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
 
     Raises:
-        InputError: the road cannot be driven by this vehicle, a controller is another one's, a time is not allowed, or noise is
-            of what nobody measures.
+        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a
+            signal with noise is measured by no controller.
         DesignError: a controller cannot be designed.
 
     Example:
@@ -53,7 +53,7 @@ def run(
 
 
 def _driver(designer: Designer, given: Driver | ControllerEntry | str) -> Driver:
-    """Returns a controller that may be named, or be an entry of the vehicle file."""
+    """Returns the controller of a name, or of an entry of the vehicle file."""
     if not isinstance(given, str | ControllerEntry):
         return given
     name, known = given if isinstance(given, str) else given.name, designer.vehicle.controllers

@@ -1,10 +1,10 @@
-"""Physics against the vehicle's exact equations, step by step: also where no linear response holds.
+"""Comparison of physics with the vehicle's exact equations, step by step, also where no linear response applies.
 
-From the signals at one sample follows the state, and from this, by RK4's own arithmetic on the equations of the vehicle file, the
-signals at the next sample. Physics must have these, to rounding: while bodies turn, beyond the lines of curves, at bump stops,
-with tyres in the air and forces at their limits. Every step begins at physics' own state, so no error of one step hides in the
-next, and all steps are computed at once. Forces are those that the controller has asked for, within the limits and behind the lag
-of the vehicle file; where that is not known, as in a log, those of physics within these limits, as are coefficients of dampers.
+The signals at one sample determine the state. RK4 on the equations of the vehicle file then gives the signals at the next sample.
+Physics must have the same signals, to rounding: while bodies turn, beyond the lines of curves, at bump stops, with tyres in the
+air and forces at their limits. Every step begins at physics' own state, so no error of one step hides in the next, and all steps
+are computed at once. Forces are the controller's requests, with the limits and the lag of the vehicle file. If the requests are
+not known, as in a log, the forces of physics are taken, within the same limits, and likewise the coefficients of dampers.
 """
 
 from collections.abc import Mapping
@@ -27,8 +27,8 @@ from sim.response.response import Response
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-EXACT = 1e-10  # of a peak; measured up to 1e-12 per step, and a force that is off by a ten thousandth leaves 1e-8 and more
-SHARES = (0.0, 0.5, 0.5, 1.0)  # of a step, at which RK4 looks at it
+EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
@@ -37,9 +37,9 @@ class StepAgreement:
     """Differences of the physics from the vehicle's exact equations over single steps.
 
     Attributes:
-        error: the difference that comes nearest to its allowed value or exceeds it most, over the signal's peak.
-        allowed: of that signal, over its peak.
-        signal: its name.
+        error: the difference with the largest ratio to its allowed value, over the signal's peak.
+        allowed: the allowed value of that signal, over its peak.
+        signal: name of that signal.
         since: start of the first step that differs by more than is allowed [s], or infinity.
         until: steps that begin before this time are compared [s]; infinite for all.
     """
@@ -57,7 +57,7 @@ class StepAgreement:
 
 
 class LinearMotion:
-    """Equations of motion of a vehicle that is linear between the limits of its file, while no tyre leaves the road."""
+    """Equations of motion of a vehicle that is linear except for the limits of its file, while no tyre leaves the road."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Takes the linear model, and how its suspensions pull.
@@ -82,7 +82,7 @@ class LinearMotion:
         self._rates = self._rows @ self.model.A
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """See `Motion`. It is the part of the linear model's state that does not jump with the road."""
+        """See `Motion`. The state is the part of the linear model's state that does not jump with the road."""
         return np.stack([signals[name] for name in self.names], axis=-1) - heights @ self._jump
 
     def usable(self, state: Array) -> Array:
@@ -111,7 +111,7 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
 
 
 def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> StepAgreement:
-    """Compares every step of physics that ends before a time [s] with the equations of motion.
+    """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
         asked: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
@@ -122,7 +122,7 @@ def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: A
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     rounding = roundings(road.vehicle, None)
     scales = np.array([physics.scale(name) or 1.0 for name in motion.names])
-    # What a length of a metre rounds to is a hundred times as much at a height of a hundred metres.
+    # The rounding of lengths grows with the height of the road.
     high = 1.0 + np.abs(road.heights).max(initial=0.0)
     allowed = EXACT + high * np.array([rounding[name] for name in motion.names]) / scales
     apart = np.where(known[:, None], np.abs(ahead - there) / scales, 0.0)
@@ -141,7 +141,7 @@ def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: A
 
 
 def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> dict[str, Array]:
-    """Returns how the linear vehicle would move if only the differences of single steps pushed it, by output signal.
+    """Returns the response of the linear vehicle to the differences of single steps alone, by output signal.
 
     Args:
         asked: as for `compare_steps`.
@@ -159,7 +159,7 @@ def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array
 
 
 def _stepped(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None) -> tuple[Array, Array, Array]:
-    """Returns signals after one step of RK4 from every sample, those of physics there, shapes (K, p), and where both compare."""
+    """Returns signals after a step of RK4 from every sample, those of physics, shapes (K, p), and where forces are known."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_loads[: count - 1]
     if count == 1:
@@ -183,8 +183,8 @@ def _stepped(motion: "Motion", road: RoadInput, physics: Response, asked: Array 
 def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -> tuple[list[Array], Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each.
 
-    Behind them is where they are known, shape (K,): a lagging force that is at its limit at one end of a step alone is not known
-    within it, unless all commands are.
+    It also returns a mask of the steps in which they are known, shape (K,). If commands are unknown, a lagging force that
+    is at its limit at only one end of a step is unknown within it.
     """
     inputs, limits, count = vehicle.linear_model.inputs, vehicle.limits, len(physics.time)
     now, most = np.stack([physics[name] for name in inputs], axis=-1), limits.actuator_force or np.inf
@@ -195,7 +195,7 @@ def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -
         rates[j] = one.damper.bandwidth or 0.0
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     z = rates * h
-    way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the way to its command that RK4 goes in a step
+    way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the distance to its command that a lag covers in a step of RK4
     if asked is not None and limits.actuator_bandwidth is None:
         now[:, pushing] = asked[:count, : len(inputs)][:, pushing]
     elif asked is not None:

@@ -15,8 +15,9 @@ AXES_HELP = (
 )
 
 EPILOG = """
-exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. That a loop is stable
-without its computer is no claim where it is stable with it; one that its computer loses claims nothing false, and is named
+exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. With a sample period or a
+delay in the vehicle file a loop fails as unstable only if it is unstable with these and without. A loop that is unstable with
+these alone is named, and does not fail
 
 examples:
   python -m synth

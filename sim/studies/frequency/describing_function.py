@@ -204,7 +204,11 @@ def describing_verdict(one: DescribingFunction) -> str:
         return f"NOTHING MEASURED: every run {'broke off' if one.ran_away.any() else 'diverged'}"
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
-    return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
+    share = percent(float(np.nanmax(one.outside)))
+    return (
+        f"no linear claim: in the worst signal {share} of the energy is at other frequencies, which a describing function leaves "
+        "out"
+    )
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:
