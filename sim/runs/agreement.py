@@ -33,7 +33,7 @@ from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reac
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, ScaledPrediction
 from sim.runs.steps import StepAgreement, compare_steps, left_over, motion_of
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
@@ -152,7 +152,7 @@ def compare(prediction: Prediction, physics: Response, asked: Array | None = Non
     """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
-    ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
+    ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
     # A loop that grows threefold in a step is through the road and back within one, which the prediction's own squeeze shows.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
