@@ -159,13 +159,12 @@ def compare(prediction: Prediction, physics: Response, asked: Array | None = Non
     if foretold < until:
         ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
-    steps = None
+    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
+    steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended))
+        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended), rounding)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
-    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
-    rounding = roundings(vehicle, controller)
     if prediction.loop is not None and prediction.radius > 1:
         rounding = grown(rounding, prediction.loop, len(physics.time))
     for name, rounded in rounding.items():

@@ -123,11 +123,19 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
         return None
 
 
-def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> StepAgreement:
+def compare_steps(
+    motion: "Motion",
+    road: RoadInput,
+    physics: Response,
+    asked: Array | None,
+    until: float,
+    rounding: Mapping[str, float],
+) -> StepAgreement:
     """Compares every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
         asked: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = physics.until(until)
     starts = _starts(motion, road, physics, asked)
@@ -136,11 +144,16 @@ def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: A
     ahead, there = _stepped(motion, starts)
     shown = _shown(motion, starts, physics)
     names = (*motion.names, *shown)
-    rounding = roundings(road.vehicle, None)
+    held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
+    # A signal is rounded, and so are those that tell it.
+    rounded = [held[name] for name in motion.names]
+    for name in shown:
+        parts = combined.get(name, {name: 1.0})
+        rounded.append(sum(abs(share) * rounding.get(part, 0.0) for part, share in parts.items()) + rounding.get(name, 0.0))
     scales = np.array([physics.scale(name) or 1.0 for name in names])
     # What a length of a metre rounds to is a hundred times as much at a height of a hundred metres.
     high = 1.0 + np.abs(road.heights).max(initial=0.0)
-    allowed = EXACT + high * np.array([rounding.get(name, 0.0) for name in names]) / scales
+    allowed = EXACT + high * np.array(rounded) / scales
     further = [shown[name] - physics[name][: len(ahead)] for name in shown]
     apart = np.abs(
         np.concatenate([np.where(starts.known[:, None], ahead - there, 0.0), *(row[:, None] for row in further)], axis=1)
