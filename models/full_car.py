@@ -76,16 +76,14 @@ STATES = (
     *_at_corners(signals.UNSPRUNG_VELOCITY),
 )
 FORCES = _at_corners(signals.CONTROL_FORCE)
-OUTPUTS = (
-    *STATES,
-    *_at_corners(signals.TYRE_DEFLECTION),
+ACCELERATIONS = (
     signals.HEAVE_ACCELERATION,
     signals.PITCH_ACCELERATION,
     signals.ROLL_ACCELERATION,
     *_at_corners(signals.SPRUNG_VELOCITY),
     *_at_corners(signals.SPRUNG_ACCELERATION),
-    *FORCES,
 )
+OUTPUTS = (*STATES, *_at_corners(signals.TYRE_DEFLECTION), *ACCELERATIONS, *FORCES)
 ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
@@ -140,7 +138,7 @@ def motion(p: Parameters) -> "Motion":
 
     lengths = (*_at_corners(signals.SUSPENSION_DEFLECTION), *_at_corners(signals.TYRE_DEFLECTION))
     rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
-    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)))
+    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)), (*ACCELERATIONS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:

@@ -46,14 +46,13 @@ STATES = (
     *_at_corners(signals.UNSPRUNG_VELOCITY),
 )
 FORCES = _at_corners(signals.CONTROL_FORCE)
-OUTPUTS = (
-    *STATES,
+ACCELERATIONS = (
     signals.HEAVE_ACCELERATION,
     signals.PITCH_ACCELERATION,
     *_at_corners(signals.SPRUNG_VELOCITY),
     *_at_corners(signals.SPRUNG_ACCELERATION),
-    *FORCES,
 )
+OUTPUTS = (*STATES, *ACCELERATIONS, *FORCES)
 ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
@@ -98,7 +97,7 @@ def motion(p: Parameters) -> "Motion":
     """Returns the exact equations of motion."""
     from models.kinds.rigid_motion import rigid_motion
 
-    return rigid_motion(_body(p), STATES)
+    return rigid_motion(_body(p), STATES, (*ACCELERATIONS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:

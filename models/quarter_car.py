@@ -126,7 +126,7 @@ def motion(p: Parameters) -> "Motion":
         tyre_stiffness=p["tyre_stiffness"],
     )
     body = RigidBody((corner,), p["sprung_mass"], 1.0, None, tyre_modes=np.eye(1), twist=np.zeros(1))
-    return rigid_motion(body, STATES)
+    return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))
 
 
 def hub_frequency(p: Parameters) -> float:

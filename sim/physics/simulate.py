@@ -27,7 +27,7 @@ from sim.physics.drivers import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -200,7 +200,8 @@ class MonitoredBatch:
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
         self.loads = loads_on(met)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
-        self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
+        self.ends = EndDetector(vehicles, time, anti_windup=[has_anti_windup(one) for one in controllers])
+        self.diverged = np.full(len(vehicles), np.inf)
         self.ran_away = np.zeros(len(vehicles), dtype=bool)
 
     @property

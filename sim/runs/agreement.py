@@ -33,7 +33,7 @@ from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reac
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, ScaledPrediction
 from sim.runs.steps import StepAgreement, compare_steps, left_over, motion_of
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; a larger difference confirms nothing, even if the integrator's own error is as large
@@ -152,20 +152,19 @@ def compare(prediction: Prediction, physics: Response, asked: Array | None = Non
     """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
-    ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
+    ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
     if foretold < until:
         ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
-    steps = None
+    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
+    steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended))
+        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended), rounding)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
-    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
-    rounding = roundings(vehicle, controller)
     if prediction.loop is not None and prediction.radius > 1:
         rounding = grown(rounding, prediction.loop, len(physics.time))
     for name, rounded in rounding.items():

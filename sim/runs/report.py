@@ -13,11 +13,22 @@ from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
-from sim.response.regime import CURVE, FLAT, LAW_OVERFLOW, LIFT_OFF, RAN_AWAY, REGIME_ENDS, broken_by, departures
+from sim.response.regime import (
+    CURVE,
+    DEMAND_CLIPPED,
+    FLAT,
+    LAW_OVERFLOW,
+    LIFT_OFF,
+    RAN_AWAY,
+    REGIME_ENDS,
+    SATURATION,
+    broken_by,
+    departures,
+)
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, has_anti_windup
 from synth.controller.report import (
     BOUND,
     NORM,
@@ -225,7 +236,10 @@ def verdict_lines(run: Run) -> list[str]:
     elif agreement.lift_off and agreement.blurred:
         lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
     times = agreement.ended
-    lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
+    said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
+    if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
+        said[SATURATION] = DEMAND_CLIPPED
+    lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
     left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
     if run.vehicle.dampers:

@@ -319,6 +319,8 @@ def compare_runs(predictions: Sequence[Prediction], physics: Sequence[Response],
 def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
+    A run that leaves more energy over than is usual is driven at half the step, too.
+
     Args:
         runs: over the same sample times, of vehicles of the same kind.
         made: the same runs with their states.
@@ -328,12 +330,18 @@ def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
-    if lifted:
-        again, timestep = [runs[i].prediction for i in lifted], runs[0].prediction.timestep
+    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful and not run.agreement.blurred]
+    if halved := sorted({*lifted, *doubtful}):
+        again, timestep = [runs[i].prediction for i in halved], runs[0].prediction.timestep
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
-        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep)).response
-        for k, i in enumerate(lifted):
-            runs[i] = replace(runs[i], half_step=_half_step(runs[i], finer.run(k)))
+        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
+        for k, i in enumerate(halved):
+            run, balance = runs[i], runs[i].energy
+            if balance is not None and balance.doubtful:
+                met = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves)
+                balance = balance.beside(energy(finer, k, met, until=run.agreement.ended[FLAT.name]))
+            half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
+            runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
 
 
