@@ -132,15 +132,20 @@ class RigidMotion:
         turning = second.copy()
         columns = [turning, hub_second]
         if k > 1:
-            x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
+            # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
+            x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
+            c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
             sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
             roll = q[:, 2:3] if k > 2 else np.zeros_like(sin)
-            over, side = np.sin(roll) * y, np.cos(roll) * y
+            over = np.sin(roll) * y + c - 2 * b * np.sin(roll / 2) ** 2
+            side, bend = np.cos(roll) * y - b * np.sin(roll), -np.sin(roll) * y - b * np.cos(roll)
             by_q = np.stack([np.ones_like(over), -x * cos - over * sin, side * cos][:k], axis=-1)
             pitch_rate, roll_rate = rates[:, 1:2], rates[:, 2:3] if k > 2 else np.zeros_like(sin)
-            bent = pitch_rate**2 * (x * sin - over * cos) - roll_rate**2 * over * cos - 2 * pitch_rate * roll_rate * side * sin
+            bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * side * sin
             velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
-            columns[1:1] = [velocity, acceleration + bent]
+            acceleration = acceleration + bent
+            turning[:, :1] = acceleration[:, :1]
+            columns[1:1] = [velocity[:, 1:], acceleration[:, 1:]]
             if k > 2:
                 turning[:, 2:] = turning[:, 2:] * cos - roll_rate * pitch_rate * sin
         return dict(zip(self.further, np.concatenate(columns, axis=1).T, strict=True))
