@@ -351,7 +351,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal"]) == 0
     assert "--refine" not in capsys.readouterr().out
     with pytest.raises(
-        DesignError, match="goals with --refine: it is static gains of the least norm of the ideal loop that are refined"
+        DesignError, match="goals with --refine: it is static gains of the least norm that are refined"
     ):
         Designer(read_vehicle(path)).refine("goal")
     with pytest.raises(InputError, match="no L"):
