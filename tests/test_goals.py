@@ -350,9 +350,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
     assert main_of("synth")(["--vehicle", str(path), "--controller", "goal"]) == 0
     assert "--refine" not in capsys.readouterr().out
-    with pytest.raises(
-        DesignError, match="goals with --refine: it is static gains of the least norm that are refined"
-    ):
+    with pytest.raises(DesignError, match="goals with --refine: it is static gains of the least norm that are refined"):
         Designer(read_vehicle(path)).refine("goal")
     with pytest.raises(InputError, match="no L"):
         Designer(read_vehicle(path)).design("goal", zero_l=True)
