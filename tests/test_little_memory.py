@@ -54,9 +54,10 @@ def test_little_address_space(arguments, mebibytes, codes, left, tmp_path):
         assert f"the address space is limited to {mebibytes * 2**20 / 1e6:.0f} MB (ulimit -v)" in run.stderr
         assert files <= {"campaign.json"}
     else:
-        assert {name.partition(".")[2] for name in files} == left
+        kinds = {name.partition(".")[2] for name in files}
+        assert kinds in (left, left - {"rrd"})  # how much Rerun's threads take differs from machine to machine
         assert run.stderr == ""
-        assert ("no .rrd file, as the address space is limited" in run.stdout) == ("mcap" in left and "rrd" not in left)
+        assert ("no .rrd file, as the address space is limited" in run.stdout) == ("mcap" in kinds and "rrd" not in kinds)
 
 
 def test_files_of_the_users_own_names(tmp_path):

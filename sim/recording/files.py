@@ -73,7 +73,12 @@ def record(
             if "rerun" in written:
                 from sim.recording.rerun_writer import write_rrd
 
-                write_rrd(written["rerun"], runs, metadata)
+                try:
+                    write_rrd(written["rerun"], runs, metadata)
+                except OSError as error:
+                    if memory.limit() >= memory.AMPLE or "thread" not in str(error):
+                        raise
+                    del written["rerun"]  # its threads found too little address space
             with interrupt.finishing():
                 return _published(written, folder, stem)
     except OSError as error:
