@@ -105,12 +105,16 @@ def test_active_suspension(scenario):
     assert found.certificate.gap < WITHIN
 
 
+# Of the other kinds some optima take gains that rounding does not leave: there the remark says how far above the bound it is.
+SHARP = ("undamped", "rank-deficient D", "feedthrough", "uncontrollable", "free inputs")
+
+
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        *((kind, 0) for kind in ("undamped", "rank-deficient D", "feedthrough")),
-        *(pytest.param(kind, 0, marks=pytest.mark.attack) for kind in ("uncontrollable", "free inputs")),
-        *(pytest.param(kind, 4, marks=pytest.mark.attack) for kind in KINDS),
+        *((kind, 0) for kind in SHARP[:3]),
+        *(pytest.param(kind, 0, marks=pytest.mark.attack) for kind in SHARP[3:]),
+        *(pytest.param(kind, 4, marks=pytest.mark.attack) for kind in SHARP),
     ],
 )
 def test_random_plants(kind, seed):

@@ -39,7 +39,7 @@ AT_THE_END = re.compile(r"(?<=\w)\s*[\s_/,-]\s*([A-Za-z]+)$")
 SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s{0,9})?[\[(][^\[\]()]{0,60}[\])]|\S+')  # a unit in brackets goes with its word
 LONGEST = 200  # characters of a heading
 WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
-WITH_BOTH = re.compile(r"[+-]?\d+(\.\d*)*\.\d*,\d*|[+-]?\d+(,\d*)*,\d*\.\d*")  # 1.300,0 and 1,300.0
+WITH_BOTH = re.compile(r"[+-]?\d+(\.\d*)*\.\d*,\d+|[+-]?\d+(,\d*)*,\d*\.\d*")  # 1.300,0 and 1,300.0
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 
 
@@ -299,7 +299,7 @@ def _one_mark(cell: str) -> list[str]:
         return [f"{whole.replace('.', '').replace(',', '')}{mark}{decimals}"]
     decimal = cell.replace(".", ",")
     whole = [cell.replace(".", "")] if THOUSANDS.fullmatch(cell) else []
-    return [*whole, decimal.rstrip("0").rstrip(",") if whole else decimal]
+    return [*whole, (decimal.rstrip("0") if whole else decimal).rstrip(",")]
 
 
 def split_cells(line: str, mark: str) -> list[str]:
