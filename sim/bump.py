@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         recordings = [] if options.brief else log_lines(logs)
         say([*lines, "", *standing_lines(standings, "MuJoCo, all of the run"), *recordings, "", *summary_lines(runs)])
     view(options, logs)
-    return 0 if all(run.holds for run in runs) else 1
+    return 0 if all(run.passed for run in runs) else 1
 
 
 def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:

@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         recordings = [] if options.brief else log_lines(logs)
         say([*lines, "", *standing_lines(standings, window), *recordings, "", *summary_lines(runs)])
     view(options, logs)
-    return 0 if all(run.holds for run in runs) else 1
+    return 0 if all(run.passed for run in runs) else 1
 
 
 if __name__ == "__main__":

@@ -135,8 +135,8 @@ def _which_loop(vehicle: "Vehicle") -> str:
         return lines
     lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
     without = " and without the file's [implementation], whose delay and period are part of what it bears"
-    if vehicle.implementation.blurred:
-        without += f", and whose {vehicle.implementation.blur} is not tried"
+    if vehicle.implementation.has_measurement_noise:
+        without += f", and whose {vehicle.implementation.noise_text} is not tried"
     computer = "" if vehicle.implementation.ideal else without
     follow = "; they hold only while the adjustable dampers of [actuators] give the force, as those do that push" * bool(
         vehicle.dampers

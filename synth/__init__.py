@@ -33,15 +33,15 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.analysis.band_norm import norm_in_band
     from synth.analysis.certificate import certify
     from synth.analysis.norm import hinf_norm
-    from synth.analysis.sampled_loop import Piece, SampledLoop
+    from synth.analysis.sampled_loop import HoldInterval, SampledLoop
     from synth.analysis.sampled_norm import sampled_norm
     from synth.controller.controller import Controller
     from synth.design.descent.refine import refine
     from synth.design.full_order.full_order import full_order_design
     from synth.design.full_order.quadratic import h2_design, lqg_design, lqr_design
     from synth.design.multi_model import slack_design
-    from synth.design.multi_objective.design import design_for_goals
-    from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+    from synth.design.multi_objective.design import multi_objective_design
+    from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, FamilyMember, NormSpecification, MeasuredPlant
     from synth.design.static import static_output_feedback
     from synth.design.two_step import two_step_design
     from synth.design.uncertainty.worst_case import worst_norm

@@ -54,11 +54,11 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
     plant = synth.GeneralizedPlant(A, B, B, C, D, Dw)
     matrices = {name: getattr(plant, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     Cy, K, kind, model = array([[0.0, 1.0]]), array([[-2.0]]), vehicle.kind, vehicle.linear_model
-    posed = synth.Posed(plant, Cy)
-    member, goal, none = synth.Member((posed,)), synth.NormGoal(band=(1.0, 3.0)), synth.Errors(np.zeros(1), np.zeros(1))
+    posed = synth.MeasuredPlant(plant, Cy)
+    member, goal, none = synth.FamilyMember((posed,)), synth.NormSpecification(band=(1.0, 3.0)), synth.GainErrors(np.zeros(1), np.zeros(1))
     anywhere = np.ones((1, 1), dtype=bool)
-    problem = synth.GoalProblem((member,), goal, none, anywhere, gain=5.0)
-    piece = synth.Piece(duration=0.01, late=0)
+    problem = synth.MultiObjectiveProblem((member,), goal, none, anywhere, gain=5.0)
+    piece = synth.HoldInterval(duration=0.01, late=0)
     loop = synth.SampledLoop(plant, (piece,), array([[0.0, -2.0]]), np.zeros((0, 2)), np.zeros((0, 1)))
     import control
 
@@ -118,16 +118,16 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "refine": (synth.refine, {**measured, "K": K, "Dyw": None}),
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
-        "NormGoal": (synth.NormGoal, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
-        "Posed": (synth.Posed, {**measured, "Dyw": None}),
-        "Member": (synth.Member, {"posed": (posed,), "driven": (), "signals": ()}),
-        "Errors": (synth.Errors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
+        "NormGoal": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
+        "Posed": (synth.MeasuredPlant, {**measured, "Dyw": None}),
+        "Member": (synth.FamilyMember, {"posed": (posed,), "driven": (), "signals": ()}),
+        "Errors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
         "GoalProblem": (
-            synth.GoalProblem,
+            synth.MultiObjectiveProblem,
             {"members": (member,), "minimise": goal, "tolerance": none, "structure": anywhere, "norms": (goal,), "decay": 0.1}
             | {"peaks": (), "gain": 5.0, "bests": None},
         ),
-        "design_for_goals": (synth.design_for_goals, {"problem": problem, "starts": [K], "told": print, "otherwise": tuple}),
+        "design_for_goals": (synth.multi_objective_design, {"problem": problem, "starts": [K], "told": print, "otherwise": tuple}),
         "full_order_design": (
             synth.full_order_design,
             {**measured, "Dyw": None, "lower_bound": None, "states": states, "fastest": 100.0},
@@ -146,7 +146,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None},
         ),
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
-        "Piece": (synth.Piece, {"duration": 0.01, "late": 0}),
+        "Piece": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (
             synth.SampledLoop,
             {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)},
@@ -166,7 +166,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "Designer": (synth.Designer, {"vehicle": vehicle, "search": True}),
         "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "told": print}),
         "Designer.given": (
-            designer.given,
+            designer.certify,
             {"name": "mine", "measured": controller.measured, "law": controller.law},
         ),
         "Controller": (

@@ -49,6 +49,6 @@ def listing(names) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
-def some(names: Sequence[str], most: int = 3) -> str:
+def first_few(names: Sequence[str], most: int = 3) -> str:
     """Returns the first of many names, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -53,7 +53,7 @@ class PhysicsRuns:
     qvel: Array
     diverged: Array
     ran_away: Array
-    asked: Array
+    requested_force: Array
     kept: Array
     states: Sequence[tuple[Signal, ...]]
 
@@ -100,7 +100,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
-    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.asked.swapaxes(0, 1)
+    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
     laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
     states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
@@ -118,7 +118,7 @@ def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
 def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int]:
     """Returns the type of a controller and the steps for which it holds a force, 0 if noise or a delay comes between."""
     computer = vehicle.implementation
-    return type(controller), 0 if computer.delay or computer.blurred else steps_per_sample(computer, timestep)
+    return type(controller), 0 if computer.delay or computer.has_measurement_noise else steps_per_sample(computer, timestep)
 
 
 def _by_kind(

@@ -74,7 +74,7 @@ def record(
                 from sim.recording.rerun_writer import write_rrd
 
                 write_rrd(written["rerun"], runs, metadata)
-            with interrupt.finishing():
+            with interrupt.uninterrupted():
                 return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error

@@ -144,7 +144,7 @@ class Agreement(Shown):
         return self.steps is None or self.steps.agrees
 
 
-def compare(prediction: Prediction, physics: Response, asked: Array | None = None) -> Agreement:
+def compare(prediction: Prediction, physics: Response, requested_force: Array | None = None) -> Agreement:
     """Compares what MuJoCo did in one run with its prediction.
 
     Args:
@@ -161,7 +161,7 @@ def compare(prediction: Prediction, physics: Response, asked: Array | None = Non
     lift_off = lift_off_intervals(vehicle, physics)
     steps = None
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended))
+        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended))
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
@@ -212,7 +212,7 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
     return replace(agreement, signals=signals)
 
 
-def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, asked: Array | None) -> Agreement:
+def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, requested_force: Array | None) -> Agreement:
     """Says what geometry makes by the vehicle's exact equations: all differences but those that single steps leave.
 
     Arguments as for `compare`.
@@ -223,7 +223,7 @@ def with_geometry(agreement: Agreement, prediction: Prediction, physics: Respons
     end = agreement.until
     more: Mapping[str, Array] = {}
     if not steps.agrees:
-        more = left_over(motion, prediction.input, physics, asked, min(end, steps.until))
+        more = left_over(motion, prediction.input, physics, requested_force, min(end, steps.until))
     signals = {}
     for name, signal in agreement.signals.items():
         geometry = signal.sampled

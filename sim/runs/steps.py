@@ -68,7 +68,7 @@ class LinearMotion:
         self.model, self.names = vehicle.linear_model, vehicle.linear_model.states
         self._jump, self._of_road = self.model.Bw.T, (self.model.A @ self.model.Bw + self.model.Br).T
         stops = vehicle.limits.stops(vehicle.kind.suspensions)
-        needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.push}
+        needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.acts}
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
         names = [part.deflection for part in vehicle.kind.suspensions]
         self._rows, self._push = np.zeros((len(names), len(self.names))), np.zeros((len(names), len(self.names)))
@@ -110,14 +110,14 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
         return None
 
 
-def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> StepAgreement:
+def compare_steps(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float) -> StepAgreement:
     """Compares every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
         asked: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
     """
     physics = physics.until(until)
-    ahead, there, known = _stepped(motion, road, physics, asked)
+    ahead, there, known = _stepped(motion, road, physics, requested_force)
     if not len(ahead):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     rounding = roundings(road.vehicle, None)
@@ -140,7 +140,7 @@ def compare_steps(motion: "Motion", road: RoadInput, physics: Response, asked: A
     )
 
 
-def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> dict[str, Array]:
+def left_over(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float) -> dict[str, Array]:
     """Returns how the linear vehicle would move if only the differences of single steps pushed it, by output signal.
 
     Args:
@@ -148,7 +148,7 @@ def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, physics.until(until)
-    ahead, there, known = _stepped(motion, road, physics, asked)
+    ahead, there, known = _stepped(motion, road, physics, requested_force)
     apart = dict(zip(motion.names, np.where(known[:, None], there - ahead, 0.0).T, strict=True))
     pushed = np.zeros((len(physics.time), len(model.states)))
     for i, name in enumerate(model.states):
@@ -158,7 +158,7 @@ def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array
     return dict(zip(model.outputs, outputs.T, strict=True))
 
 
-def _stepped(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None) -> tuple[Array, Array, Array]:
+def _stepped(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None) -> tuple[Array, Array, Array]:
     """Returns signals after one step of RK4 from every sample, those of physics there, shapes (K, p), and where both compare."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_loads[: count - 1]
@@ -168,7 +168,7 @@ def _stepped(motion: "Motion", road: RoadInput, physics: Response, asked: Array 
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
     state, heights, midway, loads = state[:end], heights[: end + 1], midway[:end], loads[:end]
-    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), asked, h)
+    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), requested_force, h)
     dampers = np.isin(vehicle.linear_model.inputs, list(vehicle.dampers))
     total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
     for given, share, weight in zip(stages, SHARES, WEIGHTS, strict=True):
@@ -180,7 +180,7 @@ def _stepped(motion: "Motion", road: RoadInput, physics: Response, asked: Array 
     return motion.read(state + h * total, heights[1:]), there, known
 
 
-def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -> tuple[list[Array], Array]:
+def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h: float) -> tuple[list[Array], Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each.
 
     Behind them is where they are known, shape (K,): a lagging force that is at its limit at one end of a step alone is not known
@@ -196,10 +196,10 @@ def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     z = rates * h
     way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the way to its command that RK4 goes in a step
-    if asked is not None and limits.actuator_bandwidth is None:
-        now[:, pushing] = asked[:count, : len(inputs)][:, pushing]
-    elif asked is not None:
-        now[:, pushing] = recursion(np.diag(1 - way[pushing]), way[pushing] * asked[:count, : len(inputs)][:, pushing])
+    if requested_force is not None and limits.actuator_bandwidth is None:
+        now[:, pushing] = requested_force[:count, : len(inputs)][:, pushing]
+    elif requested_force is not None:
+        now[:, pushing] = recursion(np.diag(1 - way[pushing]), way[pushing] * requested_force[:count, : len(inputs)][:, pushing])
     else:
         now = np.where(pushing, np.clip(now, -most, most), now)
     before, change = now[:-1], np.diff(now, axis=0) / np.where(way > 0, way, 1.0)
@@ -207,7 +207,7 @@ def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -
     for share in SHARES:
         gone = share * z * (change - gone)
         stages.append(np.where(pushing, np.clip(before + gone, -most, most), before + gone))
-    if asked is not None:
+    if requested_force is not None:
         return stages, np.ones(count - 1, dtype=bool)
     at_limit = np.where(z > 0, np.sign(now) * (np.abs(now) >= AT * most), 0.0)
     return stages, np.asarray(~np.diff(at_limit, axis=0).any(axis=1))

@@ -58,7 +58,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
-    width = n + len(loop.acting) * len(loop.gain)
+    width = n + len(loop.acting) * len(loop.K)
 
     # Maps to the current [x; held inputs]: `free` from those at the sample, `forced` from every polynomial so far.
     free, forced = np.eye(width), np.zeros((width, 0))

@@ -8,11 +8,11 @@ lag, z weights the acting force.
 import numpy as np
 
 from models import USUAL_TIMESTEP
-from models.vehicle.controllers import IDEAL
+from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm
-from synth.analysis.sampled_loop import Piece, SampledLoop
+from synth.analysis.sampled_loop import HoldInterval, SampledLoop
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
@@ -47,14 +47,14 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     return SampledLoop(plant, pieces_of(how, period), G[: cut.forces], memory, period * cut.hold)
 
 
-def pieces_of(how: Implementation, period: float) -> tuple[Piece, ...]:
+def pieces_of(how: Implementation, period: float) -> tuple[HoldInterval, ...]:
     """Returns the consecutive parts of a sample period [s]: two if the delay has a fraction of a period."""
-    return tuple(Piece(share * period, late) for share, late in how.held)
+    return tuple(HoldInterval(share * period, late) for share, late in how.hold_intervals)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
-    if controller.hardware == IDEAL and vehicle.limits.actuator_bandwidth is None:
+    if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None:
         return controller.certificate.norm.value
     Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, G = on_larger_plant(plant_as_built(vehicle), Cy, controller.law.continuous().fed_back(through))

@@ -25,9 +25,9 @@ from functools import cached_property
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.sampled_loop import Piece, SampledLoop, lifted
+from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.stability import immovable, obstacles
+from synth.analysis.stability import static_feedback_obstructions, stabilisability_failures
 from synth.design.descent.refine import from_some, refine
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint, fits
@@ -55,7 +55,7 @@ class SampledDataProblem:
     plant: GeneralizedPlant
     Cy: Array
     through: Array
-    pieces: tuple[Piece, ...]
+    pieces: tuple[HoldInterval, ...]
 
     @property
     def period(self) -> float:
@@ -84,7 +84,7 @@ class SampledDataProblem:
     @property
     def at_once(self) -> "SampledDataProblem":
         """The same with forces that act at the sample, and in nothing that is measured."""
-        return replace(self, through=np.zeros_like(self.through), pieces=(Piece(self.period, 0),))
+        return replace(self, through=np.zeros_like(self.through), pieces=(HoldInterval(self.period, 0),))
 
     def loop(self, K: Array) -> SampledLoop:
         """The loop of a gain, shape (m, q), as the computer closes it."""
@@ -235,7 +235,7 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
     try:
         K, norm, level, instead = _gain(few, near, of_kept)
     except DesignError as error:
-        reasons = obstacles(slow, few.rows) or immovable(slow, few.rows)
+        reasons = stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)
         raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
     gain = np.zeros((len(K), len(problem.Cy)))
     gain[:, kept] = K

@@ -90,12 +90,12 @@ def sweep(
     lines = identify(near, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(near, controllers, amplitude, timestep, speed)
-    loads = minimum_loads(vehicle.pushing, controllers, timestep)
+    loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
     ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
         norm = norm_if_implemented(ideal, controller, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        sweeps.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.blur))
+        sweeps.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.noise_text))
     return sweeps
 
 

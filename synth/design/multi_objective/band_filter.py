@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
-from synth.design.multi_objective.problem import Posed
+from synth.design.multi_objective.problem import MeasuredPlant
 from synth.plant.augmented import System, append, gain, series, transfer_function, with_weights
 
 ORDER = 4  # even: of a wide band an odd one has poles that no section of two can hold
@@ -19,7 +19,7 @@ RIPPLE = 0.02  # dB above one, in the band
 BESIDE = 30.0  # dB below, beside it
 
 
-def in_band(posed: Posed, band: Band) -> Posed:
+def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
     """The plant whose norm is at least that in the band; the plant itself for all frequencies.
 
     Args:
@@ -32,7 +32,7 @@ def in_band(posed: Posed, band: Band) -> Posed:
     wide = with_weights(plant, gain(np.eye(len(plant.C))), before)
     Dyw = np.zeros((len(posed.Cy), plant.Bw.shape[1])) if posed.Dyw is None else posed.Dyw
     Cy = np.hstack([posed.Cy, Dyw @ before.C])
-    return Posed(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
+    return MeasuredPlant(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
 
 
 def band_filter(band: Band) -> System:

@@ -9,14 +9,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
-from synth.design.multi_objective.problem import Errors, GoalProblem
+from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
 from synth.plant.numerics import numerics, up_to_rounding
 
 
 @dataclass(frozen=True, eq=False)
-class GoalDesign:
+class MultiObjectiveDesign:
     """The result of a multi-objective design.
 
     Attributes:
@@ -29,9 +29,9 @@ class GoalDesign:
 
     gain: Array
     goal: float
-    refused: float | None
-    errors: tuple[Errors, ...]
-    problem: GoalProblem
+    rejected_improvement: float | None
+    errors: tuple[GainErrors, ...]
+    problem: MultiObjectiveProblem
 
     @cached_property
     def unproved(self) -> tuple[int, ...]:
@@ -42,7 +42,7 @@ class GoalDesign:
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
-            posed = member.posed[self.problem.minimise.which].unfiltered
+            posed = member.posed[self.problem.minimise.which].without_weighting
             with up_to_rounding():
                 if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces, posed.through):
                     continue
@@ -50,25 +50,25 @@ class GoalDesign:
         return tuple(members)
 
 
-class Interrupted(KeyboardInterrupt):
+class InterruptedSearch(KeyboardInterrupt):
     """Ctrl-C during a search, with the best design so far within all bounds.
 
     Attributes:
         best: design found so far.
     """
 
-    def __init__(self, best: GoalDesign) -> None:
+    def __init__(self, best: MultiObjectiveDesign) -> None:
         super().__init__()
-        self.best = best
+        self.incumbent = best
 
 
 @numerics()
-def design_for_goals(
-    problem: GoalProblem,
+def multi_objective_design(
+    problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    told: Told = lambda goal, within: None,
+    on_progress: Told = lambda goal, within: None,
     otherwise: Callable[[], Iterable[Array]] = lambda: (),
-) -> GoalDesign:
+) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
     Args:
@@ -99,7 +99,7 @@ def design_for_goals(
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
-    search = MinimaxSearch(problem, told)
+    search = MinimaxSearch(problem, on_progress)
     try:
         x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
@@ -107,5 +107,5 @@ def design_for_goals(
         if kept is None:
             raise
         x, evaluation = kept
-        raise Interrupted(GoalDesign(search.full.gain(x), evaluation.goal, None, tuple(search.met), problem)) from error
-    return GoalDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.met), problem)
+        raise InterruptedSearch(MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)) from error
+    return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)

@@ -18,7 +18,7 @@ NEAR = 0.3  # of the rate: poles this close to the slowest one are looked at, to
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
+class Linearisation:
     """F smooth functions that touch or support a term at a point.
 
     Attributes:
@@ -34,7 +34,7 @@ class Support:
     cuts: Any
 
 
-class Term(ABC):
+class Objective(ABC):
     """A function of the gain.
 
     Attributes:
@@ -50,14 +50,14 @@ class Term(ABC):
         """In its unit; a lower bound, once it is known to exceed `above`. Infinite where the loop is unstable."""
 
     @abstractmethod
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Functions that come within a share `depth` of its value at a point."""
 
     @abstractmethod
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """The same functions at another point."""
 
-    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
         """Weighted sum of the second derivatives of the functions that touch, shape (N, N); zero where they are not known.
 
         Args:
@@ -67,7 +67,7 @@ class Term(ABC):
         return np.zeros((len(x), len(x)))
 
 
-class NormObjective(Term):
+class NormObjective(Objective):
     """The largest gain from w to z in a band, of one plant."""
 
     def __init__(self, landscape: BandLandscape, unit: float, name: str = "") -> None:
@@ -77,29 +77,29 @@ class NormObjective(Term):
         """The norm in the band."""
         return self.landscape.norm(x, above * self.unit)[0] / self.unit
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Cuts at all its summits within a share of the highest."""
         height = value * self.unit
         omega = self.landscape.summits(x, height * (1 - depth))
         return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """The same cuts elsewhere, where they no longer touch."""
         return self._made(x, support.cuts, touching=False)
 
-    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
         """Returns the curvature of the peaks that the cuts belong to."""
         active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
         if not active.any():
             return np.zeros((len(x), len(x)))
         return self.landscape.curvature(x, support.cuts[active], weights[active]) / self.unit
 
-    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Support:
+    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Linearisation:
         values, slopes = self.landscape.heights(x, cuts)
-        return Support(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
+        return Linearisation(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
 
 
-class Decay(Term):
+class Decay(Objective):
     """The largest real part of a pole, as 2 + re(pole) / rate: as of every term 1 is the bound, where it is -rate."""
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
@@ -111,23 +111,23 @@ class Decay(Term):
             return np.inf
         return 2 + float(self.landscape.decays(x)[0].max()) / self.rate
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """The real parts of all poles near the border."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Poles move: those of the other point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
-    def _made(self, x: Array, above: float, touching: bool) -> Support:
+    def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
         real, slopes = self.landscape.decays(x)
         values = 2 + real / self.rate
         near = values >= above
-        return Support(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
+        return Linearisation(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class BoundedSignal:
     """A signal c x + g u of a plant that w does not reach at once.
 
     Attributes:
@@ -145,10 +145,10 @@ class Signal:
     name: str
 
 
-class EnergyPeak(Term):
+class EnergyPeak(Objective):
     """root (c P c')^1/2 with A P + P A' + Bw Bw' = 0, by the bound on it."""
 
-    def __init__(self, landscape: BandLandscape, signal: Signal, unit: float) -> None:
+    def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         """Args:
         landscape: of the plant.
         signal: what is bounded.
@@ -161,17 +161,17 @@ class EnergyPeak(Term):
         """Infinite where the loop is unstable."""
         return self._solved(x)[0]
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """The function itself, which is smooth."""
         return self._made(x, touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Nothing else."""
         return self._made(x, touching=False)
 
-    def _made(self, x: Array, touching: bool) -> Support:
+    def _made(self, x: Array, touching: bool) -> Linearisation:
         value, slope = self._solved(x)
-        return Support(np.array([value]), slope[None], np.array([touching]), None)
+        return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
         """Value and slope, shape (m q,)."""

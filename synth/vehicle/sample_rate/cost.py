@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.linear import static_law
 from models.vehicle.combinations import goes
-from models.vehicle.controllers import IDEAL, ControllerEntry
+from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.sampled_norm import sampled_norm, stable
@@ -32,7 +32,7 @@ GONE = 25.0  # time constants, after which e^-25 is left of a mode
 CLOSE = 1e-12  # relative, of two periods
 
 
-def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
+def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
@@ -87,7 +87,7 @@ class AtRate:
     """
 
     period: float
-    prompt: SampledNorm
+    undelayed_norm: SampledNorm
     late: SampledNorm
     designed: SampledNorm | None = None
     undesigned: str = ""
@@ -149,7 +149,7 @@ def cost(
         designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
         rates.append(AtRate(period, prompt, late, designed, why))
         done(i + 1)
-    lost, lost_late = (lost_from(vehicle, controller, samples) for samples in (0, delay))
+    lost, lost_late = (smallest_unstable_period(vehicle, controller, samples) for samples in (0, delay))
     return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(rates), lost, lost_late)
 
 
@@ -179,6 +179,6 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
     """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset."""
-    if controller.hardware == IDEAL:
+    if controller.hardware == NOMINAL:
         return controller.certificate.lower_bound
     return SharedDesignData(vehicle).lower_bound(controller.measured).gamma or None
