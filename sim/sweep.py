@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from sim.command.road_options import omitted_controllers, left_out_lines
+from sim.command.road_options import left_out_lines, omitted_controllers
 from sim.command.sweep_options import parser, requested_names, worst_road, worst_times
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from sim.response.response import Response
 from sim.runs import prediction
 from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
-from synth.controller.open_loop import SampledClosedLoop, LoopModel
+from synth.controller.open_loop import LoopModel, SampledClosedLoop
 
 Exponential = Callable[[Array], Array]
 AnyController = Controller | Programmed | SemiActive

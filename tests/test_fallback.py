@@ -97,7 +97,9 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     found = Designer(designer.vehicle).design("II")
     assert found.certificate.bound is None
     assert found.certificate.failures == ()
-    assert "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
+    assert (
+        "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
+    )
 
 
 def test_what_has_no_solution_is_not_searched_for():

@@ -34,11 +34,20 @@ def _gain(vehicle: Vehicle, controller: str):
 def test_printed_controller_i_dies_where_it_cancels_the_spring():
     """Its deflection gain, 21.03 % too large, cancels the spring of 13100 N/m, whatever the other reading does."""
     found = fragility(_gain(read_vehicle("quarter_car"), "I_printed"))
-    assert found.stable.smallest_violation == pytest.approx(13100 / 10824 - 1, rel=1e-8)  # eigenvalues near 0 have half the digits
-    assert 0.998 * found.stable.smallest_violation < found.stable.proved_margin < found.stable.smallest_violation  # asked for: a thousandth; it is proved there
+    assert found.stable.smallest_violation == pytest.approx(
+        13100 / 10824 - 1, rel=1e-8
+    )  # eigenvalues near 0 have half the digits
+    assert (
+        0.998 * found.stable.smallest_violation < found.stable.proved_margin < found.stable.smallest_violation
+    )  # asked for: a thousandth; it is proved there
     assert found.stable.readings[0] == found.stable.smallest_violation
     assert found.norm == pytest.approx(7.843188, abs=5e-7)  # by SLICOT
-    assert found.within[0.01].proved_margin <= found.within[0.01].smallest_violation < found.within[0.1].smallest_violation < found.stable.smallest_violation
+    assert (
+        found.within[0.01].proved_margin
+        <= found.within[0.01].smallest_violation
+        < found.within[0.1].smallest_violation
+        < found.stable.smallest_violation
+    )
 
 
 def test_the_skyhook_bears_a_reading_that_is_missing():
@@ -113,7 +122,10 @@ def test_against_brute_force(seed):
         if np.isfinite(borne.smallest_violation):
             assert norm_at(gain, 1 + (1 + NEAR) * errors) > level or np.isinf(level)
             assert np.isinf(norm_at(gain, 1 + (1 + NEAR) * errors)) or np.isfinite(level)
-        for amount in (borne.proved_margin, min(borne.smallest_violation, 1.0) * (1 - 2e-3)):  # it is looked inside a box a thousandth smaller
+        for amount in (
+            borne.proved_margin,
+            min(borne.smallest_violation, 1.0) * (1 - 2e-3),
+        ):  # it is looked inside a box a thousandth smaller
             sides = [np.linspace(-amount, amount, 9 if forces else STEPS)] * 2
             grid = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
             errors = np.hstack([grid, generator.uniform(-amount, amount, (len(grid), len(gain.K))) * (forces > 0)])

@@ -25,10 +25,10 @@ from synth.command.table import Row
 from synth.controller.controller import InterruptedDesign
 from synth.design.multi_objective.band_filter import band_filter
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.design import MultiObjectiveDesign, InterruptedSearch, multi_objective_design
+from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.objectives import EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
-from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, FamilyMember, NormSpecification, MeasuredPlant
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -672,8 +672,13 @@ def boxed(seed: int) -> MultiObjectiveProblem:
     A = A - np.eye(2) * (np.linalg.eigvals(A).real.max() - 0.2)
     B, Bw, C = rng.standard_normal((2, 2)), rng.standard_normal((2, 1)), np.eye(3, 2) * [[1.0, 0.0]]
     plant = GeneralizedPlant(A, B, Bw, C, np.array([[0, 0], [0.1, 0], [0, 0.1]]), np.zeros((3, 1)))
-    posed, errors = MeasuredPlant(plant, rng.standard_normal((3, 2))), GainErrors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01]))
-    return MultiObjectiveProblem((FamilyMember((posed,)),), NormSpecification(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6)
+    posed, errors = (
+        MeasuredPlant(plant, rng.standard_normal((3, 2))),
+        GainErrors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01])),
+    )
+    return MultiObjectiveProblem(
+        (FamilyMember((posed,)),), NormSpecification(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6
+    )
 
 
 def stable_in_its_box(seed: int) -> bool:

@@ -10,7 +10,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
-from synth.analysis.synthesis_inequality import SynthesisInequality, noise_free_observable_rows, costless_reachable_subspace
+from synth.analysis.synthesis_inequality import SynthesisInequality, costless_reachable_subspace, noise_free_observable_rows
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback

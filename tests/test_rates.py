@@ -23,7 +23,7 @@ from synth.controller.implementation_norm import norm_as_implemented
 from synth.design.sampled_data import SampledDataDesign, SampledDataProblem, held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
-from synth.vehicle.sample_rate.cost import Cost, cost, smallest_unstable_period, norm_at
+from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import LITTLE, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
 from tests.commands import prose
@@ -199,7 +199,9 @@ def test_what_is_designed_for_a_rate_is_never_worse(car):
     for name in ("I", "II"):
         for at in cost(vehicle, design(vehicle, name), periods, periods).rates:
             assert at.designed is not None
-            assert at.designed.value <= at.undelayed_norm.value * (1 + 2e-7)  # how near counts as reached, and the rounding of two norms
+            assert at.designed.value <= at.undelayed_norm.value * (
+                1 + 2e-7
+            )  # how near counts as reached, and the rounding of two norms
 
 
 def test_why_none_is_designed(monkeypatch, capsys):

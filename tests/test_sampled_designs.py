@@ -354,7 +354,9 @@ def test_descent_finds_the_valley(paper, period, delay, known):
 def test_long_delays():
     """Of many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")
-    assert "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.fallback_method
+    assert (
+        "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.fallback_method
+    )
     assert "force more" not in found.fallback_method
     start = time.process_time()
     with pytest.raises(TooLargeError, match=r"forces of 1000 samples on their way make it 1004 states") as caught:

@@ -44,7 +44,11 @@ def any_loop(rng: np.random.Generator) -> SampledLoop:
     B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, m), (n, r), (d, n), (d, m)))
     plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
     period, late, fraction = 10 ** rng.uniform(-3, 0), int(rng.integers(0, 4)), rng.choice([0.0, rng.uniform(0.05, 0.95)])
-    pieces = (HoldInterval(fraction * period, late + 1), HoldInterval((1 - fraction) * period, late)) if fraction else (HoldInterval(period, late),)
+    pieces = (
+        (HoldInterval(fraction * period, late + 1), HoldInterval((1 - fraction) * period, late))
+        if fraction
+        else (HoldInterval(period, late),)
+    )
     memory = np.hstack(
         [rng.standard_normal((k, n)), 0.5 * np.linalg.qr(rng.standard_normal((k, k)))[0] if k else np.zeros((0, 0))]
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synth.analysis.norm import hinf_norm
-from synth.design.two_step import Design, well_posed, state_design, state_path, two_step_design
+from synth.design.two_step import Design, state_design, state_path, two_step_design, well_posed
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant

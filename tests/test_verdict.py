@@ -197,7 +197,9 @@ NOISY = {
 def test_noise_in_an_unstable_loop_agrees(how, height):
     """What noise makes grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=NOISY[how])
-    controller = certify_given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    controller = certify_given(
+        paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]]))
+    )
     prediction = predict(paper, controller, Bump(height=height), sample_times(paper, 1.0, 1e-3))
     assert prediction.radius > 1
     run = judged(prediction, paper)
@@ -211,7 +213,9 @@ def test_noise_in_an_unstable_loop_agrees(how, height):
 def test_rounding_grows_with_an_unstable_loop(how, height):
     """Over a road that does next to nothing an unstable loop makes much of rounding, and that is no disagreement."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
-    controller = certify_given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    controller = certify_given(
+        paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]]))
+    )
     time = sample_times(paper, 2.0, 1e-3)
     prediction = predict(paper, controller, Bump(height=height), time)
     assert prediction.radius > 1

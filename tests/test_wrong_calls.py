@@ -55,7 +55,11 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
     matrices = {name: getattr(plant, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     Cy, K, kind, model = array([[0.0, 1.0]]), array([[-2.0]]), vehicle.kind, vehicle.linear_model
     posed = synth.MeasuredPlant(plant, Cy)
-    member, goal, none = synth.FamilyMember((posed,)), synth.NormSpecification(band=(1.0, 3.0)), synth.GainErrors(np.zeros(1), np.zeros(1))
+    member, goal, none = (
+        synth.FamilyMember((posed,)),
+        synth.NormSpecification(band=(1.0, 3.0)),
+        synth.GainErrors(np.zeros(1), np.zeros(1)),
+    )
     anywhere = np.ones((1, 1), dtype=bool)
     problem = synth.MultiObjectiveProblem((member,), goal, none, anywhere, gain=5.0)
     piece = synth.HoldInterval(duration=0.01, late=0)
@@ -127,7 +131,10 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             {"members": (member,), "minimise": goal, "tolerance": none, "structure": anywhere, "norms": (goal,), "decay": 0.1}
             | {"peaks": (), "gain": 5.0, "bests": None},
         ),
-        "design_for_goals": (synth.multi_objective_design, {"problem": problem, "starts": [K], "told": print, "otherwise": tuple}),
+        "design_for_goals": (
+            synth.multi_objective_design,
+            {"problem": problem, "starts": [K], "told": print, "otherwise": tuple},
+        ),
         "full_order_design": (
             synth.full_order_design,
             {**measured, "Dyw": None, "lower_bound": None, "states": states, "fastest": 100.0},
@@ -165,7 +172,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "design_controllers": (synth.design_controllers, {"vehicle": vehicle, "names": ["passive"]}),
         "Designer": (synth.Designer, {"vehicle": vehicle, "search": True}),
         "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "told": print}),
-        "Designer.given": (
+        "Designer.certify": (
             designer.certify,
             {"name": "mine", "measured": controller.measured, "law": controller.law},
         ),

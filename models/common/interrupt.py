@@ -61,7 +61,7 @@ def interrupt_pending() -> int | None:
 
 
 def interrupts_raise() -> int:
-    """Returns the number of interrupts raised so far, without the check of `came`, which takes microseconds."""
+    """Returns the number of interrupts raised so far, without the check of `interrupt_pending`, which takes microseconds."""
     return len(_raised)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, quoted, first_few
+from models.common.errors import InputError, first_few, quoted
 from models.common.files import TEXT, read_text
 from models.kinds.kind import MOST_SQUEEZE, VehicleKind
 from models.kinds.linear_model import LinearModel
@@ -114,7 +114,8 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
             return f"no input {suspension.force!r}, a suspension's force; add it, or leave it out of the suspension"
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     if tuple(model.disturbances) != roads:
-        return f"the disturbances {first_few(model.disturbances)}; its wheels' road velocities, in their order, are {first_few(roads)}"
+        given, wanted = first_few(model.disturbances), first_few(roads)
+        return f"the disturbances {given}; its wheels' road velocities, in their order, are {wanted}"
     if model.loads != tuple(load.name for load in kind.loads):
         own = first_few([load.name for load in kind.loads])
         return f"the loads {first_few(model.loads) or 'none'}; the kind's, in their order, are {own or 'none'}"

@@ -74,7 +74,7 @@ class Road(ABC):
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:

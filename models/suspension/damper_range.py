@@ -70,7 +70,7 @@ class CoefficientRange:
         are the requested forces [N] minus the ones at these settings.
 
         Args:
-            asked: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
+            requested_force: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
             which: of the N.
         """
         m = self.low.shape[1]
@@ -91,7 +91,7 @@ class CoefficientRange:
         return np.concatenate([beyond, (asked - beyond) * self.effective_velocity(closing, which)], axis=-1)
 
     def coefficient_for(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the coefficient whose force over velocity is `asked`, not clipped to the limits."""
+        """Returns the coefficient whose force over velocity is `requested_force`, not clipped to the limits."""
         if self.bent is None:
             return asked
         low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)

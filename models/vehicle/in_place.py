@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array, real_matrix
-from models.common.errors import InputError, listing, quoted, first_few
+from models.common.errors import InputError, first_few, listing, quoted
 from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
 from models.common.table import find_table
 from models.vehicle.mat_file import SAVE, Variable, read_mat

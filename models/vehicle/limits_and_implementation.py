@@ -11,7 +11,7 @@ from models.suspension import STOP_KEYS
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Place, StopPair, Stiffness, Stops
+    from models.suspension.bump_stops import Place, Stiffness, StopPair, Stops
 
 LIMITS = (
     Parameter("actuator_force", "N", "largest force of every actuator, either way"),

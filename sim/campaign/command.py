@@ -17,7 +17,7 @@ from models.figures.picture import write_picture
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns, described
-from sim.campaign.controllers import designed_at_start, designed, drawn_laws
+from sim.campaign.controllers import designed, designed_at_start, drawn_laws
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, locked, read_manifest
 from sim.campaign.plan import Plan, Progress

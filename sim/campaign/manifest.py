@@ -14,7 +14,7 @@ from typing import Any
 import filelock
 
 from models.common import interrupt
-from models.common.errors import InputError, quoted, first_few
+from models.common.errors import InputError, first_few, quoted
 from models.common.files import MIB, made_folder, read_text, whole_file
 from models.laws.linear import MATRICES
 from synth.controller.controller import Driver

@@ -13,7 +13,20 @@ from models.common.printed import finite
 from models.kinds.signals import is_kept
 from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle
-from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, largest_difference, count, different, merge_repeats, exceeds, equal
+from sim.inspect.findings import (
+    FAILS,
+    HOLDS,
+    MISSING,
+    NOTE,
+    SAME,
+    Finding,
+    count,
+    different,
+    equal,
+    exceeds,
+    largest_difference,
+    merge_repeats,
+)
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response, kept
 from sim.recording.run_log import CONTINUOUS, RESULTS, SAMPLED, WHOLE
@@ -27,7 +40,7 @@ from synth.analysis.record import false_claims, to_record
 from synth.controller.controller import Controller
 from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
 from synth.design.full_order.quadratic import ASSUMED
-from synth.vehicle.quadratic import quadratic_optimum, h2_norm_of
+from synth.vehicle.quadratic import h2_norm_of, quadratic_optimum
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:

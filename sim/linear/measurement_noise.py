@@ -14,7 +14,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.stability import sampled_growth
-from synth.controller.open_loop import SampledClosedLoop, LoopModel
+from synth.controller.open_loop import LoopModel, SampledClosedLoop
 from synth.plant.discrete import held_inputs
 
 DECAYED = 1e-12  # of a response to one sample's disturbance: the rest is neglected

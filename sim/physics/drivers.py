@@ -359,7 +359,9 @@ class Clipped:
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; as `CoefficientRange.commands`, without the missing forces."""
         closing = seen[:, self.actuators :]
-        np.divide(seen[:, : self.actuators], closing if self.of.bent is None else self.of.effective_velocity(closing), self._turned)
+        np.divide(
+            seen[:, : self.actuators], closing if self.of.bent is None else self.of.effective_velocity(closing), self._turned
+        )
         np.maximum(self._turned, self.of.low, out=self._turned)
         np.minimum(self._turned, self.of.high, out=acting)
 

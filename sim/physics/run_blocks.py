@@ -66,7 +66,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
         overflowed: True where a requested force or a state of the law is no finite number, shape (B, N).
-        asked: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
+        requested_force: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
             (B, N, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`.
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
     """

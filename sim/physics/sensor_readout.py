@@ -59,7 +59,8 @@ class AntiWindup:
         """Returns what is added to the next states, shape (d, k).
 
         Args:
-            asked: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or (d, 2 m).
+            requested_force: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or
+                (d, 2 m).
             which: of the N.
         """
         m = self.gain.shape[2]
@@ -87,7 +88,7 @@ class LinearLaws:
         return computed
 
     def follow(self, due: Array | slice, requested_force: Array) -> None:
-        """Has the states of the due laws follow the forces that are given; `asked` as for `AntiWindup`."""
+        """Has the states of the due laws follow the forces that are given; `requested_force` as for `AntiWindup`."""
         if self.anti_windup is not None:
             self.kept[due] += self.anti_windup(requested_force, due)
 

@@ -42,7 +42,7 @@ class PhysicsRuns:
         qvel: generalized velocities, shape (N, T, nv).
         diverged: time at which each run diverged [s], shape (N,), or infinity.
         ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
-        asked: requested forces at every sample [N], shape (N, T, m).
+        requested_force: requested forces at every sample [N], shape (N, T, m).
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
             infinite where they ran away, else NaN.
         states: the signals of each controller's states.

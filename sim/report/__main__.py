@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say
-from sim.command.road_options import USUAL, add_loads, omitted_controllers, left_out_lines
+from sim.command.road_options import USUAL, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
     from models.figures.page import Page

@@ -224,7 +224,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if "noise" in kinds:
         text.append(
-            f"Controllers that measure with {scope.vehicle.implementation.noise_text} make MuJoCo another run at every step: it is "
+            f"Controllers that measure with {scope.vehicle.implementation.noise_text} make MuJoCo another run at every "
+            "step: it is "
             "held to six of the standard deviations that are predicted of that, and the difference has no order."
         )
     if "geometry" in kinds:
@@ -234,7 +235,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if scope.is_nonlinear:
         text.append(
-            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.loop_qualifier}, so that the one does "
+            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.loop_qualifier}, "
+            "so that the one does "
             "not tend to the other, and they are not compared."
         )
     elif scope.prompt:
@@ -244,7 +246,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     else:
         text.append(
-            f"The sampled response does not tend to the continuous one: it has {', '.join(scope.vehicle.implementation.phrases)}, "
+            f"The sampled response does not tend to the continuous one: it has "
+            f"{', '.join(scope.vehicle.implementation.phrases)}, "
             "whatever the step."
         )
     text.append(

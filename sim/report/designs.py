@@ -26,10 +26,10 @@ from synth.controller.report import (
     NORM,
     PEAK,
     SLOWEST_POLE,
-    relative_difference_text,
     failures_of_sampled_loop,
     judged_lines,
     notes_on_sampled_loop,
+    relative_difference_text,
 )
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
@@ -69,7 +69,11 @@ def design_section(scope: Scope) -> Section:
     if scope.built_norms:
 
         def above(one: Controller) -> str:
-            return relative_difference_text(scope.built_norms[one.name].value, one.certificate.norm.value) if one.certificate.stable else "-"
+            return (
+                relative_difference_text(scope.built_norms[one.name].value, one.certificate.norm.value)
+                if one.certificate.stable
+                else "-"
+            )
 
         columns: tuple[Column[Controller], ...] = (
             NAME,
@@ -78,10 +82,13 @@ def design_section(scope: Scope) -> Section:
             Column("that is", above),
             Column("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
         )
-        caption = f"The norm of the ideal loop, and of the loop as built{scope.noise_qualifier}, with what a road reaches of that."
+        caption = (
+            f"The norm of the ideal loop, and of the loop as built{scope.noise_qualifier}, with what a road reaches of that."
+        )
         tables.append(Table.of("norms", caption, columns, scope.stable))
         built = (
-            f"As built, the loop has {scope.implementation_text}; its norm is that of its linear part{scope.noise_qualifier}: the L2 gain from the "
+            f"As built, the loop has {scope.implementation_text}; its norm is that of its linear part{scope.noise_qualifier}: "
+            "the L2 gain from the "
             "road's velocity to z, both of which go on while a force is held. It is exact, between two levels 1e-8 apart."
         )
         text = (*text, built)
@@ -186,7 +193,9 @@ def frequency_section(
     caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
     tables = [Table.of("frequency-responses", caption, columns, lines)]
     blur = scope.vehicle.implementation.noise_text
-    unmeasured = f"{scope.noise_qualifier}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
+    unmeasured = (
+        f"{scope.noise_qualifier}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
+    )
     text = [
         f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
         f"{unmeasured}. 'Sampled' is the "

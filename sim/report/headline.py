@@ -86,9 +86,8 @@ def norms(scope: Scope) -> list[Statement]:
         return []
     least = min(values, key=lambda name: values[name])
     passive = scope.designer.design("passive").certificate.norm.value
-    text = (
-        f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
-    )
+    each = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+    text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {each}."
     if least != "passive" and math.isfinite(passive):
         share = values[least] / passive - 1
         text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
@@ -236,11 +235,13 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     which = scope.analysis if scope.vehicle.dampers else "the linear regime"
     text = (
         f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
-        f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} ends at a height of: {'; '.join(heights)}."
+        f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} "
+        f"ends at a height of: {'; '.join(heights)}."
     )
     if errors:
         text += (
-            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
+            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: "
+            "below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
     return [Statement(text), *statements] if heights else statements

@@ -167,7 +167,8 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
     )
     text = (
         f"Bumps of {bump.length:g} m length, {len(axes[0].values)} heights by {len(axes[1].values)} speeds, each run in MuJoCo "
-        f"at {1e3 * scope.map_timestep:g} ms{scope.noise_qualifier}: what breaks first, and where the linear prediction is off by more "
+        f"at {1e3 * scope.map_timestep:g} ms{scope.noise_qualifier}: what breaks first, and where the linear prediction "
+        "is off by more "
         f"than {100 * THRESHOLD:g} % of a peak.",
     )
     table = Table(

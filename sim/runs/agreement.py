@@ -148,7 +148,7 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     """Compares what MuJoCo did in one run with its prediction.
 
     Args:
-        asked: what its controller asked for, see `PhysicsRuns`; None if that is not known.
+        requested_force: what its controller asked for, see `PhysicsRuns`; None if that is not known.
     """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous

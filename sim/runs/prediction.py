@@ -49,7 +49,7 @@ class Prediction:
         spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, at every
             sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
-        asked: requests of a law in Python, shape (T, m): forces [N], or for vehicles with adjustable dampers the commands,
+        requested_force: requests of a law in Python, shape (T, m): forces [N], or with adjustable dampers the commands,
             shape (T, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`; empty for a linear controller, which
             determines them.
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
@@ -104,7 +104,9 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
     noisy = vehicle.implementation.has_measurement_noise
     if noisy and not small:
-        raise InputError(f"the spread of its {vehicle.implementation.noise_text} is not computed: its loop has too many delayed forces")
+        raise InputError(
+            f"the spread of its {vehicle.implementation.noise_text} is not computed: its loop has too many delayed forces"
+        )
     return Prediction(
         input=road,
         controller=loop.controller,
@@ -132,7 +134,7 @@ def predict_forced(controller: Programmed, road: RoadInput, requested_force: Arr
     """Predicts the responses to the forces that a law in Python requested in a run from rest.
 
     Args:
-        asked: requested forces [N], shape (T, m).
+        requested_force: requested forces [N], shape (T, m).
     """
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
@@ -191,7 +193,7 @@ def predict_switched(
 
     Args:
         near: largest difference of physics, over a peak, that explains a different decision.
-        asked: the commands of a law in Python, shape (T, 2 m).
+        requested_force: the commands of a law in Python, shape (T, 2 m).
     """
     from sim.linear.dampers import commands_of, damper_signals
     from sim.linear.switched_response import Decisions, switched
@@ -255,7 +257,7 @@ def predict_replayed(controller: Driver, road: RoadInput, physics: Response, req
 
     Args:
         controller: a law in Python, or any controller of a vehicle with adjustable dampers.
-        asked: its requested forces, see `PhysicsRuns`.
+        requested_force: its requested forces, see `PhysicsRuns`.
     """
     vehicle = road.vehicle
     if vehicle.dampers:

@@ -254,7 +254,9 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
         each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.requested_force[i])
         for i, each in enumerate(known)
     ]
-    return with_energy_balance(compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force), made)
+    return with_energy_balance(
+        compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force), made
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,12 +282,14 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
     return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
 
 
-def compare_runs(predictions: Sequence[Prediction], physics: Sequence[Response], requested_force: Array | None = None) -> list[Run]:
+def compare_runs(
+    predictions: Sequence[Prediction], physics: Sequence[Response], requested_force: Array | None = None
+) -> list[Run]:
     """Compares the physics of some runs, new or from a log, with their predictions.
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        asked: what their controllers asked for, see `PhysicsRuns`; None if that is not known.
+        requested_force: what their controllers asked for, see `PhysicsRuns`; None if that is not known.
     """
     requests = [None] * len(predictions) if requested_force is None else list(requested_force)
     triples = zip(predictions, physics, requests, strict=True)

@@ -110,11 +110,13 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
         return None
 
 
-def compare_steps(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float) -> StepAgreement:
+def compare_steps(
+    motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float
+) -> StepAgreement:
     """Compares every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        asked: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
     """
     physics = physics.until(until)
     ahead, there, known = _stepped(motion, road, physics, requested_force)
@@ -140,11 +142,13 @@ def compare_steps(motion: "Motion", road: RoadInput, physics: Response, requeste
     )
 
 
-def left_over(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float) -> dict[str, Array]:
+def left_over(
+    motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float
+) -> dict[str, Array]:
     """Returns how the linear vehicle would move if only the differences of single steps pushed it, by output signal.
 
     Args:
-        asked: as for `compare_steps`.
+        requested_force: as for `compare_steps`.
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, physics.until(until)
@@ -168,7 +172,9 @@ def _stepped(motion: "Motion", road: RoadInput, physics: Response, requested_for
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
     state, heights, midway, loads = state[:end], heights[: end + 1], midway[:end], loads[:end]
-    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), requested_force, h)
+    stages, known = _given(
+        vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), requested_force, h
+    )
     dampers = np.isin(vehicle.linear_model.inputs, list(vehicle.dampers))
     total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
     for given, share, weight in zip(stages, SHARES, WEIGHTS, strict=True):

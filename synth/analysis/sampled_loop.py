@@ -200,9 +200,9 @@ class SampledLoop(Checked):
     Attributes:
         plant: n states, m inputs.
         pieces: parts of the period, in order.
-        gain: from p to the computed forces, shape (m, n + k).
-        memory: from p to the next controller states, shape (k, n + k).
-        from_force: from the acting force to the next controller states, shape (k, m).
+        K: from p to the computed forces, shape (m, n + k).
+        A_register: from p to the next controller states, shape (k, n + k).
+        B_register: from the acting force to the next controller states, shape (k, m).
     """
 
     plant: GeneralizedPlant

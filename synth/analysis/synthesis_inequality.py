@@ -5,9 +5,10 @@ elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw
 plant, in S.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. The columns of F span these directions (`steered`). No dual solution can weight them, so N is also orthogonal
+not observable in z. The columns of F span these directions (`costless_reachable_subspace`).
+No dual solution can weight them, so N is also orthogonal
 to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant (B = C_y',
-D = Dyw') the rows of F' are the states that y and its derivatives give without w (`shown`).
+D = Dyw') the rows of F' are the states that y and its derivatives give without w (`noise_free_observable_rows`).
 
 Along stable states that are unobservable in z, X grows without cost, too.
 

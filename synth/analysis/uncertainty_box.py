@@ -220,7 +220,7 @@ class ParameterDependentLyapunov:
     """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
 
     Attributes:
-        X: at every corner, in the order of `Box.corners`, shape (2^k, n, n).
+        X: at every corner, in the order of `Box.vertices`, shape (2^k, n, n).
         F, G: the same for all corners, shapes (n, n).
         gamma: the bound; infinite for stability alone.
     """
@@ -278,7 +278,7 @@ class ParameterDependentKYP:
     same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
 
     Attributes:
-        P, Q: at every corner, in the order of `Box.corners`, complex, shapes (2^k, n, n).
+        P, Q: at every corner, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
         W: shape (n, 2 n + r).
         low, high: the band [rad/s].
         gamma: the bound.

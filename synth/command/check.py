@@ -38,7 +38,9 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
         from synth.vehicle.multi_objective import verify_specifications
 
         kept = verify_specifications(designer.vehicle, entry, entry.goals, entry.law, search=False)
-    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept)
+    controller = Controller(
+        entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept
+    )
     failures += controller.unmet_specifications
     norm = norm_if_implemented(designer.vehicle, controller)
     failures = failures_of_sampled_loop(designer.vehicle, certificate, failures, norm)

@@ -88,13 +88,13 @@ class Controller(Checked, Shown):
         moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: of the closed loop.
-        case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
-        instead: the fallback method and why the two steps found no gain, in words, or empty.
+        degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
+        fallback_method: the fallback method and why the two steps found no gain, in words, or empty.
         remarks: for other designs than by two steps, distance from the optimum or what was optimised, in words.
         false_claims: claims of the given certificate that do not hold, in words.
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
-        promises: specifications that it was designed for or is judged by, beside the least norm.
+        specifications: specifications that it was designed for or is judged by, beside the least norm.
     """
 
     name: str
@@ -241,7 +241,7 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
 
 
 def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
-    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `checked`.
+    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
 
     Raises:
         InputError: the law has no loop.

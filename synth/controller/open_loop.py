@@ -157,8 +157,8 @@ class HoldSegment:
 
     Attributes:
         steps: duration in timesteps.
-        inputs: from the loop's state to all inputs of `ImplementedLoop.cut`, shape (m + k, s).
-        at_once: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
+        inputs: from the loop's state to all inputs of `SampledClosedLoop.open_loop`, shape (m + k, s).
+        feedthrough: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
     """
 
     steps: int
@@ -173,7 +173,7 @@ class SampledClosedLoop:
     The s states are those of `open_loop.sampled`, followed by the delayed forces, the next to act first.
 
     Attributes:
-        cut: the open loop of vehicle and controller.
+        open_loop: the open loop of vehicle and controller.
         transition: shape (s, s).
         added: from a disturbance of the inputs computed at a sample to the next state, shape (s, m + k).
         parts: of the period, in their order; more than one if the delay has a fraction of a sample.

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `through` u + Dyw w.
+    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `feedthrough` u + Dyw w.
 
     Attributes:
         plant: n states, m inputs, r disturbances, of which loads and then the measurement noises are the last.
         Cy: shape (q, n).
-        through: feedthrough from the forces to the measurements, shape (q, m).
+        feedthrough: feedthrough from the forces to the measurements, shape (q, m).
         Dyw: shape (q, r); None without noise and without loads in the measurements.
         forces: input by index of each measurement that is a force without lag, and so independent of the state.
     """
@@ -58,7 +58,9 @@ class Problem:
         return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.feedthrough), self.Dyw)
 
 
-def problem(vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: GeneralizedPlant | None = None) -> Problem:
+def problem(
+    vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: GeneralizedPlant | None = None
+) -> Problem:
     """Returns the problem that a controller with these measured signals is designed for and judged with.
 
     Args:

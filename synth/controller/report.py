@@ -279,7 +279,10 @@ def judged_lines(controller: Controller) -> list[str]:
 
 def notes(controller: Controller) -> tuple[str, ...]:
     """Returns notes: degenerate problem, fallback method, distance from the optimum, redundant measurements."""
-    texts = [*judged_lines(controller), *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text)]
+    texts = [
+        *judged_lines(controller),
+        *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),
+    ]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
         texts.append(f"from an X {gap} short of the best state feedback; from the best there is no design")

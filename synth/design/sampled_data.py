@@ -27,7 +27,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.stability import static_feedback_obstructions, stabilisability_failures
+from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.refine import from_some, refine
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint, fits

@@ -23,7 +23,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
-from synth.lmi.unobservable import RANK, output_nulling_subspace, output_nulling_gains, remove_unobservable
+from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import own_units, size
@@ -262,7 +262,9 @@ def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), low
     return replace(last_certified_gain(plant, everything, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def last_certified_gain(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
+def last_certified_gain(
+    plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None
+) -> Design:
     """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
 
     Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
@@ -365,7 +367,7 @@ def two_step_design(
         beyond.append(found)
     if beyond:
         return min(beyond, key=lambda design: design.certificate.speed_up)
-    from synth.analysis.stability import static_feedback_obstructions, stabilisability_failures
+    from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)):
         raise InfeasibleError(reasons)
@@ -383,7 +385,9 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
     Q = nullspace(rows)
     points = output_feedback(units.into(problem.plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
-    return with_redundant_rows(replace(last_certified_gain(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0)
+    return with_redundant_rows(
+        replace(last_certified_gain(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0
+    )
 
 
 def as_measurement_matrix(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:

@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.controller.controller import Controller, certify_law, verify_record, on_readings
+from synth.controller.controller import Controller, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
@@ -110,7 +110,7 @@ class SharedDesignData:
 class Designer:
     """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed.
 
-    With `search` gains that are given are held against each vehicle's own best, too, which takes designs (`promises_of`).
+    With `search` given gains are compared with each vehicle's own best, too, which takes designs (`verify_specifications`).
     """
 
     @at_the_door
@@ -162,7 +162,7 @@ class Designer:
         Args:
             name: of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
-            told: called with what a design for goals has reached, as it goes on.
+            on_progress: called with what a design for goals has reached, as it goes on.
 
         Raises:
             InputError: no controller has that name.
@@ -309,8 +309,10 @@ class Designer:
         return self.vehicle.linear_entry(name)
 
 
-def certify_given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-    """Certifies a known law; `Designer.given` shares work between several."""
+def certify_given(
+    vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL
+) -> Controller:
+    """Certifies a known law; `Designer.certify` shares work between several."""
     return Designer(vehicle).certify(name, measured, law, hardware)
 
 

@@ -21,9 +21,9 @@ from synth.analysis.specification import Specification
 from synth.controller.controller import Controller, InterruptedDesign
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.multi_model import slack_design
-from synth.design.multi_objective.design import MultiObjectiveDesign, InterruptedSearch, multi_objective_design
+from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.objectives import BoundedSignal
-from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, FamilyMember, NormSpecification, MeasuredPlant
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import Told
 from synth.design.two_step import two_step_design
@@ -183,7 +183,7 @@ def goals_design(
 
     Args:
         posed: the problem of its certificate: z of `[performance]` at all frequencies.
-        told: called with what is reached, as it is.
+        on_progress: called with what is reached, as it is.
 
     Raises:
         DesignError: no controller was found.
@@ -335,6 +335,7 @@ def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
     if design.rejected_improvement is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(design.rejected_improvement)} less for "
+        f"designed for its goals, by descent from the two steps and other starts; refused: "
+        f"{percent(design.rejected_improvement)} less for "
         "up to twice the gain",
     )

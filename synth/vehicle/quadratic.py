@@ -40,7 +40,7 @@ def quadratic_optimum(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesi
 
 
 def h2_norm_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
-    """The H2 norm that `best_in_the_mean` makes the smallest, of any law on what the sensors read whose loop is stable.
+    """The H2 norm that `quadratic_optimum` makes the smallest, of any law on what the sensors read whose loop is stable.
 
     Raises:
         InputError: its loop has no solution.

@@ -61,7 +61,9 @@ def sampled_design(
         designed=True,
         certificate=certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant),
         redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
-        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}" if designed.instead else "",
+        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
+        if designed.instead
+        else "",
         remarks=(remark,),
         hardware=entry.hardware,
         sampled=True,

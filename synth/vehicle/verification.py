@@ -19,7 +19,7 @@ from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.design.multi_objective.peak import peak_over_road
-from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification, MeasuredPlant
+from synth.design.multi_objective.problem import GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
 from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout, stable_throughout, stable_with_errors
@@ -38,9 +38,9 @@ class WorstCase:
     """A norm with the worst errors, between two bounds.
 
     Attributes:
-        found: the largest norm found.
-        proved: proved upper bound; infinite if none is known.
-        errors: with which `found` occurs.
+        lower: the largest norm found.
+        upper: proved upper bound; infinite if none is known.
+        errors: with which `lower` occurs.
     """
 
     lower: float

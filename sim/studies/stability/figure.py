@@ -115,11 +115,15 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))
     low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
     if math.isfinite(stable.smallest_violation):
-        curves.append(Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable from here", "#000000", width=0.8))
+        curves.append(
+            Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable from here", "#000000", width=0.8)
+        )
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
         curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
-    numbers = [f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)]
+    numbers = [
+        f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
+    ]
     title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 

@@ -82,4 +82,6 @@ def _silent(A: Array, C: Array) -> Array:
     """An orthonormal basis of the states that C never shows while A moves them, shape (n, k)."""
     n = len(A)
     nothing = np.zeros((n, 1))
-    return output_nulling_subspace(GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T)[1]
+    return output_nulling_subspace(
+        GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T
+    )[1]

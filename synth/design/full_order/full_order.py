@@ -24,7 +24,7 @@ from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.descent.refine import refine
-from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, select, pareto_front
+from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, pareto_front, select
 from synth.design.full_order.stable import stable_laws
 from synth.design.static import LARGEST_GAIN, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound

@@ -16,7 +16,7 @@ from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.design.full_order.riccati import SHARES, RiccatiSearch, TradeOffPoint
 from synth.design.multi_objective.design import multi_objective_design
-from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, FamilyMember, NormSpecification, MeasuredPlant
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 

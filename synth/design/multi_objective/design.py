@@ -22,7 +22,7 @@ class MultiObjectiveDesign:
     Attributes:
         gain: K, shape (m, q).
         goal: the largest norm, or ratio, that was found.
-        refused: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
+        rejected_improvement: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
         errors: the active errors, beside no errors.
         problem: the solved problem.
     """
@@ -54,7 +54,7 @@ class InterruptedSearch(KeyboardInterrupt):
     """Ctrl-C during a search, with the best design so far within all bounds.
 
     Attributes:
-        best: design found so far.
+        incumbent: design found so far.
     """
 
     def __init__(self, best: MultiObjectiveDesign) -> None:
@@ -74,7 +74,7 @@ def multi_objective_design(
     Args:
         problem: goals, bounds and plants.
         starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
-        told: called with the goal, and True if all bounds are kept, at every new point.
+        on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
@@ -84,14 +84,15 @@ def multi_objective_design(
 
     Example:
         >>> import numpy as np
-        >>> from synth import Errors, GeneralizedPlant, GoalProblem, Member, NormGoal, Posed, design_for_goals
+        >>> from synth import FamilyMember, GainErrors, GeneralizedPlant, MeasuredPlant
+        >>> from synth import MultiObjectiveProblem, NormSpecification, multi_objective_design
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
-        >>> member = Member((Posed(oscillator, np.array([[0.0, 1.0]])),))
-        >>> none, anywhere = Errors(np.zeros(1), np.zeros(1)), np.ones((1, 1), dtype=bool)
-        >>> problem = GoalProblem((member,), NormGoal(band=(1.0, 3.0)), none, anywhere, gain=5.0)
-        >>> design = design_for_goals(problem, starts=[[[-1.0]]])
+        >>> member = FamilyMember((MeasuredPlant(oscillator, np.array([[0.0, 1.0]])),))
+        >>> none, anywhere = GainErrors(np.zeros(1), np.zeros(1)), np.ones((1, 1), dtype=bool)
+        >>> problem = MultiObjectiveProblem((member,), NormSpecification(band=(1.0, 3.0)), none, anywhere, gain=5.0)
+        >>> design = multi_objective_design(problem, starts=[[[-1.0]]])
         >>> design.gain.round(2)
         array([[-5.]])
     """
@@ -107,5 +108,7 @@ def multi_objective_design(
         if kept is None:
             raise
         x, evaluation = kept
-        raise InterruptedSearch(MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)) from error
+        raise InterruptedSearch(
+            MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)
+        ) from error
     return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)

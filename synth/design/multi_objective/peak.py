@@ -9,7 +9,17 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.analysis.stability import balance, is_stable
 from synth.design.multi_objective.objectives import Linearisation, Objective
-from synth.design.multi_objective.road_response import BEND, BLOCK, BLOCKS, FINE, MOST_FINE, RoadLoop, RoadResponse, homogeneous_response, step_for
+from synth.design.multi_objective.road_response import (
+    BEND,
+    BLOCK,
+    BLOCKS,
+    FINE,
+    MOST_FINE,
+    RoadLoop,
+    RoadResponse,
+    homogeneous_response,
+    step_for,
+)
 
 STEP = 0.1  # rad of the fastest pole without control; a cubic then misses a peak by less than 1e-6 of it
 CYCLES = 2  # of the slowest oscillation without control, after the road: how long is looked for peaks

@@ -14,7 +14,7 @@ from models.laws.linear import static_law
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
-from synth.design.multi_objective.objectives import Decay, EnergyPeak, NormObjective, BoundedSignal, Objective
+from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak, NormObjective, Objective
 from synth.design.multi_objective.peak import RoadPeak
 from synth.design.multi_objective.road_response import RoadLoop
 from synth.plant.generalized import GeneralizedPlant
@@ -97,7 +97,7 @@ class FamilyMember(Checked):
 
     Attributes:
         posed: the plant with the z of each norm.
-        driven: the plant on roads, each with its bounded signal.
+        driven_by: the plant on roads, each with its bounded signal.
         signals: signals of the first of `posed` with a bound for roads of given energy.
     """
 
@@ -228,7 +228,9 @@ TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
 AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
 
 
-def objectives_of(problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float) -> tuple[list[Objective], list[Objective]]:
+def objectives_of(
+    problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float
+) -> tuple[list[Objective], list[Objective]]:
     """Returns the goals and the bounds of a problem for some errors.
 
     Args:

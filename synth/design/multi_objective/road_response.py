@@ -86,7 +86,7 @@ class QuadratureInterval:
         step: which.
         start, length: of it [s].
         nodes: heights at the nodes of the quadrature, shape (NODES, r).
-        beside: whether one of its ends is a kink.
+        at_kink: whether one of its ends is a kink.
     """
 
     step: int

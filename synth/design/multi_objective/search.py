@@ -85,7 +85,7 @@ class MinimaxSearch:
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
-        """The whole search: where it ended, and what it refused, as `GoalDesign` has it."""
+        """The whole search: where it ended, and what it refused, as `MultiObjectiveDesign` has it."""
         x, evaluation = self.best(starts, otherwise)
         refused = None
         for _ in range(TURNS):

@@ -152,7 +152,7 @@ def descend(
     Args:
         M: coordinates in which all directions have equal weight, shape (N, N).
         rounds: at most.
-        told: called with every new point.
+        on_progress: called with every new point.
         enough: of the goal; it ends there.
         settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
     """

@@ -133,7 +133,9 @@ class WorstCaseErrors:
         return self.problem.landscape(i, which, band, self.problem.no_errors, None)
 
 
-def worst_of_norm(problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array) -> tuple[float, GainErrors]:
+def worst_of_norm(
+    problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array
+) -> tuple[float, GainErrors]:
     """Returns a member's largest value found, of a norm or, for None, the decay, and its errors, for a gain of shape (m, q)."""
     worst = WorstCaseErrors(problem)
     return worst.of_decay(i, unit, K) if norm is None else worst.of_norm(i, norm, unit, K)

@@ -19,7 +19,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
-from synth.design.uncertainty.worst_case import WorstCaseNormFunction, vertex_search, local_maximum, bisect_bound
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import numerics
 
@@ -78,9 +78,9 @@ class ErrorMargin:
     """The margin of relative errors.
 
     Attributes:
-        proved: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
+        proved_margin: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
         bound: on the norm for these errors; infinite if nothing is proved.
-        found: size of the smallest harmful errors found; infinite if none up to 1 are.
+        smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
         readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
     """
 
@@ -252,7 +252,8 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     """Returns the fragility of a law as a sentence."""
     stable, text = report.stable, "fragile: "
     if math.isfinite(stable.smallest_violation):
-        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % ({errors_text(stable, measured, forces)}); "
+        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % "
+        f"({errors_text(stable, measured, forces)}); "
     else:
         text += f"no errors of {whose(report)} up to 100 % were found that make it unstable; "
     return text + proved_text(report)

@@ -80,7 +80,7 @@ class AtRate:
 
     Attributes:
         period: of its samples [s].
-        prompt: norm of the loop without delay.
+        undelayed_norm: norm of the loop without delay.
         late: norm of the loop with the delay `Cost.delay`.
         designed: norm without delay of a controller designed for this rate; None without such a design.
         undesigned: reason if that design was requested and failed, or empty.
@@ -104,7 +104,7 @@ class Cost:
             controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
         delay: of the late forces, in samples.
         rates: ascending by period.
-        lost: the shortest sample period at which the loop is not stable [s], see `lost_from`.
+        lost: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
         lost_late: the same for late forces.
     """
 

@@ -81,7 +81,9 @@ def axes_of(vehicle: Vehicle, asked: str) -> tuple[FrontAxis, ...]:
 
 def _ride(vehicle: Vehicle, _: str | None) -> FrontAxis:
     signals = _accelerations(vehicle, "ride")
-    return FrontAxis("ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals))
+    return FrontAxis(
+        "ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals)
+    )
 
 
 def _band(vehicle: Vehicle, given: str | None) -> FrontAxis:

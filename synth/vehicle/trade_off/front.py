@@ -27,7 +27,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, numerics
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, weighing
-from synth.vehicle.trade_off.axes import FrontAxis, AxisValue, landscapes, norm_on
+from synth.vehicle.trade_off.axes import AxisValue, FrontAxis, landscapes, norm_on
 from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuation, rays, undominated
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits, no_bound
 from synth.vehicle.verification import Verification
@@ -112,7 +112,7 @@ def front(
         name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
         axes: two or three.
         others: names of controllers that are shown beside it.
-        told: how many are done.
+        on_progress: how many are done.
 
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
@@ -135,7 +135,10 @@ def front(
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
-    with parts.part(CERTIFYING), uninterrupted(work_goes_on=True):  # a first Ctrl-C comes too late to keep less than an earlier one
+    with (
+        parts.part(CERTIFYING),
+        uninterrupted(work_goes_on=True),
+    ):  # a first Ctrl-C comes too late to keep less than an earlier one
         for each in kept:
             law = static_law(trace.gain(each))
             certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
@@ -248,7 +251,9 @@ def _others(
             yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
 
 
-def _limits(vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]) -> Iterator[LowerBoundCurve]:
+def _limits(
+    vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]
+) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
     bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]
