@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.kinds import rigid_body, signals
+from models.kinds import links, rigid_body, signals
 from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Bar, Corner, RigidBody
@@ -57,6 +57,8 @@ PARAMETERS = (
         )
         for axle in AXLES
     ),
+    *links.ROLL_CENTRES,
+    *links.LENGTHWAYS,
 )
 
 
@@ -104,7 +106,19 @@ def _body(p: Parameters) -> RigidBody:
     )
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
-    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], p["roll_inertia"], tyre_modes=modes, twist=TWIST, bars=bars)
+    pitch_arm, roll_arm = links.arms(p)
+    return RigidBody(
+        corners,
+        p["sprung_mass"],
+        p["pitch_inertia"],
+        p["roll_inertia"],
+        tyre_modes=modes,
+        twist=TWIST,
+        bars=bars,
+        pitch_arm=pitch_arm,
+        roll_arm=roll_arm,
+        wheel_loads=links.wheel_loads(p, CORNERS),
+    )
 
 
 def _side(side: str, p: Parameters) -> float:
@@ -133,6 +147,8 @@ def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
+    links.check_links(p)
+    rigid_body.check_stands(_body(p))
 
 
 KIND = VehicleKind(
@@ -161,6 +177,8 @@ KIND = VehicleKind(
     },
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS,
+    wheel_loads=lambda p: links.wheel_loads(p, CORNERS),
+    carried=lambda p, way, force, acceleration: links.carried(p, CORNERS, way, force, acceleration),
     angles=lambda p: rigid_body.angles(_body(p)),
     motion=motion,
 )

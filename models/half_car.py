@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.kinds import rigid_body, signals
+from models.kinds import links, rigid_body, signals
 from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Corner, RigidBody
@@ -30,6 +30,7 @@ PARAMETERS = (
     *_per_corner("suspension_damping", "N s/m", "c_s", positive=False),
     *_per_corner("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
     rigid_body.CENTRE_HEIGHT,
+    *links.LENGTHWAYS,
 )
 
 
@@ -71,7 +72,17 @@ def _body(p: Parameters) -> RigidBody:
         )
         for name, side in sides.items()
     )
-    return RigidBody(corners, p["sprung_mass"], p["pitch_inertia"], None, tyre_modes=np.eye(2), twist=np.zeros(2))
+    pitch_arm, _ = links.arms(p)
+    return RigidBody(
+        corners,
+        p["sprung_mass"],
+        p["pitch_inertia"],
+        None,
+        tyre_modes=np.eye(2),
+        twist=np.zeros(2),
+        pitch_arm=pitch_arm,
+        wheel_loads=links.wheel_loads(p, CORNERS),
+    )
 
 
 def linear_model(p: Parameters) -> LinearModel:
@@ -93,6 +104,7 @@ def motion(p: Parameters) -> "Motion":
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
+    rigid_body.check_stands(_body(p))
 
 
 KIND = VehicleKind(
@@ -115,7 +127,12 @@ KIND = VehicleKind(
     check_together=check,
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS[:2],
+    wheel_loads=lambda p: links.wheel_loads(p, CORNERS),
+    carried=lambda p, way, force, acceleration: links.carried(p, CORNERS, way, force, acceleration),
     angles=lambda p: rigid_body.angles(_body(p)),
     motion=motion,
-    lacking={"anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car"},
+    lacking={
+        "anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car",
+        "roll_centre": "a body rolls about its roll centres, and a half-car only heaves and pitches: take a full_car",
+    },
 )

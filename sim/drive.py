@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     passive = passive_beside(runs, design)
-    standings = standings_of(runs, passive, first)
+    standings = standings_of(runs, passive, first, measured)
     if options.json:
         print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:

@@ -2,10 +2,10 @@
 
 import importlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -46,6 +46,16 @@ def once(function: Callable[..., T]) -> Callable[..., T]:
         return found[0]
 
     return first
+
+
+def attacks(cases: Iterable[Any]) -> list[Any]:
+    """Returns cases of a parametrised test, tuples where it has several arguments, for the attacks alone."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.attack) for case in cases]
+
+
+def in_the_suite(some: Collection[Any], cases: Iterable[Any]) -> list[Any]:
+    """Returns cases of which all but some are for the attacks alone."""
+    return [each for case in cases for each in ([case] if case in some else attacks([case]))]
 
 
 def environment() -> dict[str, str]:

@@ -43,6 +43,7 @@ def places(spec: Any) -> list[tuple[str, str, str, int]]:
     found = []
     for what, elements, fields in (
         ("body", spec.bodies[1:], ("mass", "inertia", "pos")),
+        ("joint", spec.joints, ("pos",)),
         ("site", spec.sites, ("pos",)),
         ("tendon", spec.tendons, ("stiffness", "damping", "springlength")),
         ("actuator", spec.actuators, ("gear", "gainprm", "biasprm", "forcerange", "dynprm")),

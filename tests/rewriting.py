@@ -32,15 +32,13 @@ class Contents:
     def without_claim(self, record: str, key: str) -> "Contents":
         """The same without one entry of a metadata record."""
         return replace(
-            self,
-            metadata=[(n, {k: v for k, v in one.items() if (n, k) != (record, key)}) for n, one in self.metadata],
+            self, metadata=[(n, {k: v for k, v in one.items() if (n, k) != (record, key)}) for n, one in self.metadata]
         )
 
     def with_attachment(self, file: str, change: Callable[[bytes], bytes]) -> "Contents":
         """The same with one attachment changed."""
         return replace(
-            self,
-            attachments=[(name, kind, change(data) if name == file else data) for name, kind, data in self.attachments],
+            self, attachments=[(name, kind, change(data) if name == file else data) for name, kind, data in self.attachments]
         )
 
     def with_messages(self, topic: str, change: Callable[[list[Message]], list[Message]]) -> "Contents":

@@ -28,8 +28,8 @@ import pickle
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, fields, is_dataclass
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import FunctionType
@@ -39,6 +39,8 @@ import cloudpickle
 import pytest
 from filelock import FileLock
 
+from models.common.errors import InputError
+from models.kinds.kind import HERE
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run, run_controllers, sample_times
@@ -102,7 +104,7 @@ def printed(command: str, *arguments: str, files: Mapping[str, str] | None = Non
 
 
 def _designed(vehicle: Vehicle, name: str) -> Controller:
-    return _designers.setdefault(_place(Designer, vehicle), Designer(vehicle)).design(name)
+    return Designer(vehicle).design(name)
 
 
 def _ran(vehicle: Vehicle, names: tuple[str, ...], road: Road, duration: float, timestep: float) -> list[Run]:
@@ -132,6 +134,8 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.design.uncertainty.fragility.fragility",
 )
 
+BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
+
 
 def share_designs() -> None:
     """Has every design made once in a session, before anything of the product takes the functions that make them.
@@ -146,6 +150,22 @@ def share_designs() -> None:
         for other in list(sys.modules.values()):
             if getattr(other, name, None) is original:
                 setattr(other, name, shared)
+    _originals["design"] = Designer.design
+    Designer.design = functools.wraps(Designer.design)(_design)  # pyright: ignore[reportAttributeAccessIssue] - names of arguments
+
+
+def _design(designer: Designer, name: str, *arguments: Any, **named: Any) -> Controller:
+    """As `Designer.design`; of a kind that ships the controller is made once, whichever file has its vehicle."""
+    vehicle = designer.vehicle
+    if _folders and not _patching and not arguments and not named and vehicle.kind.mjcf.parent == HERE:
+        with suppress(InputError):  # which names the file
+            return made(_design_of, replace(vehicle, source="", text="", named_files=()), designer.search, name)
+    return _originals["design"](designer, name, *arguments, **named)
+
+
+def _design_of(vehicle: Vehicle, search: bool, name: str) -> Controller:
+    designer = _designers.setdefault(_place(Designer, vehicle, search), Designer(vehicle, search))
+    return _originals["design"](designer, name)
 
 
 def _anew(path: str, *arguments: Any) -> Any:
@@ -176,12 +196,14 @@ def nothing_shared() -> Iterator[None]:
 
 @contextmanager
 def making_designs_anew(patch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    """From the first `setattr` of a patch on designs are not shared."""
+    """From the first `setattr` of a patch on designs are not shared, but where it patches what no design imports."""
     plain = patch.setattr
 
-    def setattr(*arguments: Any, **named: Any) -> None:
-        _patching.add(id(patch))
-        plain(*arguments, **named)
+    def setattr(target: Any, *arguments: Any, **named: Any) -> None:
+        module = target if isinstance(target, str) else getattr(target, "__module__", None) or getattr(target, "__name__", "")
+        if not module.startswith(BEYOND_DESIGNS):
+            _patching.add(id(patch))
+        plain(target, *arguments, **named)
 
     patch.setattr = setattr
     yield patch

@@ -99,10 +99,7 @@ REACHES = {
 
 # Who may import what is heavy, or replaceable.
 OWNERS = {
-    "cvxpy": {
-        "synth/lmi/sdp.py",
-        "synth/design/uncertainty/parameter_dependent_kyp.py",
-    },
+    "cvxpy": {"synth/lmi/sdp.py", "synth/design/uncertainty/parameter_dependent_kyp.py"},
     "tomllib": {"models/common/files.py"},
     "mujoco": {
         "models/vehicle/mjcf.py",
@@ -113,20 +110,13 @@ OWNERS = {
         "sim/physics/energy.py",
         "sim/recording/run_records.py",
     },
-    "mcap": {
-        "sim/recording/mcap_writer.py",
-        "sim/inspect/mcap_contents.py",
-        "sim/inspect/mcap_reader.py",
-    },
+    "mcap": {"sim/recording/mcap_writer.py", "sim/inspect/mcap_contents.py", "sim/inspect/mcap_reader.py"},
     "zstandard": {"sim/inspect/mcap_contents.py", "sim/recording/mcap_writer.py"},
     "lz4": {"sim/inspect/mcap_contents.py"},
     "mcap_protobuf": {"sim/recording/mcap_writer.py"},
     "google": {"sim/recording/mcap_writer.py", "sim/inspect/log.py", "sim/recording/foxglove_scene.py"},
     "foxglove_schemas_protobuf": {"sim/recording/foxglove_scene.py"},
-    "rerun": {
-        "sim/recording/rerun_writer.py",
-        "sim/recording/rerun_contents.py",
-    },
+    "rerun": {"sim/recording/rerun_writer.py", "sim/recording/rerun_contents.py"},
     "control": {"sim/response/response.py", "synth/vehicle/state_space.py"},
     "pandas": {"sim/response/response.py"},
     "matplotlib": {"models/figures/picture.py"},

@@ -67,7 +67,8 @@ def campaign_of(folder: Path, mine: str = "", many: str = "", text: str = TEXT) 
 def rows_of(file: Path, *arguments: str, results: str = "results") -> list[dict]:
     """What a campaign comes to."""
     folder = file.parent / results
-    assert main([str(file), "--results", str(folder), *arguments]) == 0
+    workers = [] if "--workers" in arguments else ["--workers", "1"]  # each has a process for laws
+    assert main([str(file), "--results", str(folder), *workers, *arguments]) == 0
     return pq.read_table(folder / "results.parquet").to_pylist()
 
 
@@ -121,7 +122,8 @@ def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
     monkeypatch.setattr(running, "LONGEST", 0.2)
     file = campaign_of(tmp_path, text=BUMP.replace('"linear", "mine", "many"', '"mine"'))
     campaign_of(tmp_path, fault, text=file.read_text(encoding="utf-8"))
-    rows = run_batch(plan_of(file), 0, 4)
+    plan = plan_of(file)
+    rows = run_batch(plan, 0, 4)
     assert rows is not None
     assert sound is not None
     assert 0 < sum(row["parameter_sprung_mass"] > 500 for row in rows) < 4
@@ -129,16 +131,14 @@ def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
         if row["parameter_sprung_mass"] > 500:
             assert row["reason"].startswith(f"{FAILED}controller 'mine', law mine.py:step: ")
             assert FAULTS[fault] in row["reason"]
-            assert set(row) == {name for name in untouched if name in plan_of(file).inputs(plan_of(file).key(0))} | {
-                "run",
-                "reason",
-            }
+            assert set(row) == {name for name in untouched if name in plan.inputs(plan.key(0))} | {"run", "reason"}
         else:
             assert row == untouched
 
 
-def test_the_same_whatever_runs_it(tmp_path, capsys):
-    """Workers and batches change no bit, though laws end their process, and one for many runs fails by the fault of a few.
+@pytest.mark.parametrize("others", [(), pytest.param(("--workers", "2"), marks=pytest.mark.attack)])
+def test_the_same_whatever_runs_it(tmp_path, capsys, others):
+    """Laws may end their process, and one for many runs fails by the fault of a few; workers and batches change no bit of that.
 
     Also said: how many failed, and the first of them.
     """
@@ -146,14 +146,15 @@ def test_the_same_whatever_runs_it(tmp_path, capsys):
         tmp_path,
         "    if mass > 540 and sample.time > 0.1: __import__('os').kill(__import__('os').getpid(), 9)\n    print('noise')\n",
         "    if (mass > 540).any(): raise ValueError('too heavy')\n",
-        BUMP,
+        BUMP.replace("count = 4", "count = 2"),  # of which one is heavy
     )
-    first = rows_of(file, "--workers", "1", "--batch", "3", results="a")
+    first = rows_of(file, "--batch", "3", results="a")
     said = capsys.readouterr().out
-    rows_of(file, "--workers", "2", "--json", results="b")
+    rows_of(file, *others, "--json", results="b" if others else "a")
     summary = json.loads(capsys.readouterr().out)["summary"]
-    assert (tmp_path / "a" / "results.parquet").read_bytes() == (tmp_path / "b" / "results.parquet").read_bytes()
-    assert 0 < sum(row["reason"] is not None for row in first) < 2 * BUMPS
+    if others:
+        assert (tmp_path / "a" / "results.parquet").read_bytes() == (tmp_path / "b" / "results.parquet").read_bytes()
+    assert sum(row["reason"] is not None for row in first) == 2
     for row in first:
         assert (row["reason"] is not None) == (row["controller"] != "linear" and row["parameter_sprung_mass"] > 540)
     for entry in summary:
@@ -195,7 +196,7 @@ def test_no_code_but_the_users_own(tmp_path, capsys):
     inside.mkdir()
     campaign_of(tmp_path, text=BUMP.replace('"car.toml"', '"inside/car.toml"').replace('"linear", "mine", "many"', '"mine"'))
     campaign_of(inside)
-    assert main([str(file), "--results", str(tmp_path / "other")]) == 0
+    rows_of(file, results="other")
     (inside / "campaign.toml").unlink()
     (tmp_path / "other" / "campaign.json").rename(inside / "campaign.json")
     with pytest.raises(InputError, match=r"mine.py lies in the folder of results, from which no code is run"):

@@ -14,6 +14,7 @@ from sim.inspect.__main__ import main as inspect
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.analysed import energy, simulate
+from tests.commands import attacks
 from tests.curved import DIGRESSIVE, PROGRESSIVE
 from tests.test_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
 
@@ -67,7 +68,7 @@ def check_physics(run, far):
         pytest.param("bandwidth = 100.0\n" + LATE, id="both"),
     ],
 )
-@pytest.mark.parametrize(("text", "far"), [(SPRING, 2e-5), (ROUGH, 5e-5)], ids=["spring", "friction"])
+@pytest.mark.parametrize(("text", "far"), [(SPRING, 2e-5), *attacks([(ROUGH, 5e-5)])], ids=["spring", "friction"])
 def test_the_exact_response(text, far, more):
     """MuJoCo is what RK4 is foretold to make, to rounding, and that is next to the exact response, which decides for itself.
 

@@ -219,7 +219,7 @@ def test_a_car(text):
 @pytest.mark.parametrize("change", ["c_max", "c_min", "nominal", "bandwidth"])
 def test_another_damper_is_found(change):
     """Physics of a damper that is 1 % off does not agree with the exact response: that follows nothing that it cannot be."""
-    vehicle = parse_vehicle(QUARTER + DAMPER + "bandwidth = 100.0")
+    vehicle = parse_vehicle(QUARTER + DAMPER + ("bandwidth = 100.0" if change == "bandwidth" else ""))
     controller, time = design(vehicle, "sky"), sample_times(vehicle, 0.5, 1e-3)
     (one,) = vehicle.dampers.values()
     if change == "nominal":

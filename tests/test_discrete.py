@@ -29,7 +29,7 @@ from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import from_state_space
-from tests.commands import refused
+from tests.commands import attacks, refused
 
 EYE = np.eye(4)
 MEASURED = {"state": EYE, "I": EYE[[0, 2]], "II": EYE[[2]]}
@@ -211,7 +211,7 @@ def test_conditioning_at_a_megahertz(paper):
     assert refine(plant, Cy, design.gain).after < design.certificate.norm.value
 
 
-@pytest.mark.parametrize("dt", [1e-9, 1.0, 282209.0, 1e9])
+@pytest.mark.parametrize("dt", [1e-9, 282209.0, *attacks((1.0, 1e9))])
 def test_refined_at_any_period(dt):
     """The unit of time decides neither what the landscape sees nor where a refinement ends: nowhere higher than it began.
 
@@ -341,7 +341,8 @@ def test_a_mode_that_z_does_not_see_and_that_grows():
     assert np.abs(design.certificate.poles).max() < 1
 
 
-def test_a_pole_at_minus_one():
+@pytest.mark.parametrize("orders", [("static",), *attacks([(("static", "full"),)])], ids=" ".join)
+def test_a_pole_at_minus_one(orders):
     """A plant with a pole at z = -1 and another at 1 is designed, bounded and refined, also at full order: both are moved."""
     A, one = np.diag([-1.0, 1.0, 0.3]), np.ones((3, 1))
     C, D = np.vstack([np.eye(3), np.zeros((1, 3))]), np.array([[0.0], [0], [0], [1]])
@@ -352,9 +353,10 @@ def test_a_pole_at_minus_one():
     assert found.certificate.failures == ()
     assert 0 < below.gamma <= found.certificate.norm.value
     assert state_design(plant).certificate.norm.value <= found.certificate.norm.value * (1 + 1e-9)
-    law = full_order_design(plant, Cy, lower_bound=below)
-    assert law.certificate.failures == ()
-    assert law.certificate.norm.value <= found.certificate.norm.value * (1 + 2e-3)  # a static gain is one of full order
+    if "full" in orders:
+        law = full_order_design(plant, Cy, lower_bound=below)
+        assert law.certificate.failures == ()
+        assert law.certificate.norm.value <= found.certificate.norm.value * (1 + 2e-3)  # a static gain is one of full order
 
 
 @pytest.mark.parametrize("at", [-0.6, -1.0])  # nothing is moved, and a pole at -1 is

@@ -18,6 +18,7 @@ from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.weighting import sampled_wk
 from synth.controller.open_loop import continuous
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.conftest import TEXTBOOK
 from tests.shared import designed
 
@@ -93,13 +94,7 @@ def test_a_rougher_class_is_a_factor(textbook):
             assert four_times.mean[name] == pytest.approx(4 * found.mean[name])
 
 
-@pytest.mark.parametrize(
-    ("name", "controller"),
-    [
-        ("half_car", "I"),
-        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", "I"), ("half_car", "passive"))),
-    ],
-)
+@pytest.mark.parametrize(("name", "controller"), [("half_car", "I"), *attacks((("quarter_car", "I"), ("half_car", "passive")))])
 def test_lyapunov(name, controller, wide_band):
     """With any controller, and with rear wheels that come later, the spectral integral is the Lyapunov equation's covariance."""
     vehicle = read_vehicle(name)
@@ -201,12 +196,11 @@ def held_variances(vehicle, designed, h, steps, delay):
 @pytest.mark.parametrize(
     ("controller", "h", "steps", "delay", "limits"),
     [
-        ("I", 1e-3, 20, 3, Limits()),
-        pytest.param("II", 2e-3, 20, 1, Limits(), marks=pytest.mark.attack),
         ("state", 1e-3, 7, 0, Limits(actuator_bandwidth=60.0)),
-        ("I", 1e-3, 1, 1, Limits()),
         ("II", 1e-3, 20, 1.3, Limits()),
-        ("I", 1e-3, 10, 0.5, Limits(actuator_bandwidth=60.0)),
+        pytest.param("I", 1e-3, 20, 3, Limits(), marks=pytest.mark.attack),
+        pytest.param("I", 1e-3, 1, 1, Limits(), marks=pytest.mark.attack),
+        pytest.param("I", 1e-3, 10, 0.5, Limits(actuator_bandwidth=60.0), marks=pytest.mark.attack),
     ],
 )
 def test_held_over_several_steps(paper, monkeypatch, controller, h, steps, delay, limits):

@@ -10,6 +10,7 @@ from sim.studies.ride.expected import APPROXIMATE, expect, settling_time
 from sim.studies.ride.metrics import Meter, measure
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_responses, simulate
+from tests.commands import attacks
 from tests.conftest import BUILT, LAGGED
 
 
@@ -110,9 +111,7 @@ def test_one_track_and_two():
 CASES = [("quarter_car", "passive", 20), ("quarter_car", "II", 40), ("half_car", "I", 24), ("full_car", "I", 16)]
 
 
-@pytest.mark.parametrize(
-    ("name", "controller", "seeds"), [*CASES[:2], *(pytest.param(*case, marks=pytest.mark.attack) for case in CASES[2:])]
-)
+@pytest.mark.parametrize(("name", "controller", "seeds"), [CASES[0], *attacks(CASES[1:])])
 def test_physics_over_many_seeds(textbook, name, controller, seeds):
     """MuJoCo's mean squares over seeds are those predicted, within their confidence interval; its largest values within 10 %."""
     vehicle = textbook if controller == "passive" else read_vehicle(name)

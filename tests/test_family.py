@@ -15,6 +15,7 @@ from synth.lmi.sdp import first_step, second_step
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 
 CORNERS = np.array([[1, 1, 0, 0], [0, 0, 1, 1]])
 
@@ -93,7 +94,7 @@ def test_a_measurement_that_one_actuator_does_not_use(paper):
     assert np.all((design.gain == 0) == (pattern == 0))
 
 
-@pytest.mark.parametrize(("name", "most"), [("I", 8.2), ("II", 7.866)])
+@pytest.mark.parametrize(("name", "most"), [("I", 8.2), *attacks([("II", 7.866)])])
 def test_plants_that_measure_differently(paper, designer, name, most):
     """Sensors that are 20 % off are plants of their own: the gain is good for all vertices, where the printed I has 29.36."""
     Cy, plant = measured(paper, paper.controllers[name].measured), designer.plant
@@ -131,7 +132,7 @@ def test_the_lmis_of_one_plant(designer):
     assert hinf_norm(plant.closed_loop(Feedback(second.K, row))).value <= second.eta**-0.5
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(2, 6))])
+@pytest.mark.parametrize("seed", [*range(2), *attacks(range(2, 6))])
 def test_bounds_hold_on_random_families(seed):
     """On random families, with a Dw, the bound that Clarabel claims is above every norm, and proofs hold."""
     rng = np.random.default_rng(seed)

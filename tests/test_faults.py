@@ -18,6 +18,7 @@ from sim.runs.agreement import compare
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.conftest import random_vehicles
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text
 from tests.faults import Fault, built_with, miswritten, places, scaled
@@ -77,7 +78,7 @@ def stronger(part: str, share: float) -> Fault:
     return fault
 
 
-@pytest.mark.parametrize(("kind", "part"), [("half_car", "curves"), ("half_car", "stops"), ("quarter_car", "stops")])
+@pytest.mark.parametrize(("kind", "part"), [("half_car", "curves"), ("quarter_car", "stops"), *attacks([("half_car", "stops")])])
 def test_what_is_wrong_at_large_motions_alone_is_found(kind, part):
     """Damper curves that are 2.5 % too strong are no geometry, stops that are 2 % too stiff are found, and a clean run agrees."""
     vehicle, road, name = driven(kind, part)

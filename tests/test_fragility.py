@@ -21,7 +21,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 
 NEAR = 1e-6  # relative; a little beyond the errors that were found to do more, and a little within
-STEPS = 21  # of brute force along each reading's errors
+STEPS = 13  # of brute force along each reading's errors
 
 
 def _gain(vehicle: Vehicle, controller: str):
@@ -63,10 +63,7 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
     """A law told its own force, u = -4000 v + 0.1 u, has the norm of u = -4444 v; missing, that reading costs a tenth of it."""
     (posed, one), (_, plain) = (
         (problem(paper, measured, DesignConditions()), static_law(np.array([gain])))
-        for measured, gain in (
-            (("sprung_velocity", "control_force"), [-4000.0, 0.1]),
-            (("sprung_velocity",), [-4000.0 / 0.9]),
-        )
+        for measured, gain in ((("sprung_velocity", "control_force"), [-4000.0, 0.1]), (("sprung_velocity",), [-4000.0 / 0.9]))
     )
     gain = scaled_gain(posed.plant, posed.Cy, one, posed.Dyw, posed.feedthrough)
     alone = scaled_gain(posed.plant, posed.Cy[:1], plain, None, posed.feedthrough[:1])
@@ -81,6 +78,7 @@ def test_a_force_that_is_measured_is_one_more_reading(paper):
         scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.feedthrough, [[0.0]]]))
 
 
+@pytest.mark.attack
 def test_steps_that_rounding_takes_out_of_the_feasible_set():
     """An H2 law that knows no noise bears 0.055 % of errors: X is conditioned by 1e9 there, and a proof is found."""
     entry = '[controllers.h2]\nmeasured = ["suspension_deflection", "sprung_acceleration"]\ndesign = "h2"\n'
@@ -108,7 +106,7 @@ def _random(seed: int):
     return scaled_gain(plant, Cy * units * rows[:, None], K / rows), generator
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (2, 3))])
 def test_against_brute_force(seed):
     """On a grid over the errors of two readings nothing within what is proved does more than it may, nor within what is found but
     for a thousandth; and the errors that are named do."""

@@ -35,7 +35,7 @@ from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
-from tests.commands import prose, refused
+from tests.commands import attacks, prose, refused
 from tests.shared import made
 
 COUNT, QUICK = 12, 5
@@ -95,7 +95,7 @@ def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, 
     [
         ("ride:travel", COUNT),
         pytest.param("band=2-6:travel:force", 6, marks=pytest.mark.attack),
-        ("ride:travel:force", 3),
+        *attacks([("ride:travel:force", 3)]),
         pytest.param("travel:tolerance=5", 3, marks=pytest.mark.attack),
         pytest.param("road_holding:force", 6, marks=pytest.mark.attack),
     ],
@@ -288,10 +288,7 @@ LATER = {  # where Ctrl-C comes, at which call, and what it cuts short
 }
 
 
-@pytest.mark.parametrize(
-    "where",
-    ["norm_on", "_limits", *(pytest.param(one, marks=pytest.mark.attack) for one in ("certify_tightly", "largest_over_road"))],
-)
+@pytest.mark.parametrize("where", ["norm_on", "_limits", *attacks(("certify_tightly", "largest_over_road"))])
 def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     """Wherever it comes after the search, what is certified by then is printed and written, and what is missing is said."""
     path, (at, cut) = tmp_path / "front.csv", LATER[where]

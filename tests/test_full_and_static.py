@@ -12,6 +12,7 @@ from synth.design.full_order.riccati import WITHIN
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import speed
+from tests.commands import attacks
 
 GRID = np.concatenate([-np.logspace(-3, 3, 60), [0.0], np.logspace(-3, 3, 60)])
 BEATEN = 2e-3  # relative; full order ends within 0.1 % of the best it can follow, and rounds as much again on the way
@@ -79,7 +80,7 @@ def test_static_gain_next_to_the_bound(a, dt):
     [
         (1, None),
         (2, 0.1),
-        *(pytest.param(*each, marks=pytest.mark.attack) for each in ((2, None), (12, None), (1, 0.1), (12, 0.1))),
+        *attacks(((2, None), (12, None), (1, 0.1), (12, 0.1))),
         *(pytest.param(seed, dt, marks=pytest.mark.attack) for seed in range(100, 107) for dt in (None, 0.1)),
     ],
 )
@@ -91,8 +92,9 @@ def test_no_static_gain_is_better(seed, dt):
 @pytest.mark.parametrize(
     ("side", "distance"),
     [
-        *((-1, each) for each in (1e-13, 0.0)),
-        *((1, each) for each in (1e-8, 0.0)),
+        (-1, 1e-13),
+        (1, 0.0),
+        *attacks([(-1, 0.0), (1, 1e-8)]),
         *(pytest.param(-1, each, marks=pytest.mark.attack) for each in (1e-6, 1e-11, 1e-15)),
         *(pytest.param(1, each, marks=pytest.mark.attack) for each in (1e-3, 1e-6)),
     ],

@@ -265,10 +265,7 @@ def test_what_is_no_bound_is_offered_every_kind():
     ("bound", "said"),
     [
         ('peak = "suspension_deflection", road = "mountain"', "bounds[1] road = 'mountain': unknown road"),
-        (
-            'peak = "suspension_deflection", road = "absent.csv"',
-            "bounds[1] road = 'absent.csv': road file absent.csv: ",
-        ),
+        ('peak = "suspension_deflection", road = "absent.csv"', "bounds[1] road = 'absent.csv': road file absent.csv: "),
         ('peak = "suspension_deflection", road = "iso8608:class=C"', "bounds[1] road = 'iso8608:class=C' has no end"),
     ],
 )

@@ -35,11 +35,7 @@ def largest(gain: Array, d: float = 0.0, a: float = 0.0) -> float:
     k_d, k_a, none = np.full_like(s, gain[0, 0] * (1 + d)), gain[0, 1] * (1 + a), np.zeros_like(s)
     # Of x_s, x_u and u, the road's velocity 1: Newton twice, and u = k_d (x_s - x_u) + k_a x_s''.
     spring, one = k + c * s, np.ones_like(s)
-    rows = [
-        [m * s**2 + spring, -spring, -one],
-        [-spring, mu * s**2 + spring + kt, one],
-        [-k_d - k_a * s**2, k_d, one],
-    ]
+    rows = [[m * s**2 + spring, -spring, -one], [-spring, mu * s**2 + spring + kt, one], [-k_d - k_a * s**2, k_d, one]]
     moved = np.linalg.solve(np.array(rows).transpose(2, 0, 1), np.array([none, kt / s, none]).T[:, :, None])[:, :, 0]
     x_s, x_u, u = moved.T
     z = np.array([s**2 * x_s, 0.1 * (x_s - x_u), 0.2 * (x_u - 1 / s), 1e-4 * u])

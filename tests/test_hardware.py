@@ -21,6 +21,7 @@ from synth.plant.augmented import on_larger_plant
 from synth.vehicle.designer import Designer, certify_given
 from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.active_suspension import PRINTED, active_suspension
+from tests.commands import attacks
 
 EXAMPLE = Path(__file__).with_suffix("").with_name("active_suspension.toml")
 NOISE = {"suspension_deflection": 1e-3, "sprung_velocity": 2e-2, "sprung_acceleration": 0.3}
@@ -46,22 +47,24 @@ def scenario_file(folder: Path, handling: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("handling", [0.01, *(pytest.param(handling, marks=pytest.mark.attack) for handling in (0.5, 0.99))])
-def test_active_suspension_from_its_file(handling, tmp_path, capsys):
-    """MathWorks' three scenarios come from a vehicle file to the printed digits, and static gains to what was found elsewhere.
+@pytest.mark.parametrize(("handling", "names"), [(0.01, ("full",)), *attacks([(0.99, ("full", "static"))])])
+def test_active_suspension_from_its_file(handling, names, tmp_path, capsys):
+    """MathWorks' scenarios come from a vehicle file to the printed digits, and static gains to what was found elsewhere.
 
     The file's road, limited to 10000 rad/s, is another one by 1e-5 where the norm is decided, below 100 rad/s; the law itself, on
     the example's own plant, has the norm that the table prints.
     """
     path = scenario_file(tmp_path, handling)
-    assert main(["--vehicle", str(path), "--controller", "full", "--controller", "static", "--json"]) == 0
-    full, static = json.loads(capsys.readouterr().out)["controllers"]
+    asked = [word for name in names for word in ("--controller", name)]
+    assert main(["--vehicle", str(path), *asked, "--json"]) == 0
+    full, *statics = json.loads(capsys.readouterr().out)["controllers"]
     printed, by_lmi = PRINTED[handling]
     assert f"{full['norm']:.2f}" == f"{printed:.2f}"
     assert full["norm"] == pytest.approx(by_lmi, rel=1e-3)  # as near as a full-order controller is to come
-    assert static["norm"] < {0.01: 0.9485, 0.5: 0.7285, 0.99: 1.2270}[handling]  # given with 3 digits, one cut off
-    assert full["lower_bound"] < full["norm"] < static["norm"]
-    assert static["lower_bound"] == full["lower_bound"]
+    assert full["lower_bound"] < full["norm"]
+    for static in statics:
+        assert full["norm"] < static["norm"] < {0.01: 0.9485, 0.5: 0.7285, 0.99: 1.2270}[handling]  # given with 3 digits, one cut
+        assert static["lower_bound"] == full["lower_bound"]
     law = Designer(read_vehicle(path)).design("full").law
     plant, Cy, Dyw = active_suspension(handling)
     larger, G = on_larger_plant(plant, Cy, law.scaled(1e-3), Dyw)  # its force is in kN
@@ -126,9 +129,11 @@ KINDS = {
 @pytest.mark.parametrize(
     ("kind", "flags"),
     [
-        *((kind, ("noise = true", "lag = true")) for kind in KINDS),
-        *((kind, ("noise = true",)) for kind in ("static", "h2")),
+        ("static", ("noise = true", "lag = true")),
+        ("h2", ("noise = true",)),
         *((kind, ("lag = true",)) for kind in ("accelerometer", "given")),
+        *(pytest.param(kind, ("noise = true", "lag = true"), marks=pytest.mark.attack) for kind in KINDS if kind != "static"),
+        pytest.param("static", ("noise = true",), marks=pytest.mark.attack),
     ],
 )
 def test_bounds_with_noise_and_lag(kind, flags):

@@ -1,6 +1,7 @@
 """A log proves what it claims by itself, and every change of it shows: where, and never as a crash."""
 
 import csv
+import functools
 import json
 import os
 import re
@@ -23,7 +24,9 @@ from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from sim.envelope import main as envelope
 from sim.inspect.__main__ import main
+from sim.inspect.log import read_log
 from sim.inspect.mcap_reader import GIVE
+from sim.inspect.proof import prove
 from sim.margins import main as margins
 from sim.recording.run_log import RESULTS
 from sim.recording.run_records import record_runs
@@ -223,8 +226,8 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("command", "options"),
     [
-        (sweep, ["--controller", "I", "--timestep", "0.008"]),
-        (margins, ["--controller", "II", "--timestep", "0.004"]),
+        pytest.param(sweep, ["--controller", "I", "--timestep", "0.008"], marks=pytest.mark.attack),
+        pytest.param(margins, ["--controller", "II", "--timestep", "0.004"], marks=pytest.mark.attack),
         (envelope, ["--controller", "I", "--vary", "height:0.02:0.3:2", "--vary", "speed:3:30:2", "--timestep", "0.002"]),
         (bump, ["--controller", "I", "--vehicle", "full_car", "--duration", "0.25"]),
     ],
@@ -374,8 +377,10 @@ def test_one_cause_is_one_line(change, said, parts, tmp_path, capsys):
     assert re.fullmatch(rf"(physics|result): {said}", prose(found))
 
 
-def test_several(brief, parts, tmp_path, capsys):
+def test_several(brief, parts, tmp_path, capsys, monkeypatch):
     """Several logs are inspected in turn, each as by itself, in text and JSON; the exit code is the worst."""
+    for name, function in (("log.read_log", read_log), ("proof.prove", prove)):
+        monkeypatch.setattr(f"sim.inspect.{name}", functools.cache(function))  # each log is proved once
     forged, stub = tmp_path / "forged.mcap", tmp_path / "stub.mcap"
     forged.write_bytes(written(CHANGES["a norm"][0](parts)))
     stub.write_bytes(b"time,height")

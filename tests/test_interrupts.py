@@ -114,13 +114,7 @@ def test_wherever_it_is_heard(tmp_path, where):
     (tmp_path / "child.py").write_text(
         f"import sim\nfrom models.common.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "child"],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-    )
+    done = subprocess.run([sys.executable, "-m", "child"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
 
 

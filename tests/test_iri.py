@@ -12,6 +12,7 @@ from models.common.errors import InputError
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iri import (
+    COUNTED,
     SPEED,
     STEP,
     A,
@@ -88,7 +89,7 @@ def test_published_coefficients():
     assert published > 1
 
 
-@pytest.mark.parametrize("step", [0.01, 0.025, 0.05, 0.1, 0.1524, 0.25, 0.3])
+@pytest.mark.parametrize("step", [0.025, 0.1524, 0.25, 0.3])
 def test_listing(step):
     """At any sampling IRI is that of the listing of 1995, from 11 m of road to 500 m, with its start and its moving average."""
     for length in (11.5, 30.0, 500.0):
@@ -131,7 +132,7 @@ def test_sinusoid(wavelength):
 
 @pytest.mark.parametrize(
     ("vehicle", "distance"),
-    [(CAR, 150.0), (QUARTER, 1000.0), pytest.param(CAR, 1024.0, marks=pytest.mark.attack)],
+    [pytest.param(CAR, 150.0, marks=pytest.mark.attack), (QUARTER, 1000.0), pytest.param(CAR, 1024.0, marks=pytest.mark.attack)],
     ids=["two tracks", "nearly all of it", "all of both tracks"],
 )
 def test_200_roads(vehicle, distance):
@@ -152,14 +153,15 @@ def test_200_roads(vehicle, distance):
 
 def test_start():
     """What the start of the car costs is that of lines of any phase, a cosine and a sine each; 0.95 m of white slopes."""
-    n, variances, x = np.array([0.02, 0.11, 0.7]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
+    lines, variances, x = np.array([10, 56, 2400]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
+    n = lines / COUNTED
     square = np.zeros(len(x) - 10)
     for each, variance in zip(n, variances, strict=True):
         for wave in (np.sin, np.cos):
             square += variance * suspension_slopes(wave(2 * np.pi * each * x) / (2 * np.pi * each), STEP) ** 2
     final = math.sqrt(np.abs(slope_response(n, STEP)) ** 2 @ variances)
     lost = np.cumsum(1 - np.sqrt(square[:4000:10]) / final) * 0.25
-    assert np.allclose(missing(n, variances, STEP)[:400], lost, rtol=0, atol=1e-9)  # m; rounding of 400 terms
+    assert np.allclose(missing(lines, variances)[:400], lost, rtol=0, atol=1e-9)  # m; rounding of 400 terms
     short, long = (theory(roughness_of(Iso8608("C", length=3e4), QUARTER, distance)[0])[0] for distance in (20.0, 1e4))
     assert (1 - short / long) * 20.0 == pytest.approx(0.95, abs=0.01)  # the long one lacks it, too, by 0.002
 

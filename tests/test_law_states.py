@@ -22,6 +22,7 @@ from sim.recording.run_records import run_log
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
+from tests.commands import in_the_suite
 from tests.rewriting import contents, written
 from tests.test_inspect import scaled
 from tests.test_laws import REALITIES, controller
@@ -34,7 +35,7 @@ OF_FULL_CARS = [("acceleration", "lagging")]
     ("name", "what", "reality"),
     [
         *(("quarter_car", *case) for case in EVERY_CASE),
-        *(pytest.param("full_car", *case, marks=() if case in OF_FULL_CARS else pytest.mark.attack) for case in EVERY_CASE),
+        *in_the_suite([("full_car", *case) for case in OF_FULL_CARS], [("full_car", *case) for case in EVERY_CASE]),
     ],
 )
 def test_states_in_physics_are_those_of_the_analysis(name, what, reality):

@@ -34,6 +34,7 @@ from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant
 from synth.controller.report import law_lines
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.shared import made
 
 REALITIES = {
@@ -61,8 +62,14 @@ def _without_control(kind: str) -> Certificate:
     return certify(plant, np.zeros_like(plant.B.T))
 
 
-@pytest.mark.parametrize("name", ["quarter_car", pytest.param("half_car", marks=pytest.mark.attack), "full_car"])
-@pytest.mark.parametrize("reality", REALITIES)
+@pytest.mark.parametrize(
+    ("name", "reality"),
+    [
+        *(("quarter_car", reality) for reality in REALITIES),
+        ("full_car", "between"),
+        *attacks((name, reality) for name in ("half_car", "full_car") for reality in REALITIES if reality != "between"),
+    ],
+)
 def test_physics_agrees_to_rk4s_own_error(name, reality):
     """MuJoCo is within 1e-6 of peak of the exact sampled response over a bump, and 16 times as near at half the step."""
     implementation, limits = REALITIES[reality]

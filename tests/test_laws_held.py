@@ -111,7 +111,7 @@ def check(kind: str, road: Road, duration: float = DURATION) -> None:
             assert exact[1] < 2.5 * EXACT, run.controller.name
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
+@pytest.mark.parametrize("kind", ["half_car", *(pytest.param(kind, marks=pytest.mark.attack) for kind in KINDS[::2])])
 def test_over_a_bump(kind):
     """Over a bump every law is within 2e-6 of a peak of its exact response at 1 ms, and 1e-6 at 0.5 ms; cars over 1 mm."""
     steps = ((1e-3, 2 * EXACT), (5e-4, EXACT))
@@ -121,7 +121,9 @@ def test_over_a_bump(kind):
             assert apart(run, run.sampled) < most, run.controller.name
 
 
-@pytest.mark.parametrize(("kind", "speed", "duration"), [("quarter_car", 10.0, 0.2), ("half_car", 20.0, 0.15)])
+@pytest.mark.parametrize(
+    ("kind", "speed", "duration"), [("quarter_car", 10.0, 0.2), pytest.param("half_car", 20.0, 0.15, marks=pytest.mark.attack)]
+)
 def test_over_class_c(kind, speed, duration):
     """Over class C MuJoCo does what the exact response does, but for RK4: 3e-5 of a peak; cars over a thousandth of the road."""
     check(kind, rough(with_laws(kind), 0, speed), duration)

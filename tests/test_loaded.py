@@ -24,7 +24,7 @@ LOADED = {
     "sim.bump --controller I --no-logs --json": (102, {"mujoco"}),
     "sim.bump --controller I --vehicle full_car --duration 0.5 --no-logs --json": (102, {"mujoco"}),
     "sim.drive --controller I --duration 1 --no-logs --json": (129, {"mujoco", "scipy.special"}),
-    "sim.sweep --controller I --json": (
+    "sim.sweep --controller I --timestep 4e-3 --json": (
         105,
         {"mujoco", "scipy.fft", "scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special"},
     ),

@@ -73,7 +73,7 @@ def test_cyrillic(tmp_path, locale):
     assert ran.stderr.decode().startswith("roadproof: unknown controller 'Щ'")
 
 
-@some_locales("ASCII")
+@some_locales("ASCII", "C")
 def test_what_the_terminal_lacks(tmp_path, locale):
     """Where only ASCII was typed, what the terminal's encoding lacks is escaped, and files have their names all the same."""
     vehicle(tmp_path / "car.toml", "Жук")

@@ -1,6 +1,7 @@
 """A controller is judged by the loop that drives: stable with its computer though not without it, or the other way round."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from synth.vehicle.designer import design
 from tests.analysed import sampled_radius
 from tests.commands import prose
 
-SLOW = "\n[implementation]\nsample_period = 0.15\n"  # s: at 6.7 Hz what is best with samples is unstable without
+SLOW = "\n[implementation]\nsample_period = 0.05\n"  # s: at 20 Hz what is best with samples is unstable without
 HELD = f"{SLOW}sampled = true\n"
 WITHOUT = "without a computer its loop is unstable"
 
@@ -34,7 +35,7 @@ def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
     vehicle = read_vehicle(str(held))
     controller = design(vehicle, "I")
     assert not controller.certificate.stable
-    assert sampled_radius(vehicle, controller, 0.15) < 1
+    assert sampled_radius(vehicle, controller, 0.05) < 1
     saved = tmp_path / "saved.toml"
     assert synth(["--vehicle", str(held), "--controller", "I", "--save", str(saved), "--json"]) == 0
     assert design(read_vehicle(str(saved)), "I_designed").false_claims == ()
@@ -48,7 +49,7 @@ def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
         assert WITHOUT in prose(text)
         assert "FAILS" not in text
         (line,) = [each for each in text.splitlines() if each.startswith(("I  ", "I_designed  "))]
-        assert f"UNSTABLE  {row['sampled_norm']:.7g}" in line
+        assert re.search(rf"UNSTABLE .*{row['sampled_norm']:.7g}", line)
         assert "every claim holds, of 1 controller\n" in text
 
 
@@ -63,7 +64,7 @@ def test_what_it_claims_in_vain_still_fails(held, tmp_path, capsys):
         capsys.readouterr()
         assert synth(["--check", str(saved), "--controller", "I_designed"]) == 1
         assert "is claimed to be 7.9, and is" in prose(capsys.readouterr().out)
-    saved.write_text(text.replace("sample_period = 0.15", "sample_period = 0.01"))  # stable with neither
+    saved.write_text(text.replace("sample_period = 0.05", "sample_period = 0.01"))  # stable with neither
     assert synth(["--check", str(saved), "--controller", "I_designed"]) == 1
     assert "FAILS: unstable" in prose(capsys.readouterr().out)
 
@@ -76,21 +77,21 @@ def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
     assert inspect([str(next((tmp_path / "logs").glob("*.mcap")))]) == 0
     text = prose(capsys.readouterr().out)
     assert WITHOUT in text
-    assert "sampled norm 8.89" in text
+    assert "sampled norm 8.32" in text
 
 
 def test_rates_of_it(held, capsys):
     """It is said where its loop is stable again."""
-    assert synth(["--vehicle", str(held), "--controller", "I", "--rates", "150"]) == 0
+    assert synth(["--vehicle", str(held), "--controller", "I", "--rates", "50"]) == 0
     text = prose(capsys.readouterr().out)
     assert "controller I is unstable in continuous time; at once it" in text
-    assert "(150 ms is stable again)" in text
+    assert "(50 ms is stable again)" in text
 
 
 def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys):
     """A design for the ideal loop, on a computer that loses it: its claims hold, and the last line names it."""
     path = tmp_path / "lost.toml"
-    path.write_text(f"{paper.text}{SLOW}delay = 5\n")
+    path.write_text(f"{paper.text}\n[implementation]\nsample_period = 0.15\ndelay = 5\n")
     assert synth(["--vehicle", str(path), "--controller", "I", "--controller", "passive"]) == 0
     assert prose(capsys.readouterr().out).endswith("every claim holds, of 2 controllers; UNSTABLE as the computer runs it: I")
 
@@ -128,7 +129,7 @@ def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held
     """A sampled design keeps its gain where margins are found without the computer; where it has none, that is the reason."""
     with pytest.raises(InputError, match="without a computer its loop is not stable"):
         margins(["--vehicle", str(held), "--controller", "I"])
-    held.write_text(held.read_text().replace("sample_period = 0.15", "sample_period = 0.01"))
+    held.write_text(held.read_text().replace("sample_period = 0.05", "sample_period = 0.01"))
     found = []
 
     def begun(vehicle, controller, *_):

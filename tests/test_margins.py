@@ -44,7 +44,7 @@ from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer, design
 from tests import pages
 from tests.analysed import sampled_radius
-from tests.commands import once, refused
+from tests.commands import attacks, once, refused
 from tests.conftest import recorded_runs
 from tests.shared import designed
 
@@ -218,7 +218,7 @@ def test_margins_in_physics(capsys, tmp_path, timestep):
     assert set(box["at"]) == {"sprung_mass", "tyre_stiffness"}
 
 
-@pytest.mark.parametrize(("name", "timestep"), [("I", 1e-3), ("state", 2e-3)])
+@pytest.mark.parametrize(("name", "timestep"), [("I", 1e-3), *attacks([("state", 2e-3)])])
 def test_gain_and_delay_in_physics(paper, designer, name, timestep):
     """I and the state feedback: the delay to one sample, the gain to 0.5 %."""
     one = searches(paper, designer.design(name), [0], timestep)
@@ -511,7 +511,9 @@ def test_a_kind_that_varies_nothing_says_so(hopper, capsys, of_one_search):
 VARIED = (', varied=Variation("weight", 0.9, 1.2)', ', varied=Variation("tyre rate", 0.75, 1.0)')
 
 
-@pytest.mark.parametrize("hopper", [VARIED, (VARIED[0], "")], indirect=True, ids=["two", "one"])
+@pytest.mark.parametrize(
+    "hopper", [VARIED, pytest.param((VARIED[0], ""), marks=pytest.mark.attack)], indirect=True, ids=["two", "one"]
+)
 def test_the_kind_says_what_varies(hopper, monkeypatch):
     """The box, its worst norm and its words are of the parameters that the kind lets vary, as far as it does, and no others."""
     monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # errors of readings are not asked about

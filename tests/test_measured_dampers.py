@@ -19,7 +19,7 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.vehicle.designer import Designer
 from tests.analysed import simulate, switched
-from tests.commands import refused
+from tests.commands import attacks, refused
 from tests.test_curves_beside import FRICTION, ROUGH, check_physics, off, runs, with_tables
 from tests.test_dampers import BOTH, BUMP, DAMPER, LATE, QUARTER
 
@@ -62,15 +62,14 @@ def test_mujoco_pulls_as_the_tables_say():
 
 
 BUILT = {"": "", "lag": "bandwidth = 100.0\n", "late": LATE}
-USUAL = ("sky", "skyhook", "hybrid", "pdd")  # linear; of two values, of any, of none where the spring's force counts
+# A linear law, those of two values, of any, and of none where the spring's force counts, and each way to be late.
+USUAL = (("passive", ""), ("sky", "late"), ("skyhook", ""), ("hybrid", "lag"), ("pdd", "late"))
 
 
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        pytest.param(
-            name, more, id=f"{name}-{how}", marks=() if name in USUAL + (() if how else ("passive",)) else pytest.mark.attack
-        )
+        pytest.param(name, more, id=f"{name}-{how}", marks=() if (name, how) in USUAL else pytest.mark.attack)
         for name in ("passive", "sky", "leaky", *NAMES)
         for how, more in BUILT.items()
     ],
@@ -191,9 +190,7 @@ def test_the_nominal_setting_is_where_the_parameter_says():
     np.testing.assert_allclose(other.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "name", ["skyhook_modal", *(pytest.param(name, marks=pytest.mark.attack) for name in ("sky", "skyhook"))]
-)
+@pytest.mark.parametrize("name", ["skyhook_modal", *attacks(("sky", "skyhook"))])
 def test_a_car(name):
     """Axle by axle, one with curves and one with numbers and a lag, all but geometry is exact: over 1 mm within 3e-5 of a peak.
 

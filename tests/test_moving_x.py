@@ -18,6 +18,7 @@ from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_maximum, norm_at
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.shared import made
 
 PRINTED_I = np.array([[10824.0, -2071.0]])
@@ -117,7 +118,11 @@ def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.
 
 @pytest.mark.parametrize(
     ("low", "high", "loose"),
-    [(4.0, 8.0, 0.01), pytest.param(0.0, 2.0, 0.25, marks=pytest.mark.attack), (6.0, np.inf, 0.05)],
+    [
+        (4.0, 8.0, 0.01),
+        pytest.param(0.0, 2.0, 0.25, marks=pytest.mark.attack),
+        pytest.param(6.0, np.inf, 0.05, marks=pytest.mark.attack),
+    ],
 )
 def test_a_norm_in_a_band_with_errors(low, high, loose):
     """In a band with two ends or one, no sample of the errors exceeds what is proved, and that lies within a hundredth of it;
@@ -155,7 +160,7 @@ def test_a_damaged_proof_in_a_band_proves_nothing():
     assert not proof.holds(gain, wider) or _largest(gain, wider, low, high, np.random.default_rng(1)) <= proof.gamma
 
 
-@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(3, 8))])
+@pytest.mark.parametrize("seed", [*range(3), *attacks(range(3, 8))])
 def test_random_norms_with_errors(seed):
     """Of random plants in odd units: no sample of the errors exceeds what is proved, which is close above where it is found."""
     generator = np.random.default_rng(2000 + seed)
@@ -177,7 +182,7 @@ def test_random_norms_with_errors(seed):
         assert moving_x(gain, box, 1e3) is None
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *attacks((1, 2))])
 def test_random_norms_in_bands(seed):
     """Of random plants with noise in what is measured, in odd units: no sample of the errors exceeds what is proved."""
     generator = np.random.default_rng(1000 + seed)

@@ -21,6 +21,7 @@ from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, measurement_matrices
 from synth.plant.numerics import InfeasibleError
 from tests.active_suspension import SCENARIOS, active_suspension
+from tests.commands import attacks, in_the_suite
 
 NOTHING = LowerBound(0.0)  # in the place of an invariant point's bound, which knows no measurement
 
@@ -54,7 +55,7 @@ def smallest_gamma(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> 
 
 @pytest.mark.parametrize("through", [0.0, 0.3])
 @pytest.mark.parametrize("noise", [1.0, 0.1])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *attacks((2, 3))])
 def test_bound_with_noise(seed, noise, through):
     """The bound is where the Riccati equations end, to 0.1 %, below the norm of their law, and above the bound without noise."""
     plant, Cy, Dyw = noisy(seed, noise, through)
@@ -66,7 +67,7 @@ def test_bound_with_noise(seed, noise, through):
     assert find_lower_bound(plant, Cy).gamma <= bound.gamma * (1 + 1e-5)  # where the paths end
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.attack) for seed in range(2, 7))])
+@pytest.mark.parametrize("seed", [*range(2), *attacks((2, 3))])
 def test_no_controller_beats_it(seed):
     """No law of any order, stable by luck, has a norm below the bound: 300 random ones of 0 to 3 states for each plant."""
     plant, Cy, Dyw = noisy(2 * seed, 0.5, 0.3)
@@ -191,7 +192,7 @@ def test_slope_at_infinity():
     assert landscape.heights(x, cuts)[0].max() == pytest.approx(height, rel=1e-6)  # the far frequency is FAR times the poles
 
 
-@pytest.mark.parametrize("scenario", [pytest.param(one, marks=() if one == 0.5 else pytest.mark.attack) for one in SCENARIOS])
+@pytest.mark.parametrize("scenario", in_the_suite((0.5,), SCENARIOS))
 def test_static_gains_of_the_active_suspension(scenario):
     """Static gains on the noisy signals of MathWorks' example come to 0.948, 0.728 and 1.226 at most, as was found elsewhere."""
     plant, Cy, Dyw = active_suspension(scenario)

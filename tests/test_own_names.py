@@ -66,7 +66,7 @@ def test_it_says_so(vehicles):
     [
         (bump.main, ["--controller", "I", "--height", "0.12", "--length", "1.5", "--no-logs"]),
         (drive.main, ["--controller", "I", "--class", "F", "--duration", "1", "--no-logs"]),
-        (sweep.main, ["--controller", "I", "--timestep", "4e-3"]),
+        pytest.param(sweep.main, ["--controller", "I", "--timestep", "4e-3"], marks=pytest.mark.attack),
     ],
     ids=["bump", "drive", "sweep"],
 )

@@ -46,8 +46,7 @@ def test_state_feedback_is_the_limit_of_the_central_path(designer):
 
 
 @pytest.mark.parametrize(
-    ("name", "gain", "norm", "bound"),
-    [("I", [[10825.2, -2069.5]], 7.843188, 7.87149), ("II", [[-8968.5]], 7.906842, 7.90768)],
+    ("name", "gain", "norm", "bound"), [("I", [[10825.2, -2069.5]], 7.843188, 7.87149), ("II", [[-8968.5]], 7.906842, 7.90768)]
 )
 def test_output_feedback_is_the_limit_of_the_central_path(designer, name, gain, norm, bound):
     """K, the norm it reaches and the bound that (25) proves are those of the limit."""

@@ -15,33 +15,10 @@ SOURCES = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT 
 
 ONE_SYSTEM = {"fcntl", "termios", "pwd", "grp", "resource", "pty", "tty", "syslog", "msvcrt", "winreg", "winsound", "_winapi"}
 # What os and signal have on some systems only. Where it is worth having all the same, getattr asks for it.
-SOME_OS = {
-    "fork",
-    "forkpty",
-    "killpg",
-    "getpgid",
-    "setsid",
-    "getsid",
-    "sched_getaffinity",
-    "sched_setaffinity",
-    "mkfifo",
-    "getuid",
-}
-SOME_OS |= {
-    "geteuid",
-    "getgid",
-    "chown",
-    "fchown",
-    "fchmod",
-    "chroot",
-    "nice",
-    "uname",
-    "getloadavg",
-    "sysconf",
-    "statvfs",
-    "wait",
-}
-SOME_OS |= {"O_NONBLOCK", "O_CLOEXEC", "O_DIRECTORY", "O_BINARY", "wait3", "wait4", "WIFEXITED", "setpgid", "openpty"}
+SOME_OS = {"O_BINARY", "O_CLOEXEC", "O_DIRECTORY", "O_NONBLOCK", "WIFEXITED", "chown", "chroot", "fchmod", "fchown"}
+SOME_OS |= {"fork", "forkpty", "geteuid", "getgid", "getloadavg", "getpgid", "getsid", "getuid", "killpg"}
+SOME_OS |= {"mkfifo", "nice", "openpty", "sched_getaffinity", "sched_setaffinity", "setpgid", "setsid", "statvfs", "sysconf"}
+SOME_OS |= {"uname", "wait", "wait3", "wait4"}
 SOME_SIGNALS = {"SIGKILL", "SIGHUP", "SIGALRM", "SIGPIPE", "SIGUSR1", "SIGUSR2", "SIGCHLD", "SIGSTOP", "SIGCONT", "SIGQUIT"}
 SOME_SIGNALS |= {"alarm", "setitimer", "pause", "sigwait", "pthread_kill", "pthread_sigmask", "CTRL_C_EVENT", "CTRL_BREAK_EVENT"}
 ROOTED = ("/dev/", "/proc/", "/tmp", "/var/", "/etc/", "/usr/", "C:\\")

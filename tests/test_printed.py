@@ -10,7 +10,7 @@ import pytest
 from models.common.printed import WIDTH, Whole, command, fitted, matrix, percent, table, wrapped
 from models.vehicle.vehicle import read_vehicle
 from sim.__main__ import COMMANDS
-from tests.commands import main_of, prose, refused
+from tests.commands import attacks, main_of, prose, refused
 
 ROOT = Path(__file__).parent.parent
 LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
@@ -37,6 +37,8 @@ ANSWERS = {  # how the last line, or the sentence that is the last, begins
     "sim.inspect": r"(the log still proves|the log DOES NOT PROVE)",
 }
 
+ENVELOPE = "sim.envelope --controller I --vary height:0.02:0.4:3 --vary speed:5:20:3 --csv map.csv --timestep 4e-3"
+
 
 def too_wide(text: str) -> list[str]:
     """Lines that do not fit and could: not what cannot be broken, which is alone on its line, or after the program to run."""
@@ -59,19 +61,18 @@ def cars(tmp_path_factory):
         *(
             (car, line)
             for car in ("full_car", "built")
-            for line in (
-                "synth",
-                "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs",
-                "sim.envelope --controller I --vary height:0.02:0.4:3 --vary speed:5:20:3 --csv map.csv --timestep 4e-3",
-            )
+            for line in ("synth", "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs")
         ),
+        ("built", ENVELOPE),
         ("full_car", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --no-logs"),
         ("built", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --logs logs"),
         ("built", "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs"),
         ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
         ("built", "sim.margins --controller II --timestep 8e-3 --logs logs"),
-        pytest.param("full_car", "sim.sweep --controller all --timestep 4e-3", marks=pytest.mark.attack),  # half a minute
-        pytest.param("full_car", "sim.margins --controller II --timestep 4e-3", marks=pytest.mark.attack),  # a minute
+        *attacks(
+            ("full_car", line)
+            for line in (ENVELOPE, "sim.sweep --controller all --timestep 8e-3", "sim.margins --controller II --timestep 8e-3")
+        ),
     ],
 )
 def test_lines_fit_and_the_answer_is_last(line, car, cars, tmp_path, monkeypatch, capsys):

@@ -52,10 +52,7 @@ def test_the_proof_is_one(period):
     eta = found.certificate.bound**-2
     off = X @ loop.C.T + eta * loop.Bw @ loop.Dw.T
     M = np.block(
-        [
-            [loop.A @ X + X @ loop.A.T + eta * loop.Bw @ loop.Bw.T, off],
-            [off.T, eta * loop.Dw @ loop.Dw.T - np.eye(len(loop.C))],
-        ]
+        [[loop.A @ X + X @ loop.A.T + eta * loop.Bw @ loop.Bw.T, off], [off.T, eta * loop.Dw @ loop.Dw.T - np.eye(len(loop.C))]]
     )
     scale = 1 / np.sqrt(np.abs(np.diag(M)))
     assert np.linalg.eigvalsh(scale[:, None] * M * scale).max() < 1e-9  # to rounding; certified with twice the digits elsewhere

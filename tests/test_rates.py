@@ -20,32 +20,25 @@ from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.design.sampled_data import SampledDataDesign, SampledDataProblem, held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import LITTLE, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
-from tests.commands import prose
+from tests.commands import attacks, prose
 from tests.shared import made
 
-DESIGNED = ("state", "I", "II")
 RATES = ("10", "100")  # ms; II is lost before the last where forces are late
 
 
 @pytest.fixture(autouse=True)
 def found_once(monkeypatch):
-    """One loop is lost, and designed for one rate, in many tests: what is found is shared by those that only tell it."""
+    """One loop is lost in many tests: what is found is shared by those that only tell it."""
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: made(lost_anew, *arguments))
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", lambda *arguments: made(held_anew, *arguments))
 
 
 def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     return smallest_unstable_period(vehicle, controller, delay)
-
-
-def held_anew(problem: SampledDataProblem, near: float, known: list[np.ndarray]) -> SampledDataDesign:
-    return held_design(problem, near, known)
 
 
 @pytest.fixture
@@ -72,11 +65,11 @@ def asked(capsys, *arguments: str) -> tuple[int, dict]:
 @pytest.mark.parametrize(
     ("car", "name"),
     [
-        *(("quarter_car", name) for name in DESIGNED),
+        ("quarter_car", "II"),
         ("half_car", "I"),
         *(
             pytest.param(*one, marks=pytest.mark.attack)
-            for one in (("half_car", "state"), ("half_car", "II"), *(("full_car", name) for name in DESIGNED))
+            for one in (*(("quarter_car", name) for name in ("state", "I")), ("half_car", "II"), ("full_car", "I"))
         ),
     ],
 )
@@ -89,15 +82,7 @@ def test_it_is_lost_where_the_margins_say(car, name):
     assert made(lost_anew, vehicle, controller, 0) == pytest.approx(margin if margin < LONGEST_PERIOD else math.inf, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("car", "delay"),
-    [
-        ("quarter_car", 0),
-        ("quarter_car", 3),
-        ("half_car", 1),
-        *(pytest.param(*one, marks=pytest.mark.attack) for one in (("quarter_car", 1), ("half_car", 0), ("half_car", 3))),
-    ],
-)
+@pytest.mark.parametrize(("car", "delay"), [("quarter_car", 0), *attacks((("quarter_car", 3), ("half_car", 0), ("half_car", 1)))])
 def test_it_is_lost_there_and_not_before(car, delay):
     """The loop that is driven grows just beyond the period at which it is lost, and at none of many before."""
     vehicle = read_vehicle(car)
@@ -149,7 +134,7 @@ def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     assert found.lower_bound <= min(at.undelayed_norm.value for at in found.rates)
 
 
-@pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "10", "50", "100"), marks=pytest.mark.attack)], ids=" ".join)
+@pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "50"), marks=pytest.mark.attack)], ids=" ".join)
 def test_table(capsys, never_lost, norms_once, rates):
     """What is printed of every controller and rate is what JSON says, and no controller beats the lower bound."""
     code, found = asked(capsys, *rates)
@@ -179,7 +164,7 @@ def test_table(capsys, never_lost, norms_once, rates):
     assert "UNSTABLE" in printed
 
 
-def test_designed_for_the_rate():
+def test_designed_for_the_rate(never_lost):
     """At 10 ms designs for the sampled loop have at most the norms that were found before, and below those of the others."""
     vehicle = read_vehicle("quarter_car")
     for name, most in (("state", 7.857), ("I", 7.8613), ("II", 7.881)):

@@ -109,9 +109,10 @@ def test_a_discrete_plant(capsys):
 
 
 def test_many_vehicles(capsys):
-    """The hundred vehicles are designed."""
+    """The many vehicles are designed; four of the hundred say as much."""
     (snippet,) = section("synth/README.md", "Many vehicles").blocks("python")
-    exec(snippet, {})
+    assert "1.3, 100)" in snippet
+    exec(snippet.replace("1.3, 100)", "1.3, 4)"), {})
     assert capsys.readouterr().out.startswith("[[")
 
 

@@ -149,10 +149,7 @@ def test_mcap_carries_metadata_and_attachments(run: RunLog, paths: dict[str, Pat
     """Common and per-run metadata, and attached files, come back as they were given."""
     with paths["mcap"].open("rb") as stream:
         reader = make_reader(stream)
-        assert {item.name: item.metadata for item in reader.iter_metadata()} == {
-            "roadproof": METADATA,
-            "run/I": run.metadata,
-        }
+        assert {item.name: item.metadata for item in reader.iter_metadata()} == {"roadproof": METADATA, "run/I": run.metadata}
         assert {item.name: (item.media_type, item.data) for item in reader.iter_attachments()} == ATTACHMENTS
 
 

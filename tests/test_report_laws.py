@@ -93,6 +93,7 @@ def check_ride(ride: list[dict], classes: int) -> None:
 
 def test_tables_of_a_whole_report(tmp_path, monkeypatch):
     """A whole report has a law's describing function, and its ride, from physics."""
+    monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
     vehicle = read_vehicle(vehicle_of(tmp_path, SKYHOOK, measured=MEASURED))
     law, step = vehicle.controllers["mine"].driver(), 2 * STEP
     own = describing_function(vehicle, law, 1e-4, step, Bump().speed)
@@ -130,16 +131,7 @@ def test_a_law_that_fails_is_one_line(tmp_path):
 def test_dampers_that_are_short_of_force(tmp_path, capsys):
     """A report of a car with adjustable dampers says how much force they leave out, and which loop its linear claims are of."""
     page = tmp_path / "report.html"
-    arguments = [
-        "--vehicle",
-        "quarter_car_semi_active",
-        "--quick",
-        "--timestep",
-        f"{STEP}",
-        "--json",
-        "--controller",
-        "I",
-    ]
+    arguments = ["--vehicle", "quarter_car_semi_active", "--quick", "--timestep", f"{STEP}", "--json", "--controller", "I"]
     assert main([*arguments, "--controller", "skyhook", "--out", str(page)]) == 0
     found, text = json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8")
     vehicle = read_vehicle("quarter_car_semi_active")

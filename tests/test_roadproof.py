@@ -26,10 +26,7 @@ def test_it_is_installed():
     assert len(VERBS) == len(COMMANDS)
 
 
-@pytest.mark.parametrize(
-    ("called", "named"),
-    [(("bump",), "roadproof bump"), (("synth",), "roadproof synth"), ((), "roadproof")],
-)
+@pytest.mark.parametrize(("called", "named"), [(("bump",), "roadproof bump"), (("synth",), "roadproof synth"), ((), "roadproof")])
 def test_an_error_names_the_command_as_it_was_called(called, named):
     """Bad options are sent to the help page of what was typed: of the verb, or of the module."""
     said = "roadproof: unrecognized arguments: --nonsense; see {} --help\n"

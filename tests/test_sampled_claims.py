@@ -60,7 +60,7 @@ def test_nothing_without_a_computer(capsys):
     assert "sampled_norm" not in found["controllers"][0]
     assert "sampled_norm" not in found["controllers"][0]["certificate"]
     synth(["--controller", "I"])
-    assert "sampled" not in capsys.readouterr().out
+    assert "sampled" not in capsys.readouterr().out.partition("\n\n")[2]  # behind the file, whose folder may have any name
 
 
 @pytest.mark.parametrize("asked", ["noise", "lag"])
@@ -74,7 +74,9 @@ def test_norms_of_other_goals_are_not_compared(built, asked, capsys):
     synth(["--vehicle", str(built), "--controller", "plain", "--controller", "asked"])
     text = prose(capsys.readouterr().out)
     norms = [part.partition("while road")[0] for part in text.split("sampled norm ")[1:3]]
-    assert norms[0].split(",")[0] == norms[1].split(":")[0]  # the loops as built are the same
+    plain_norm, asked_norm = float(norms[0].split(",")[0]), float(norms[1].split(":")[0])
+    # With the lag the loops as built are the same; noise of the readings counts where it is asked for, and then it adds.
+    assert plain_norm < asked_norm if asked == "noise" else plain_norm == asked_norm
     assert "the ideal loop's" in norms[0]
     assert "the ideal loop's" not in norms[1]
 

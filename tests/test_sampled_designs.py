@@ -12,18 +12,17 @@ from models.common.errors import InputError
 from models.laws.linear import static_law
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import hinf_norm
-from synth.analysis.sampled_loop import HoldInterval
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
-from synth.controller.implementation_norm import norm_as_implemented
-from synth.design.sampled_data import SampledDataProblem, held_design, norm_of
+from synth.controller.implementation_norm import held_problem, norm_as_implemented
+from synth.design.sampled_data import held_design, norm_of, two_steps
 from synth.design.two_step import state_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
+from synth.plant.numerics import InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, certify_given
-from synth.vehicle.sampled_data import held_problem
-from tests.commands import main_of, refused
+from tests.commands import in_the_suite, main_of, refused
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
 HELD = "[implementation]\nsample_period = 0.01\n"
@@ -44,8 +43,10 @@ def test_at_ten_milliseconds(name, best):
     norm = norm_as_implemented(vehicle, controller)
     assert norm.value <= best
     assert norm.reached == pytest.approx(norm.value, rel=1e-6)  # by an actual road, to the claim's own tolerance
-    level = held_design(held_problem(vehicle, Designer(vehicle)._entry(name)), 7.8).level
-    assert level is not None and norm.value <= level * (1 + 1e-8)  # noqa: PT018  # what the limit of a path leaves
+    problem = held_problem(vehicle, Designer(vehicle)._entry(name))
+    gain, level = two_steps(problem, 7.8, None)
+    assert norm_of(problem, gain, 7.8) <= level * (1 + 1e-8)  # what the limit of a path leaves
+    assert norm.value <= level * (1 + 1e-8)
     assert controller.certificate.failures == ()
 
 
@@ -70,10 +71,9 @@ def test_the_second_step_by_another_solver(paper, name):
     units = np.diag([0.77, 0.045, 0.9, 2.9])  # of the states; Clarabel gives up in SI units
     plant = plant.in_coordinates(units).with_inputs(1e4 * np.eye(1))
     problem = SampledDataProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),))
-    found, alone = held_design(problem, 7.8), held_design(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8)
-    assert found.level is not None
-    assert alone.level is not None
-    at_best, held = problem.at(alone.level), problem.at(found.level)
+    gain, level = two_steps(problem, 7.8, None)
+    _, alone = two_steps(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8, None)
+    at_best, held = problem.at(alone), problem.at(level)
     assert at_best is not None
     assert held is not None
     Q = nullspace(problem.Cy)
@@ -94,22 +94,25 @@ def test_the_second_step_by_another_solver(paper, name):
     assert eta.value == pytest.approx(1, abs=1e-5)  # Clarabel's tolerance
     K = np.asarray(Y_R.value) @ np.linalg.inv(np.asarray(W_R.value, dtype=float))
     # Two points of the optimal face: their gains differ, and neither is far.
-    np.testing.assert_allclose(found.gain, K, rtol=0.02)
+    np.testing.assert_allclose(gain, K, rtol=0.02)
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_no_unit_decides(paper, name):
-    """In other units of states, force and time the gain is the same: it is the limit of central paths."""
+    """In other units of states, force and time the gain of the two steps is the same, and so is the norm of the design."""
     plant, Cy, rate = Designer(paper).plant, ROWS[name], 10.0
     states, force = np.diag([3.0, 0.2, 7.0, 50.0]), 1234.0
     scaled = plant.in_coordinates(states).with_inputs(force * np.eye(1))
     slower = replace(scaled, A=scaled.A / rate, B=scaled.B / rate, Bw=scaled.Bw / rate)
-    one = held_design(SampledDataProblem(plant, Cy, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),)), 7.8)
-    other = held_design(SampledDataProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (HoldInterval(0.01 * rate, 0),)), 8.5)
+    one = SampledDataProblem(plant, Cy, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),))
+    other = SampledDataProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (HoldInterval(0.01 * rate, 0),))
     # Time in tenths of seconds: w and z in the new unit of it have a gain that is sqrt and sqrt of it, so the same.
-    assert other.norm == pytest.approx(one.norm, rel=1e-6)
+    # The last descent gains less than 1e-5, and the two steps stay where descents gain less than 5e-5.
+    assert held_design(other, 8.5).norm == pytest.approx(held_design(one, 7.8).norm, rel=6e-5)
+    (gain, level), (scaled_gain, scaled_level) = two_steps(one, 7.8, None), two_steps(other, 8.5, None)
+    assert scaled_level == pytest.approx(level, rel=1e-6)
     # The path ends 3e-6 of the largest entry short of its limit; what is flat there moves more.
-    assert np.abs(force * other.gain - one.gain).max() < 1e-3 * np.abs(one.gain).max()
+    assert np.abs(force * scaled_gain - gain).max() < 1e-3 * np.abs(gain).max()
 
 
 @pytest.mark.parametrize(("name", "period"), [("state", 0.05), ("I", 0.02), ("II", 0.05)])
@@ -191,7 +194,9 @@ def test_what_is_printed_saved_and_driven(tmp_path, capsys):
     assert main_of("synth")(options) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert f"{row['sampled_norm']:.7g}" in printed
-    assert "designed for the sampled loop, whose norm the LMI promises to be at most 7.8616" in printed
+    assert "by descent on the sampled norm, for they come to 7.861089, and descent from them to 7.857" in printed
+    share = f"{100 * row['sampled_gap']:.2g} % above {row['sampled_lower_bound']:.7g}, which no controller with these"
+    assert f"sampled norm {share} measurements beats at this rate" in printed
     assert main_of("synth")(["--check", str(saved), "--json"]) == 0
     capsys.readouterr()
     assert main_of("sim.bump")(["--vehicle", str(saved), "--controller", "I", "--controller", "I_designed", *BRIEF]) == 0
@@ -212,8 +217,8 @@ def test_what_is_printed_saved_and_driven(tmp_path, capsys):
         ),
         ('[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\n', r"x\] has sampled = true, and .*no sample period"),
         (
-            '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\norder = "full"\n' + HELD,
-            r'x\] order = "full" with sampled = true: .*; choose order = "full" .*or sampled = true .*the two steps',
+            '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\ndesign = "lqg"\n' + HELD,
+            r'x\] design = "lqg" with sampled = true: .*; choose design = "lqg" .*or sampled = true .*the two steps',
         ),
         (
             '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\ngain = [[1.0]]\n' + HELD,
@@ -228,14 +233,9 @@ def test_refused(text, message):
 
 
 def test_refused_where_it_is_done(tmp_path, capsys):
-    """Refining and L = 0 of such a design are refused in one line, and so is a vehicle that lost its period."""
+    """L = 0 of such a design is refused in one line, and so is a vehicle that lost its period."""
     vehicle = asked()
     designer = Designer(vehicle)
-    with pytest.raises(
-        DesignError,
-        match="sampled = true with --refine: it is static gains of the least norm of the ideal loop that are refined",
-    ):
-        designer.refine("I")
     with pytest.raises(InputError, match="sampled = true with --zero-l: there is no L"):
         designer.design("I", zero_l=True)
     lost = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None))
@@ -308,10 +308,7 @@ def never_worse(name: str, controller: str, period: float, delay: float) -> None
     assert built.fallback_method.startswith("not by the two steps but by descent") == ("promises" not in built.remarks[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "controller", "period", "delay"),
-    [pytest.param(*car, marks=() if car in SOME else pytest.mark.attack) for car in CARS],
-)
+@pytest.mark.parametrize(("name", "controller", "period", "delay"), in_the_suite(SOME, CARS))
 def test_never_worse_than_what_is_there(name, controller, period, delay):
     """The claim of `never_worse`, at fast rates and slow ones, at once and late."""
     never_worse(name, controller, period, delay)

@@ -13,6 +13,7 @@ from sim.linear.frequency_response import leaps_by_step, stepwise_frequency_resp
 from sim.studies.ride.expected import expect, settled, settled_shares, sources
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_responses
+from tests.commands import attacks
 
 
 class Line:
@@ -34,10 +35,9 @@ class Line:
 @pytest.mark.parametrize(
     ("name", "controller", "how"),
     [
-        ("quarter_car", "passive", {}),
         ("quarter_car", "I", {}),  # its force follows the body's slow velocity, and has more at 0.5 s than it comes to
         ("quarter_car", "II", {"sample_period": 8e-3, "delay": 1.5}),
-        ("half_car", "passive", {}),
+        *attacks([("quarter_car", "passive", {}), ("half_car", "passive", {})]),
     ],
 )
 def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controller, how):

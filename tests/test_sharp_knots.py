@@ -17,6 +17,7 @@ from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from tests.analysed import predict, predict_replayed, simulate
+from tests.commands import in_the_suite
 from tests.test_curves_beside import with_tables
 from tests.test_dampers import BOTH
 
@@ -49,13 +50,7 @@ CARS = {  # a file, one of its controllers, the height of a bump
 }
 
 
-# A right run is looked at of all of them, as is each kind of curve in what costs two runs more.
-SOME = [
-    name
-    if name in ("friction", "bends", "measured pair, with friction", "full car")
-    else pytest.param(name, marks=pytest.mark.attack)
-    for name in CARS
-]
+SOME = in_the_suite(("friction", "measured pair, with friction"), CARS)
 
 
 def controller_of(vehicle: Vehicle, name: str) -> Controller | SemiActive:
@@ -102,7 +97,7 @@ def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
     return predict(vehicle, controller, road, time)
 
 
-@pytest.mark.parametrize("name", CARS)
+@pytest.mark.parametrize("name", in_the_suite(("friction", "bends", "measured pair, with friction", "full car"), CARS))
 def test_right_physics_agrees(name):
     """What RK4 makes of knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
     run = right_run(name)

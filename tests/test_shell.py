@@ -17,6 +17,7 @@ from models.kinds.kind import HERE
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.recording.files import opening_lines
 from synth.__main__ import main
+from tests.commands import attacks
 from tests.test_own_kind import folder as hopper
 
 NAMES = (
@@ -91,7 +92,7 @@ def test_names_of_controllers_have_marks(tmp_path, capsys, name):
     capsys.readouterr()
 
 
-@pytest.mark.parametrize("name", ["--help.toml", "a b's\n.toml"])
+@pytest.mark.parametrize("name", ["a b's\n.toml", *attacks(["--help.toml"])])
 def test_what_is_printed_runs(tmp_path, monkeypatch, capsys, name):
     """The command that offers `--refine`, pasted, is for that vehicle file and does refine; the one for a recording names it."""
     monkeypatch.chdir(tmp_path)

@@ -11,6 +11,7 @@ from synth.design.two_step import two_step_design
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
+from tests.commands import attacks
 
 
 def scalar(pole: float, dt: float | None, state: float = 1.0, force: float = 1.0) -> GeneralizedPlant:
@@ -75,7 +76,7 @@ def certified_or_infeasible(seed: int) -> None:
     assert norm.value >= find_lower_bound(plant, Cy).gamma * (1 - 1e-9)  # rounding of the norm
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [*range(4), *attacks(range(4, 8))])
 def test_slow_discrete_plants(seed):
     """Poles 1 - 1e-1 to 1 - 1e-8, outside the circle too: a certified gain no better than the bound, or (25) has no solution."""
     certified_or_infeasible(seed)

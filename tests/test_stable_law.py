@@ -56,8 +56,8 @@ def test_it_is_saved_and_read_again():
 
 def test_without_a_descent_it_says_so(monkeypatch):
     """A law of too many numbers is the best of the central ones: the remark has its price, and that there was no descent."""
+    vehicle, free, reached = parse_vehicle(TEXT), *(made(_designed, name) for name in ("free", "calm"))
     monkeypatch.setattr(full_order, "MOST", 24)
-    vehicle, (free, reached) = parse_vehicle(TEXT), (made(_designed, name) for name in ("free", "calm"))
     calm = Designer(vehicle).design("calm")
     assert not calm.law.growth
     share = calm.certificate.norm.value / free.certificate.norm.value - 1

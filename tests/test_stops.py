@@ -28,11 +28,7 @@ from tests.analysed import energy, simulate
 from tests.commands import prose, refused
 
 UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
-STOPS = {
-    "linear": "1e5",
-    "progressive": "[4e4, 2e6, 3e8]",
-    "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }",
-}
+STOPS = {"linear": "1e5", "progressive": "[4e4, 2e6, 3e8]", "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }"}
 
 
 PLACES = """

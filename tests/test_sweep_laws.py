@@ -75,7 +75,9 @@ def gain(tmp_path_factory):
     return found_of(tmp_path_factory.mktemp("gain"), GAIN)
 
 
-@pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
+@pytest.mark.parametrize(
+    "how", [None, pytest.param(Implementation(sample_period=4e-3, delay=1), marks=pytest.mark.attack)], ids=["prompt", "slow"]
+)
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
     """Of a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
     found, vehicle = gain if how is None else found_of(tmp_path, GAIN, how)

@@ -24,7 +24,7 @@ from synth.lmi.full_order_bound import bound_beyond_control
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
-from tests.commands import prose, refused
+from tests.commands import attacks, prose, refused
 from tests.pages import hopper
 
 
@@ -179,9 +179,7 @@ def test_refine_is_bounded_and_says_what_it_traded(capsys):
     assert any(note.startswith("refined: gamma 7.843188 -> ") and "refused" in note for note in row["notes"])
 
 
-@pytest.mark.parametrize(
-    "vehicle", ["quarter_car", *(pytest.param(car, marks=pytest.mark.attack) for car in ("half_car", "full_car"))]
-)
+@pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(("half_car", "full_car"))])
 def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """What the table promises is kept by the command that it names: each norm falls by at least as much; none for state."""
     assert main(["--vehicle", vehicle]) == 0

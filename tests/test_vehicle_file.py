@@ -25,12 +25,7 @@ CHANGES = [
         "[comfort]",
         ["'comfort'", "controllers, curves, implementation, limits, parameters, performance, type"],
     ),
-    (
-        "a key beside the sections",
-        "type = ",
-        'colour = "red"\ntype = ',
-        ["unknown key 'colour'", "actuators, controllers"],
-    ),
+    ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),
     ("unknown type", '"quarter_car"', '"bicycle"', ["'bicycle'", "known: ", "quarter_car"]),
     ("type is a path", '"quarter_car"', '"../models/quarter_car"', ["unknown vehicle type"]),

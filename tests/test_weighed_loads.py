@@ -16,7 +16,7 @@ from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import weighted_loop
 from synth.vehicle.trade_off.front import front
-from tests.commands import once, prose, refused
+from tests.commands import attacks, once, prose, refused
 
 MEASURED = 'measured = ["suspension_deflection", "sprung_velocity"]'
 CARRIED = f"\n[controllers.carried]\n{MEASURED}\nloads = {{ heave_load = 1000.0 }}\n"
@@ -57,7 +57,7 @@ def largest(vehicle, controller: Controller, loads) -> float:
 @pytest.mark.parametrize(
     ("kind", "text", "name", "loads"),
     [
-        ("quarter_car", CARRIED, "carried", {"heave_load": 1000.0}),
+        *attacks([("quarter_car", CARRIED, "carried", {"heave_load": 1000.0})]),
         ("quarter_car_accelerometer", FELT, "felt", {"heave_load": 1000.0}),
         ("half_car", OF_CAR, "carried", {"heave_load": 1000.0, "pitch_load": 500.0}),
     ],

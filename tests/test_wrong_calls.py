@@ -108,10 +108,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "VehicleKind": (models.VehicleKind, {part.name: getattr(kind, part.name) for part in dataclasses.fields(kind)}),
         "LinearModel": (models.LinearModel, fields),
-        "LinearLaw": (
-            models.LinearLaw,
-            {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "sample_period": 0.1},
-        ),
+        "LinearLaw": (models.LinearLaw, {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "sample_period": 0.1}),
         "GeneralizedPlant": (synth.GeneralizedPlant, {**matrices, "beyond": None, "weights": 0, "dt": None}),
         "closed_loop(G)": (plant.closed_loop, {"G": array([[0.0, -2.0]])}),
         "Feedback": (synth.Feedback, {"K": K, "Cy": Cy}),
@@ -133,7 +130,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "design_for_goals": (
             synth.multi_objective_design,
-            {"problem": problem, "starts": [K], "told": print, "otherwise": tuple},
+            {"problem": problem, "starts": [K], "on_progress": print, "otherwise": tuple},
         ),
         "full_order_design": (
             synth.full_order_design,
@@ -148,16 +145,10 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "hinf_norm": (synth.hinf_norm, {"system": plant}),
         "norm_in_band": (synth.norm_in_band, {"loop": plant, "low": 1.0, "high": 3.0}),
-        "worst_norm": (
-            synth.worst_norm,
-            {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None},
-        ),
+        "worst_norm": (synth.worst_norm, {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None}),
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
         "Piece": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
-        "SampledLoop": (
-            synth.SampledLoop,
-            {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)},
-        ),
+        "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
             synth.from_state_space,
@@ -171,21 +162,15 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "law_system": (synth.law_system, of_vehicle),
         "design_controllers": (synth.design_controllers, {"vehicle": vehicle, "names": ["passive"]}),
         "Designer": (synth.Designer, {"vehicle": vehicle, "search": True}),
-        "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "told": print}),
-        "Designer.certify": (
-            designer.certify,
-            {"name": "mine", "measured": controller.measured, "law": controller.law},
-        ),
+        "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "on_progress": print}),
+        "Designer.certify": (designer.certify, {"name": "mine", "measured": controller.measured, "law": controller.law}),
         "Controller": (
             synth.Controller,
             {part.name: getattr(controller, part.name) for part in dataclasses.fields(controller)[:5]},
         ),
         "Controller.loop": (controller.loop, {"vehicle": vehicle}),
         "sample_times": (sim.sample_times, {"vehicle": vehicle, "duration": 0.1, "timestep": 1e-3}),
-        "run": (
-            sim.run,
-            {"vehicle": vehicle, "controllers": [passive], "road": road, "duration": 0.05, "timestep": 1e-3},
-        ),
+        "run": (sim.run, {"vehicle": vehicle, "controllers": [passive], "road": road, "duration": 0.05, "timestep": 1e-3}),
         "measure_run": (sim.measure_run, {"run": driven, "first": 0}),
         "identify": (
             sim.identify,

@@ -12,6 +12,7 @@ from synth.analysis.record import read_proof, to_record
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
+from tests.commands import attacks
 from tests.test_bounds_hold import a_plant, in_other_units
 from tests.test_lower_bound import full_order_norm
 
@@ -84,12 +85,7 @@ def test_zeros_of_both_kinds_are_all_there_is_to_output_feedback():
     reached = []
     for small in (1e-3, 1e-4):  # of the force's weight, and of the noise: without either there is no such controller
         wider = GeneralizedPlant(
-            plant.A,
-            plant.B / small,
-            plant.Bw,
-            np.vstack([plant.C, np.zeros((1, 4))]),
-            np.array([[0.0], [1.0]]),
-            np.zeros((2, 1)),
+            plant.A, plant.B / small, plant.Bw, np.vstack([plant.C, np.zeros((1, 4))]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
         )
         for factor in (1.02, 1.05, 1.08, 1.1, 1.3):
             try:
@@ -117,7 +113,7 @@ def test_what_every_zero_says_alike_is_the_norm():
         assert gamma == pytest.approx(0.7, rel=2e-6)  # the second of SHORT
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(4), *attacks(range(4, 12))])
 def test_what_points_prove_is_no_more(seed):
     """Whatever points are named as zeros, none proves more than the zeros do where all are there, in any units."""
     plant, Cy = a_plant(KIND, seed)

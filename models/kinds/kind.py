@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,10 +57,12 @@ class Parameter(Checked):
         name: key under `[parameters]`.
         unit: SI unit.
         meaning: one line.
-        positive: True if zero is refused too. Negative, infinite, NaN and absurdly large values always are.
+        positive: True if zero is refused too. Infinite, NaN and absurdly large values always are.
         varied: its variation in robustness analysis; None for a fixed parameter.
         largest: largest allowed value.
-        usual: default value; None if every vehicle file must give it.
+        usual: default value; None for a parameter without one.
+        smallest: smallest allowed value; None for 0, or the least positive one.
+        optional: True if a vehicle file may leave it out, which is not the same as any value.
     """
 
     name: str
@@ -69,6 +72,8 @@ class Parameter(Checked):
     varied: Variation | None = None
     largest: Positive = LARGEST
     usual: float | None = None
+    smallest: float | None = None
+    optional: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,7 +86,7 @@ class Parameter(Checked):
         Raises:
             InputError: not a number of the allowed range.
         """
-        smallest = SMALLEST if self.positive else 0.0
+        smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         allowed = f"a number from {smallest:g} to {self.largest:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
@@ -104,6 +109,7 @@ HERE = Path(__file__).parent.parent  # folder of the shipped kinds
 GRAVITY = 9.81  # m/s2, written into every MJCF
 MOST_SQUEEZE = 0.25  # m; no tyre survives more
 LOWEST_HUB = 0.26  # m above the road at rest, at least; above MOST_SQUEEZE, which a tyre may exceed before a time step ends
+MOST_KEPT = 16  # linear models of a kind that are kept: a study asks for one vehicle again and again
 
 Side = Annotated[str, Must("'left', 'right', or '' where there is only one track", lambda value: value in ("", "left", "right"))]
 Parameters = Mapping[str, float]
@@ -172,7 +178,7 @@ class BodyLoad(Checked):
     """Direction in which an external load acts on the body.
 
     Attributes:
-        name: of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m].
+        name: of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...` [N] on a wheel.
         joint: MJCF slide or hinge along which it pushes, in the load's direction.
     """
 
@@ -218,7 +224,12 @@ class VehicleKind(Checked):
         invariants: transmissibilities that no suspension force can change.
         on_demand: signals that a vehicle has only if its file names them: outputs and sensors like the others, without cost if
             they are not named.
-        loads: external loads on its body, in the order of the linear model's loads.
+        loads: external loads on its body, in the order of the linear model's loads; those on wheels follow in a vehicle that has
+            some.
+        wheel_loads: parameters -> loads on its wheels by links and by the wheels' own mass, if its vehicle file has these.
+        carried: (parameters, way, force on the body [N], acceleration of the wheels [m/s2]) -> loads that links and the wheels'
+            own mass add to the force's moment on the body. The way is `roll_load`, of a force to the right, or `pitch_load`, of
+            one forwards.
         angles: parameters -> the body's angles over level ground [rad] as sums of signals, {"pitch_angle": {signal: factor}},
             `roll_angle` likewise.
         motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none, and physics is
@@ -240,6 +251,8 @@ class VehicleKind(Checked):
     invariants: tuple[Invariant, ...] = ()
     on_demand: tuple[Signal, ...] = ()
     loads: tuple[BodyLoad, ...] = ()
+    wheel_loads: Callable[[Parameters], tuple[BodyLoad, ...]] = lambda p: ()
+    carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = lambda p, way, force, acceleration: {}
     angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = lambda p: {}
     motion: Callable[[Parameters], "Motion"] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
@@ -251,15 +264,30 @@ class VehicleKind(Checked):
         named = tuple(signal for signal in more if signal.name in names and signal.name not in known)
         return replace(self, signals=(*self.signals, *named)) if named else self
 
+    def carrying(self, parameters: Parameters) -> "VehicleKind":
+        """Returns the kind with loads on the wheels, if vehicles of these parameters have some."""
+        loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
+        return self if loads == self.loads else replace(self, loads=loads)
+
     @property
     def unnamed(self) -> tuple[str, ...]:
         """The signals on demand that its vehicles do not have."""
         return tuple(signal.name for signal in self.on_demand if signal not in self.signals)
 
     def model(self, parameters: Parameters) -> LinearModel:
-        """Returns the linear model with the signals of this kind's vehicles."""
-        names = {signal.name for signal in self.signals}
-        return self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+        """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
+        key, kept = tuple(parameters.items()), self._models
+        if key not in kept:
+            names = {signal.name for signal in self.signals}
+            model = self._with_rates(self.linear_model(parameters).without(self.unnamed), names)
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept[key] = model
+        return kept[key]
+
+    @cached_property
+    def _models(self) -> dict[tuple[tuple[str, float], ...], LinearModel]:
+        return {}
 
     def whole_model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with all possible signals: those on demand, and the suspensions' velocities."""
@@ -325,9 +353,10 @@ class VehicleKind(Checked):
                 raise InputError(f"unknown parameter {name!r}; a {self.name} has {listing(names)}{why}")
         parameters = {part.name: part.usual for part in self.parameters if part.usual is not None} | dict(parameters)
         for parameter in self.parameters:
-            if parameter.name not in parameters:
+            if parameter.name not in parameters and not parameter.optional:
                 raise InputError(f"parameter {parameter.name!r} [{parameter.unit}] is missing: {parameter.meaning}")
-        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in self.parameters}
+        given = [parameter for parameter in self.parameters if parameter.name in parameters]
+        return {parameter.name: parameter.check(parameters[parameter.name]) for parameter in given}
 
     def check(self, parameters: Mapping[str, Any]) -> dict[str, float]:
         """Returns all parameters, checked, in the kind's order.

@@ -21,6 +21,11 @@ deflections only as the modes P t that a rigid body can follow, and the twist of
 
 Every wheel carries its own vertical slide, and the struts stand upright at rest, with their upper ends at the height of the
 centre of mass. So the preloads add nothing to the linear model, and the MJCF departs from it with the square of the amplitude.
+
+A body whose links give it a roll or a pitch axis (`links.py`) turns about that, b below its centre of mass. M has m_s b^2 more,
+and the weight has the moment W q, with m_s g b for each angle. The angles are those over level ground, q = S+ (d + t + z_r). On a
+banked road the body leans, so that the road's height acts here, too. In the MJCF the hinges lie on the axes, and the suspensions
+are fixed tendons. An upright strut would lean as the body sways, and its preload would turn the body further.
 """
 
 from collections.abc import Sequence
@@ -97,6 +102,9 @@ class RigidBody:
         tyre_modes: P, the modes of the tyre deflections among the states, shape (p, c).
         twist: n, shape (c,); zero if the body can follow every motion of the wheels.
         bars: its anti-roll bars.
+        pitch_arm, roll_arm: heights of the centre of mass over the axes that links give it [m]; without one it turns about its
+            centre of mass, and its weight has no moment.
+        wheel_loads: loads on its wheels.
     """
 
     corners: tuple[Corner, ...]
@@ -106,6 +114,19 @@ class RigidBody:
     tyre_modes: Array
     twist: Array
     bars: tuple[Bar, ...] = ()
+    pitch_arm: float | None = None
+    roll_arm: float | None = None
+    wheel_loads: tuple[BodyLoad, ...] = ()
+
+    @property
+    def guided(self) -> bool:
+        """True if links give it an axis, and guide its wheels."""
+        return self.pitch_arm is not None or self.roll_arm is not None
+
+    @property
+    def sways(self) -> Array:
+        """How far its centre of mass sways out per heave, pitch (and roll) [m], shape (2,) or (3,)."""
+        return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0][: 2 if self.roll_inertia is None else 3])
 
     def arms(self, bar: Bar) -> Array:
         """Returns the angle of a bar per deflection of every suspension [rad/m], shape (c,)."""
@@ -129,7 +150,13 @@ class RigidBody:
     @property
     def inertia(self) -> Array:
         """M, shape (2, 2) or (3, 3)."""
-        return np.diag([self.mass, self.pitch_inertia] + ([] if self.roll_inertia is None else [self.roll_inertia]))
+        about_centre = [self.mass, self.pitch_inertia] + ([] if self.roll_inertia is None else [self.roll_inertia])
+        return np.diag(about_centre + self.mass * self.sways**2)
+
+    @property
+    def weight(self) -> Array:
+        """W, the moment of the weight per angle, shape (2, 2) or (3, 3)."""
+        return np.diag(self.mass * GRAVITY * self.sways)
 
     def static_loads(self) -> Array:
         """Returns the load of each suspension at rest [N], shape (c,): the least-squares loads that balance the weight."""
@@ -178,12 +205,18 @@ def linear_model(
     d_dot = S @ q_dot - z_u_dot
     f = -body.stiffness @ d - corner["suspension_damping"] @ d_dot  # and u
     lift, push = np.linalg.solve(M, S.T), np.linalg.inv(corner["unsprung_mass"])
+    over_ground = np.linalg.solve(M, body.weight @ np.linalg.pinv(S))  # moves the body as it stands over level ground
 
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
     Bw = np.vstack([np.zeros((c, c)), -P, np.zeros((k + c, c))])
     Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
     Bl = np.vstack([np.zeros((c + p, k)), np.linalg.inv(M), np.zeros((c, k))])
+    if body.guided:
+        A[c + p : c + p + k] += over_ground @ (d + t)
+        Br[c + p : c + p + k] += over_ground @ (np.eye(c) - N)
+    if body.wheel_loads:
+        Bl = np.hstack([Bl, np.vstack([np.zeros((c + p + k, c)), push])])
 
     q_ddot, q_ddot_u = A[c + p : c + p + k], B[c + p : c + p + k]
     z_u_ddot, z_u_ddot_u = A[c + p + k :], B[c + p + k :]
@@ -194,10 +227,12 @@ def linear_model(
     Cr = np.zeros((len(C), c))
     Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
     Cr[-c:] = Br[c + p + k :]
-    Dl = np.zeros((len(C), k))
+    Dl = np.zeros((len(C), Bl.shape[1]))
+    Dl[-c:] = Bl[c + p + k :]
     first = n + len(extra_t)
-    Dl[first : first + k] = Bl[c + p : c + p + k]
-    Dl[first + k + c : first + k + 2 * c] = S @ Bl[c + p : c + p + k]
+    for direct, acting in ((Cr, Br), (Dl, Bl)):
+        direct[first : first + k] = acting[c + p : c + p + k]
+        direct[first + k + c : first + k + 2 * c] = S @ acting[c + p : c + p + k]
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
         A=A,
@@ -212,7 +247,7 @@ def linear_model(
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
-        loads=tuple(load.name for load in LOADS[:k]),
+        loads=tuple(load.name for load in (*LOADS[:k], *body.wheel_loads)),
         Bl=Bl,
         Dl=Dl,
     )
@@ -247,12 +282,33 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
         )
 
 
+def check_stands(body: RigidBody) -> None:
+    """Refuses a body that its own weight turns over.
+
+    Raises:
+        InputError: springs, bars and tyres hold it with less than its weight's moment.
+    """
+    if not body.guided:
+        return
+    tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
+    in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
+    held = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(held) - 1], start=1):
+        holding, turning = 1 / held[i, i], body.weight[i, i]
+        if holding <= turning:
+            raise InputError(
+                f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, and springs, bars and tyres "
+                f"hold it with {holding:.4g}; give stiffer ones, or higher {centres}"
+            )
+
+
 def write_mjcf(spec: Any, body: RigidBody) -> None:
     """Writes a body on corners into the MjSpec of its kind: masses, places, springs and preloads.
 
     Elements are named by corner: bodies `road_NAME` and `unsprung_NAME`, sites `suspension_NAME_bottom` and `_top`, tendons
     `suspension_NAME` and `tyre_NAME`. At qpos = 0 the preloads carry the weight, so that it is the static equilibrium. An
-    anti-roll bar is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its axle.
+    anti-roll bar is a fixed tendon `anti_roll_bar_NAME`: its length is the angle of the joint `roll` to its axle. If links
+    guide the wheels, the tendons `suspension_NAME` are fixed ones, too.
     """
     sprung = spec.body("sprung")
     sprung.mass = body.mass
@@ -263,6 +319,9 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
     # with those two can have, from their difference to their sum, would move the full car's pitch acceleration by 5e-4 of its
     # peak over a bump of 0.1 m under its left wheels, and less where it does less.
 
+    if body.guided:
+        for name, arm in zip(("pitch", "roll"), body.sways[1:].tolist(), strict=False):
+            spec.joint(name).pos = [0.0, 0.0, -arm]
     squeezes = body.static_tyre_deflection().values()
     for corner, load, squeeze in zip(body.corners, body.static_loads(), squeezes, strict=True):
         unsprung, road = spec.body(f"unsprung_{corner.name}"), spec.body(f"road_{corner.name}")
@@ -270,10 +329,12 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
         unsprung.pos[:2] = road.pos[:2] = [corner.x, corner.y]
         spec.site(f"suspension_{corner.name}_top").pos[:2] = [corner.x, corner.y]
 
-        suspension, tyre = spec.tendon(f"suspension_{corner.name}"), spec.tendon(f"tyre_{corner.name}")
+        name = f"suspension_{corner.name}"
+        suspension = _guided(spec, body, corner, name) if body.guided else spec.tendon(name)
+        tyre = spec.tendon(f"tyre_{corner.name}")
         suspension.stiffness[0] = corner.suspension_stiffness
         suspension.damping[0] = corner.suspension_damping
-        length = sprung.pos[2] + spec.site(f"suspension_{corner.name}_top").pos[2] - unsprung.pos[2]
+        length = 0.0 if body.guided else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
         suspension.springlength = [length + load / corner.suspension_stiffness] * 2
         tyre.stiffness[0] = corner.tyre_stiffness
         tyre.springlength[0] = unsprung.pos[2] - road.pos[2] + squeeze
@@ -285,3 +346,14 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
             for corner, arm in zip(body.corners, body.arms(bar), strict=True):
                 if arm:
                     torsion.wrap_joint(f"unsprung_{corner.name}", -arm)
+
+
+def _guided(spec: Any, body: RigidBody, corner: Corner, name: str) -> Any:
+    """Returns the tendon whose length is the deflection of a guided wheel, in place of a strut of that name."""
+    spec.delete(spec.tendon(name))
+    tendon = spec.add_tendon(name=name)
+    row = body.shape[body.corners.index(corner)]
+    for load, share in zip(LOADS, row.tolist(), strict=False):
+        tendon.wrap_joint(load.joint, share)
+    tendon.wrap_joint(f"unsprung_{corner.name}", -1.0)
+    return tendon

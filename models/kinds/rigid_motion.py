@@ -11,6 +11,18 @@ k_u (static - t). With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations o
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 
+Where links give the body axes, c below its centre of mass for pitch and b for roll, that centre is at
+
+    (s sin theta, -b sin phi, z - c + s cos theta),     s = c - b (1 - cos phi).
+
+With j = m s^2 + I, Lagrange's equations are then
+
+    m (z'' + g) - m s sin theta theta'' - m b sin phi cos theta phi'' = Q_z + (what the products of rates leave),
+    j theta'' - m s sin theta (z'' + g) = Q_theta - j' phi' theta',
+    (I_x + m b^2) phi'' - m b sin phi cos theta (z'' + g) = Q_phi + j' theta'^2 / 2,
+
+and the links guide every wheel, so that d_i = z - x_i theta + y_i phi - z_u without a strut's length.
+
 An anti-roll bar has the angle a = phi - (arms) z_u and the moment k a. Nothing here comes from the MJCF but L_0, which
 the vehicle file does not say.
 """
@@ -74,7 +86,7 @@ class RigidMotion:
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
             turned, shortest = np.abs(q[:, 1:]).max(axis=1, initial=0.0), STRUT + d.min(axis=1)
             upright = (turned < MOST_TURNED) & (up.min(axis=1) > LEAST_UPRIGHT)
-            return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1)))
+            return np.asarray(upright & ((shortest > SHORTEST) | (q.shape[1] == 1) | self.body.guided))
 
     def read(self, state: Array, heights: Array) -> Array:
         """See `Motion`."""
@@ -95,7 +107,10 @@ class RigidMotion:
         on_hubs = tyres - up * push
         on_body = (J * push[:, :, None]).sum(axis=1)
         if loads.shape[1]:
-            on_body = on_body + loads
+            on_body, on_hubs = (
+                on_body + loads[:, : q.shape[1]],
+                on_hubs + (loads[:, q.shape[1] :] if self.body.wheel_loads else 0),
+            )
         for bar in self.body.bars:
             arms = self.body.arms(bar)
             moment = bar.stiffness * (q[:, 2] - hubs @ arms)
@@ -105,6 +120,8 @@ class RigidMotion:
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
         """Returns q'' under generalized forces, shape (T, k)."""
+        if self.body.guided:
+            return self._swaying(q, rates, push)
         second = np.empty_like(q)
         second[:, 0] = push[:, 0] / self.body.mass - GRAVITY
         if q.shape[1] < 3:
@@ -118,6 +135,34 @@ class RigidMotion:
         second[:, 2] = (push[:, 2] + slope * rates[:, 1] ** 2 / 2) / self.body.roll_inertia
         return second
 
+    def _swaying(self, q: Array, rates: Array, push: Array) -> Array:
+        """Returns q'' of a body whose centre of mass sways, under generalized forces, shape (T, k)."""
+        mass, c, b = self.body.mass, self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
+        rolls = q.shape[1] > 2
+        phi, phi_dot = (one[:, 2] if rolls else np.zeros(len(q)) for one in (q, rates))
+        theta_dot, sin, cos = rates[:, 1], np.sin(q[:, 1]), np.cos(q[:, 1])
+        side, turned = np.sin(phi), np.cos(phi)
+        s, s_dot = c - 2 * b * np.sin(phi / 2) ** 2, -b * side * phi_dot
+        more = self.yaw_inertia - self.body.pitch_inertia
+        inertia = self.body.pitch_inertia + more * side**2 + mass * s**2
+        slope = 2 * more * side * turned - 2 * mass * s * b * side
+        by_pitch, by_roll = -mass * s * sin, -mass * b * side * cos  # of the heave's row
+        # What the rates' products leave in the heave's row: the change of both entries.
+        left = -mass * (s_dot * sin + s * cos * theta_dot) * theta_dot
+        left = left - mass * b * (turned * cos * phi_dot - side * sin * theta_dot) * phi_dot
+        moments = [push[:, 1] - slope * phi_dot * theta_dot]
+        entries, masses = [by_pitch], [inertia]
+        if rolls:
+            assert self.body.roll_inertia is not None, "a body that rolls"
+            moments.append(push[:, 2] + slope * theta_dot**2 / 2)
+            entries, masses = [by_pitch, by_roll], [inertia, self.body.roll_inertia + mass * b**2]
+        of_others = sum(entry * moment / own for entry, moment, own in zip(entries, moments, masses, strict=True))
+        lifted = (push[:, 0] - left - of_others) / (
+            mass - sum(entry**2 / own for entry, own in zip(entries, masses, strict=True))
+        )
+        turns = [(moment - entry * lifted) / own for entry, moment, own in zip(entries, moments, masses, strict=True)]
+        return np.stack([lifted - GRAVITY, *turns], axis=-1)
+
     def _split(self, state: Array) -> tuple[Array, Array, Array, Array]:
         """Returns q, z_u and their rates."""
         c, k = self.shape.shape
@@ -128,6 +173,9 @@ class RigidMotion:
         """Returns d and d', shape (T, c), J, shape (T, c, k), and e, shape (T, c)."""
         if q.shape[1] == 1:
             return q - hubs, rates - hub_rates, np.ones((*hubs.shape, 1)), np.ones_like(hubs)
+        if self.body.guided:
+            d, v = q @ self.shape.T - hubs, rates @ self.shape.T - hub_rates
+            return d, v, np.broadcast_to(self.shape, (len(q), *self.shape.shape)), np.ones_like(d)
         x, y = (np.array([getattr(corner, axis) for corner in self.body.corners]) for axis in "xy")
         sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
         roll = q[:, 2:3] if q.shape[1] > 2 else np.zeros_like(q[:, :1])

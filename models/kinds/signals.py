@@ -55,6 +55,7 @@ MISSING_FORCE = Signal("missing_force", "u* - u", "N", "force asked of the adjus
 HEAVE_LOAD = Signal("heave_load", "F", "N", "force from outside on the body at its centre of mass, up")
 PITCH_LOAD = Signal("pitch_load", "M_theta", "N m", "moment from outside on the body, nose down")
 ROLL_LOAD = Signal("roll_load", "M_phi", "N m", "moment from outside on the body, right side down")
+WHEEL_LOAD = Signal("wheel_load", "F_u", "N", "force of links and of the wheel's own mass on it, up")
 
 OWN = "own"  # unit of a controller's state, whose meaning only its law knows
 KEPT = "controller_"  # prefix of a controller's states, and of no signal of a vehicle
@@ -64,6 +65,12 @@ def of_dampers(endings: Iterable[str]) -> tuple["Signal", ...]:
     """Returns the signals of adjustable dampers, from the suffixes of the names at their suspensions."""
     corners = [ending.removeprefix("_") for ending in endings]
     return tuple(signal.at(corner) if corner else signal for signal in (DAMPING, MISSING_FORCE) for corner in corners)
+
+
+def load_signal(name: str) -> Signal:
+    """Returns the signal of a load on the body, or on a wheel."""
+    body = {one.name: one for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
+    return body[name] if name in body else WHEEL_LOAD.at(name.removeprefix(f"{WHEEL_LOAD.name}_"))
 
 
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:

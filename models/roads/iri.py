@@ -89,26 +89,34 @@ def slope_response(n: Array, step: float) -> Array:
     return averaged * sum(share / (1 - np.exp(rate) / turn) for rate, share in zip(rates, of_slopes, strict=True))
 
 
-def missing(n: Array, variances: Array, step: float) -> Array:
+def missing(lines: Array, variances: Array) -> Array:
     """Returns the cumulated deficit of the rms of `suspension_slopes` after the start, relative to its final value [m], every 250
     mm.
 
+    A line's answer is that of a car that has always been on its way, and in each of the car's modes what the start lacks of it.
+    Lines and places are evenly spaced, so that the sum over lines of the products of both is a Fourier transform.
+
     Args:
-        n: spatial frequencies of a random road's lines [cycle/m], none of them 0, shape (F,).
+        lines: of a random road, as multiples of 1 / `COUNTED` cycle/m, ascending integers above 0, shape (F,).
         variances: of its slope, by line, shape (F,).
-        step: of the samples [m].
     """
-    rates, of_slopes, of_start = _modes(step)
-    base, first, way = _samples(step), round(START / step), 2j * np.pi * n
-    turn = np.exp(way * step)
+    rates, of_slopes, of_start = _modes(STEP)
+    base, first, way = _samples(STEP), round(START / STEP), 2j * np.pi * lines / COUNTED
+    turn = np.exp(way * STEP)
     before = of_slopes / (1 - np.multiply.outer(1 / turn, np.exp(rates)))  # had it always been on its way, behind sample 0
-    averaged = (turn**base - 1) / (way * base * step)
-    start = (turn ** (first - 1) - 1) / (way * first * step)
-    away = start[:, None] * of_start - (averaged / turn)[:, None] * before
-    at = np.arange(0, math.ceil(SETTLED / step), base)
-    answers = np.exp(np.outer(at + 1, rates)) @ away.T + np.exp(np.outer(at * step, way)) * (averaged * before.sum(axis=-1))
-    rms, final = np.sqrt(np.abs(answers) ** 2 @ variances), math.sqrt(np.abs(averaged * before.sum(axis=-1)) ** 2 @ variances)
-    return np.cumsum(1 - rms / final) * base * step
+    averaged = (turn**base - 1) / (way * base * STEP)
+    start = (turn ** (first - 1) - 1) / (way * first * STEP)
+    away, moving = start[:, None] * of_start - (averaged / turn)[:, None] * before, averaged * before.sum(axis=-1)
+
+    at = np.arange(0, math.ceil(SETTLED / STEP), base)
+    modes, period = np.exp(np.outer(at + 1, rates)), round(COUNTED / (base * STEP))  # lines until the same phases come again
+    folded = np.zeros((-(-(int(lines[-1]) + 1) // period) * period, len(rates)), dtype=complex)
+    folded[lines] = away * (variances * np.conj(moving))[:, None]
+    both = np.fft.fft(folded.reshape(-1, period, len(rates)).sum(axis=0), axis=0)[: len(at)]
+    squares = np.einsum("ki,ij,kj->k", np.conj(modes), (np.conj(away.T) * variances) @ away, modes)
+    final = float(np.abs(moving) ** 2 @ variances)
+    rms = np.sqrt(1 + np.real(squares + 2 * (modes * both).sum(axis=1)) / final)
+    return np.cumsum(1 - rms) * base * STEP
 
 
 def _samples(step: float) -> int:
@@ -277,5 +285,5 @@ def _lost(low: float, high: float, distance: float) -> float:
 
 @lru_cache(maxsize=16)
 def _ways_lost(low: float, high: float) -> Array:
-    n = np.arange(math.ceil(low * COUNTED), math.floor(high * COUNTED) + 1) / COUNTED
-    return missing(n, np.ones(len(n)), STEP)
+    lines = np.arange(math.ceil(low * COUNTED), math.floor(high * COUNTED) + 1)
+    return missing(lines, np.ones(len(lines)))

@@ -7,11 +7,10 @@ sprung mass m_s, whose centre is h over the ground,
     braking with a:     M_pitch = m_s a h,         cornering to the left with a:    M_roll = m_s a h,
     a payload m at x, y:   F = -m g,   M_pitch = m g x,   M_roll = -m g y          (x forward, y to the left, from the centre).
 
-No anti-dive, no anti-squat, and roll centres on the ground: the links take no vertical force, so springs and tyres carry every
-moment. The moment of the body's own weight is left out. With K the roll stiffness of springs, bars and tyres, a body that rolls
-about the ground turns by M / (K - m_s g h) (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6); here it turns by M / K. So
-does one that pitches. The braking force of the wheels' own mass does not go through the springs, and is left out. A payload is
-its weight alone, added while the vehicle goes; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
+Springs and tyres carry every moment, and the body turns by M / K, unless the vehicle file says what links do: its roll centres,
+pitch centre, `anti_...` shares and wheel centres (`models/kinds/links.py`). What links carry of brakes, curves and gusts, and
+what the wheels' own mass adds, are loads on the wheels. A payload is its weight alone, added while the vehicle goes. It does not
+sway; for its inertia raise `sprung_mass` and the inertias of the vehicle file.
 """
 
 import math
@@ -24,7 +23,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import GRAVITY, Parameters
+from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
@@ -60,12 +59,13 @@ class Load(ABC):
         """Names of the body's loads that it acts on."""
 
     @abstractmethod
-    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
-        """Returns its force [N] and moments [N m] at times t [s], by the names of the body's loads that it acts on.
+    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+        """Returns its force [N] and moments [N m] at times t [s], by the names of the loads that it makes.
 
         Args:
             t: times [s].
             p: parameters of the vehicle, by name [SI].
+            kind: of the vehicle, whose links may carry some of it to the wheels; None for the force and moments alone.
         """
 
     @abstractmethod
@@ -118,13 +118,21 @@ class Ramped(Load):
         going = start + rise + hold
         return (start, start + rise, *((going, going + rise) if math.isfinite(hold) else ()))
 
-    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
+    def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
+        """Returns way, force and acceleration as `VehicleKind.carried` takes them; None for a load that links do not feel."""
+        return None
+
+    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns the amplitudes over time; see `Load`."""
+        full, pushing = dict(self.amplitudes(p)), self.horizontal(p)
+        if kind is not None and pushing is not None:
+            for name, value in kind.carried(p, *pushing).items():
+                full[name] = full.get(name, 0.0) + value
         start, rise, hold = self._history
         share = (1 - np.cos(np.pi * np.clip((t - start) / rise, 0, 1))) / 2
         if math.isfinite(hold):
             share -= (1 - np.cos(np.pi * np.clip((t - start - rise - hold) / rise, 0, 1))) / 2
-        return {name: amplitude * share for name, amplitude in self.amplitudes(p).items()}
+        return {name: amplitude * share for name, amplitude in full.items()}
 
 
 G = (-2.0, 2.0)  # of a road vehicle's deceleration
@@ -157,6 +165,10 @@ class _Inertial(Ramped):
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns one moment."""
         return {self.way: _moment(self.kind, self.g, p)}
+
+    def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
+        """Returns the force of the body's mass, and the acceleration."""
+        return self.way, p["sprung_mass"] * GRAVITY * self.g, GRAVITY * self.g
 
     def scaled(self, factor: float) -> Self:
         """Returns the load harder or softer."""
@@ -289,6 +301,10 @@ class Gust(Ramped):
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a roll moment."""
         return {ROLL: self.force * self.height}
+
+    def horizontal(self, p: Parameters) -> tuple[str, float, float] | None:
+        """Returns the force of the wind, which does not push the wheels."""
+        return ROLL, self.force, 0.0
 
     def scaled(self, factor: float) -> "Gust":
         """Returns the gust stronger or weaker."""

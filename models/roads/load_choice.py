@@ -12,7 +12,7 @@ from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
 from models.common.printed import settings
 from models.common.table import FORCE, MOMENT, TIME, find_table
-from models.kinds.kind import Parameters
+from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
@@ -65,7 +65,7 @@ class History(Load):
         """Names of its columns' loads."""
         return tuple(NAMES[name] for name in self.columns)
 
-    def over(self, t: Array, p: Parameters) -> Mapping[str, Array]:
+    def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns the interpolated values; see `Load`."""
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
 

@@ -71,7 +71,7 @@ class RoadWithLoads(DerivedRoad):
                         f"load {load.label!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
                         "take another load, or vehicle"
                     )
-            for name, values in load.over(t, vehicle.parameters).items():
+            for name, values in load.over(t, vehicle.parameters, vehicle.kind).items():
                 total[:, names.index(name)] += values
         return total
 

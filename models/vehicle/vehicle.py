@@ -103,7 +103,7 @@ class Vehicle(ShownVehicle):
         for name in ("parameters", "performance", "controllers"):
             object.__setattr__(self, name, ReadOnly(getattr(self, name)))
         self.kind.check_each(self.parameters)
-        object.__setattr__(self, "kind", self.kind.naming(self.performance))
+        object.__setattr__(self, "kind", self.kind.naming(self.performance).carrying(self.parameters))
         known = {signal.name for signal in self.kind.signals}
         for name, weight in self.performance.items():
             if name not in known or weight < 0:

@@ -20,6 +20,7 @@ from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
 
 if TYPE_CHECKING:
+    from sim.studies.ride.run_metrics import RunMetrics
     from sim.studies.ride.standing import Standing
 
 
@@ -182,21 +183,30 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
     return [_compared_lines(run, None if run is passive else passive) for run in runs]
 
 
-def standings_of(runs: Sequence[Run], passive: Run | Reference, first: int = 0) -> "list[Standing]":
+def standings_of(
+    runs: Sequence[Run], passive: Run | Reference, first: int = 0, measured: "Sequence[RunMetrics]" = ()
+) -> "list[Standing]":
     """Returns the standing of every controller, the passive vehicle first.
 
     Args:
         first: index of the sample with which measuring begins.
+        measured: metrics of the runs from there on, where they are known.
     """
     from sim.studies.ride.metrics import measure
     from sim.studies.ride.standing import standing
 
     vehicle, road = runs[0].vehicle, runs[0].road
+    known: dict[str, Mapping[str, float | None]] = {
+        run.controller.name: {name: one.mujoco for name, one in of_run.metrics.items()}
+        for run, of_run in zip(runs, measured, strict=False)
+    }
     others = {run.controller.name: run.physics for run in runs if run is not passive}
     standings = []
     for name, response in {PASSIVE: passive.physics, **others}.items():
-        broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
-        standings.append(standing(vehicle, name, {} if broken else measure(vehicle, response, first, road.loaded)))
+        if name not in known:
+            broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
+            known[name] = {} if broken else measure(vehicle, response, first, road.loaded)
+        standings.append(standing(vehicle, name, known[name]))
     return standings
 
 

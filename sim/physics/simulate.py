@@ -133,9 +133,8 @@ def _by_kind(
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in parts])[order]
     response = Response(met[0].time, parts[0].response.signals, values)
-    qpos, qvel, diverged, ran_away, asked = (
-        np.concatenate([getattr(one, name) for one in parts])[order] for name in ("qpos", "qvel", "diverged", "ran_away", "asked")
-    )
+    names = ("qpos", "qvel", "diverged", "ran_away", "requested_force")
+    qpos, qvel, diverged, ran_away, asked = (np.concatenate([getattr(one, name) for one in parts])[order] for name in names)
     most = max(one.kept.shape[2] for one in parts)
     kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
     states = [signals for one in parts for signals in one.states]
@@ -157,7 +156,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    names = ("qpos", "qvel", "largest", "overflowed", "asked", "kept")
+    names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept")
     return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 

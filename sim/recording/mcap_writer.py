@@ -4,13 +4,12 @@ Encoding: https://protobuf.dev/programming-guides/encoding. The descriptors are 
 responses, without generated code; a field has the name of its signal.
 """
 
-import itertools
 import json
 import operator
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,11 +48,11 @@ from sim.response.response import Response
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK = 1024 * 1024  # uncompressed bytes after which a chunk ends
-MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time; the content follows
+MESSAGE = np.dtype(  # the content follows
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
+)
 INDEX = struct.Struct("<BQHI")  # opcode, length, channel, length of the entries; these follow, each a time and an offset
-HEADER = MESSAGE.size - 9  # bytes of a message's length besides its content: without opcode and length
-
-Message = tuple[int, int, bytes]  # log time [ns], channel, content
+HEADER = MESSAGE.itemsize - 9  # bytes of a message's length besides its content: without opcode and length
 
 
 class McapFile:
@@ -95,22 +94,31 @@ class McapFile:
         self._before += _written(self._channels[-1])
         return len(self._channels)
 
-    def add_messages(self, messages: Iterable[Message]) -> None:
-        """Adds all messages, sorted by time, in chunks."""
-        parts, size, first, last = [self._before], len(self._before), 0, 0
-        places: dict[int, list[int]] = {}  # by channel: time and offset in the chunk of each message, alternating
-        for time, channel, content in messages:
-            if not places:
-                first = time
-            places.setdefault(channel, []).extend((time, size))
-            parts += (MESSAGE.pack(Opcode.MESSAGE, HEADER + len(content), channel, 0, time, time), content)
-            size += MESSAGE.size + len(content)
-            last = time
-            if size > CHUNK:
-                self._add_chunk(b"".join(parts), first, last, places)
-                parts, size, places = [], 0, {}
-        if places:
-            self._add_chunk(b"".join(parts), first, last, places)
+    def add_messages(self, times: Array, channels: Array, contents: Sequence[bytes]) -> None:
+        """Adds all messages in chunks, sorted by time: players stream a file from front to back.
+
+        Args:
+            times: of the messages [ns], integers, shape (N,); equal ones keep their order.
+            channels: their channels, shape (N,).
+            contents: of length N.
+        """
+        order = np.argsort(times, kind="stable")
+        times, channels = times[order], channels[order]
+        lengths = np.fromiter(map(len, contents), np.int64, len(contents))[order]
+        heads = np.zeros(len(times), MESSAGE)
+        heads["opcode"], heads["length"], heads["channel"] = Opcode.MESSAGE, HEADER + lengths, channels
+        heads["log_time"] = heads["publish_time"] = times
+        ends, size, head = np.cumsum(MESSAGE.itemsize + lengths), MESSAGE.itemsize, heads.tobytes()
+        start, before = 0, self._before
+        while start < len(times):
+            sent = int(ends[start - 1]) if start else 0
+            end = min(int(np.searchsorted(ends, sent + CHUNK - len(before), side="right")) + 1, len(times))
+            parts = [b""] * (2 * (end - start))
+            parts[::2] = [head[size * i : size * (i + 1)] for i in range(start, end)]
+            parts[1::2] = [contents[i] for i in order[start:end].tolist()]
+            offsets = len(before) - sent + np.concatenate([[sent], ends[start : end - 1]])
+            self._add_chunk(before + b"".join(parts), times[start:end], channels[start:end], offsets)
+            start, before = end, b""
 
     def finish(self) -> None:
         """Writes the end of the file: checksums, and the summary with the positions of all records."""
@@ -145,21 +153,22 @@ class McapFile:
         crc = zlib.crc32(summary + offsets + footer[:-4])  # the last field of the footer: of all bytes before it
         self._write(footer[:-4] + struct.pack("<I", crc) + MAGIC)
 
-    def _add_chunk(self, content: bytes, first: int, last: int, places: Mapping[int, list[int]]) -> None:
-        """Writes a compressed chunk of messages, and the index of their positions."""
-        data = zstandard.compress(content)
+    def _add_chunk(self, content: bytes, times: Array, channels: Array, offsets: Array) -> None:
+        """Writes a compressed chunk of messages, and the index of their positions in it."""
+        data, first, last = zstandard.compress(content), int(times[0]), int(times[-1])
         start, length = self._write(_written(Chunk("zstd", data, last, first, zlib.crc32(content), len(content))))
-        offsets, indexes, at = {}, [], self._at
-        for channel, entries in places.items():
-            room = 8 * len(entries)
-            offsets[channel] = at
-            indexes.append(INDEX.pack(Opcode.MESSAGE_INDEX, INDEX.size - 9 + room, channel, room))
-            indexes.append(struct.pack(f"<{len(entries)}Q", *entries))
-            at += INDEX.size + room
-            self._counts[channel] += len(entries) // 2
+        places, indexes, at = {}, [], self._at
+        entries = np.stack([times, offsets], axis=-1).astype("<u8")
+        for channel in dict.fromkeys(channels.tolist()):
+            mine = entries[channels == channel]
+            places[channel] = at
+            indexes.append(INDEX.pack(Opcode.MESSAGE_INDEX, INDEX.size - 9 + mine.nbytes, channel, mine.nbytes))
+            indexes.append(mine.tobytes())
+            at += INDEX.size + mine.nbytes
+            self._counts[channel] += len(mine)
         self._write(b"".join(indexes))
         self._times += (first, last)
-        self._chunks.append(ChunkIndex(length, start, "zstd", len(data), last, at - start - length, offsets, first, len(content)))
+        self._chunks.append(ChunkIndex(length, start, "zstd", len(data), last, at - start - length, places, first, len(content)))
 
     def _write(self, data: bytes) -> tuple[int, int]:
         """Writes data; returns its position and length in bytes."""
@@ -233,17 +242,16 @@ def write_mcap(
         for name, (media_type, content) in attachments.items():
             file.add_attachment(name, media_type, content)
 
-        messages: list[Message] = []
+        times, numbers, contents = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], list[bytes]()
         schemas: dict[tuple[str, str, bytes], int] = {}
         for channel in channels(runs):
             if channel.schema not in schemas:
                 schemas[channel.schema] = file.add_schema(*channel.schema)
             number = file.add_channel(channel.topic, MessageEncoding.Protobuf, schemas[channel.schema], channel.metadata)
-            messages += zip(channel.times, itertools.repeat(number, len(channel.times)), channel.contents(), strict=True)
-
-        # Players stream a file from front to back, so messages of all topics are sorted by time.
-        messages.sort(key=operator.itemgetter(0))
-        file.add_messages(messages)
+            times.append(np.array(channel.times, np.int64))
+            numbers.append(np.full(len(channel.times), number))
+            contents += channel.contents()
+        file.add_messages(np.concatenate(times), np.concatenate(numbers), contents)
         file.finish()
 
 

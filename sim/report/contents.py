@@ -61,7 +61,7 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     scope.progress(BUMP)
     time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
     runs = run_controllers(vehicle, scope.driven, road, time)
-    finer = run_controllers(vehicle, scope.driven, road, halves)
+    finer = run_controllers(vehicle, scope.driven, road, halves, balanced=False)
     scope.progress(REGIME)
     ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
     parts = results()

@@ -8,10 +8,12 @@ import numpy as np
 from models.common.printed import Column, cell, cells, titles
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
+from models.kinds.links import left_out
 from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import Flat
 from models.vehicle.names import PLUS
+from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.report.headline import Statement
 from sim.report.scope import Scope, joined
@@ -65,9 +67,8 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     names = PLUS.join(load.label for load in loads)
     text = [
         f"On a flat road, over {time[-1]:g} s at {1e3 * scope.timestep:g} ms: {names}. Brakes and curves are moments of the "
-        "body's weight at the height of its centre of mass; roll centres are on the ground, there is no anti-dive, and springs, "
-        "bars and tyres carry all of it. The moment of the body's own weight as it turns is left out. Dive is nose down, squat "
-        "nose up; of the loads controllers know what they measure."
+        f"body's weight at the height of its centre of mass; {_carried(vehicle)}Dive is nose down, squat nose up; of the loads "
+        "controllers know what they measure."
     ]
     text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
     wrong = [run.controller.name for run in runs if not run.passed]
@@ -80,6 +81,16 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     table = Table("loads", caption, headings, tuple(rows), words=3)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
     return Section("What do loads do?", "brakes, curves, payloads, wind", tuple(text), (table,), (figure,)), findings
+
+
+def _carried(vehicle: Vehicle) -> str:
+    """Returns sentences on what carries the moments, and on which are left out."""
+    if vehicle.kind.wheel_loads(vehicle.parameters):
+        said = "links carry to the wheels what roll centres and anti-dive say, and springs, bars and tyres the rest. "
+    else:
+        said = "there is no anti-dive, and springs, bars and tyres carry all of it. "
+    lacking = left_out(vehicle.parameters, angles_of(vehicle))
+    return said + (f"T{lacking[1:]}. " if lacking else "")
 
 
 def _travels(scope: Scope) -> tuple[str, ...]:

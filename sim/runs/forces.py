@@ -7,14 +7,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, Signal
+from models.kinds.signals import Signal, load_signal
 from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads
 from models.roads.road import Road
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
-
-WAYS = {one.name: one for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
 
 
 def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
@@ -29,17 +27,18 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     if not isinstance(road, RoadWithLoads):
         return None
     midway = time + (time[1] - time[0]) / 2
-    ways = [name for name in WAYS if any(name in load.ways for load in road.on_body)]
+    acting = [load.over(midway, vehicle.parameters, vehicle.kind) for load in road.on_body]
+    ways = {load.name: load_signal(load.name) for load in vehicle.kind.loads if any(load.name in one for one in acting)}
     together, alone, signals = {name: np.zeros(len(time)) for name in ways}, [], []
-    for load, called in zip(road.on_body, _called(road.on_body), strict=True):
-        for name, one in load.over(midway, vehicle.parameters).items():
+    for load, called, made in zip(road.on_body, _called(road.on_body), acting, strict=True):
+        for name, one in made.items():
             together[name] = together[name] + one
-            meaning = f"{WAYS[name].meaning}: of {load.label}"
-            signals.append(replace(WAYS[name], name=f"{called}_{name}", meaning=meaning))
+            meaning = f"{ways[name].meaning}: of {load.label}"
+            signals.append(replace(ways[name], name=f"{called}_{name}", meaning=meaning))
             alone.append(one)
     if len(road.on_body) == 1:
-        return Response(time, tuple(WAYS[name] for name in ways), np.stack([*together.values()], axis=-1))
-    all_signals: list[Signal] = [*(WAYS[name] for name in ways), *signals]
+        return Response(time, tuple(ways.values()), np.stack([*together.values()], axis=-1))
+    all_signals: list[Signal] = [*ways.values(), *signals]
     return Response(time, tuple(all_signals), np.stack([*together.values(), *alone], axis=-1))
 
 

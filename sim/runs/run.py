@@ -236,11 +236,12 @@ def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
-def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array) -> list[Run]:
+def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array, balanced: bool = True) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
 
     Args:
         time: equidistant sample times from 0 [s], see `sample_times`.
+        balanced: False leaves out positions, energy and the change by half the step.
     """
     _check_noise(vehicle, controllers)
     ahead = not vehicle.dampers  # what those do follows from what physics has made of them
@@ -254,9 +255,8 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
         each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.requested_force[i])
         for i, each in enumerate(known)
     ]
-    return with_energy_balance(
-        compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force), made
-    )
+    runs = compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force)
+    return with_energy_balance(runs, made) if balanced else runs
 
 
 @dataclass(frozen=True, eq=False)

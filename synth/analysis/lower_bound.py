@@ -77,6 +77,29 @@ class LowerBound:
     zeros: "Zeros | None" = None
 
 
+BEYOND = 1e-8  # relative; what rounding may change of a level's plant
+
+
+@dataclass(frozen=True, eq=False)
+class SampledBound:
+    """A lower bound on the L2 gain of a sampled loop, for controllers of any order: a level whose plant proves it.
+
+    Attributes:
+        level: the bound.
+        proof: that no controller brings the norm of the level's discrete plant below 1 (`synth/analysis/sampled_loop.py`).
+        inside: True if the level has no such plant: within a period, before any force answers, the gain is the level or more.
+    """
+
+    level: float
+    proof: LowerBound
+    inside: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """True if the proof is one, beyond the rounding of the level's plant."""
+        return self.inside or self.proof.gamma >= 1 + BEYOND
+
+
 def prove_lower_bound(
     plant: GeneralizedPlant,
     state: DualCertificate,

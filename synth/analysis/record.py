@@ -13,7 +13,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
-from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
+from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
+from synth.analysis.sampled_loop import SampledDataProblem
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -21,8 +22,10 @@ if TYPE_CHECKING:
 
 
 SAMPLED_NORM = "sampled_norm"  # of the sampled loop; checked if the implementation is known
-CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM)
-PROOFS = ("X", "limit_at", "zeros", "state", "observer")
+SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # of the sampled loop, for controllers of any order
+CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
+PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF)
+LOWER_PROOFS = ("limit_at", "zeros", "state", "observer")
 MAY_BE_ZERO = ("norm", "peak_frequency", "limit_at", SAMPLED_NORM)
 SMALLEST, LARGEST = 1e-60, 1e60  # limits of the numbers in a certificate, in SI units: no vehicle exceeds them
 MOST_ZEROS = 200  # in a certificate; at most one per state, and each is a row of Pick's matrix
@@ -37,19 +40,28 @@ def to_record(certificate: Certificate) -> dict[str, Any]:
         "peak_frequency": certificate.norm.peak_frequency,
         "bound": certificate.bound,
         "lower_bound": certificate.lower_bound,
-        "limit_at": below.limit_at if below is not None else None,
-        "zeros": [[[zero.real, zero.imag] for zero in kind] for kind in below.zeros]
-        if below is not None and below.zeros
-        else None,
         "X": certificate.proof.X.tolist() if certificate.proof is not None else None,
+        **(_proof_record(below) if below is not None else {}),
     }
-    for name in ("state", "observer"):
-        dual = getattr(below, name, None)
-        if dual is not None:
-            record[name] = {"X": dual.X.tolist(), "eta": float(dual.eta)}
     return {
         key: value for key, value in record.items() if value is not None and (not isinstance(value, float) or np.isfinite(value))
     }
+
+
+def bound_record(bound: SampledBound | None) -> dict[str, Any]:
+    """Returns the lower bound of a sampled loop, and its proof, as certificates hold them; empty without one."""
+    return {SAMPLED_BOUND: bound.level, SAMPLED_PROOF: _proof_record(bound.proof)} if bound is not None else {}
+
+
+def _proof_record(below: LowerBound) -> dict[str, Any]:
+    """Returns the proof of a lower bound as data."""
+    record: dict[str, Any] = {"limit_at": below.limit_at} if below.limit_at is not None else {}
+    if below.zeros:
+        record["zeros"] = [[[zero.real, zero.imag] for zero in kind] for kind in below.zeros]
+    for name, dual in (("state", below.state), ("observer", below.observer)):
+        if dual is not None:
+            record[name] = {"X": dual.X.tolist(), "eta": float(dual.eta)}
+    return record
 
 
 def read_proof(
@@ -72,7 +84,7 @@ def read_proof(
         if record[key] is None:
             raise InputError(f"{key} in a certificate is null; a missing value is left out, so save it again")
     n = len(plant.A)
-    for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM):
+    for key in ("norm", "peak_frequency", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND):
         _number(record, key)
     X = _matrix(record, "X", (n + kept, n + kept))
     if X is not None:
@@ -86,6 +98,28 @@ def read_proof(
             raise InputError("X in a certificate is not symmetric; save it again")
     bound = _number(record, "bound")
     eta = eta_of(bound) if bound is not None else None
+    lower_bound = _proved(record, plant, Cy, Dyw)
+    return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
+
+
+def read_sampled_bound(record: Mapping[str, Any], problem: SampledDataProblem) -> SampledBound:
+    """Returns the claimed lower bound of a sampled loop with what its proof proves; see `bound_record`.
+
+    Raises:
+        InputError: the proof is malformed.
+    """
+    level, proof = _number(record, SAMPLED_BOUND), record.get(SAMPLED_PROOF, {})
+    assert level is not None, "it is claimed"
+    if not isinstance(proof, Mapping) or any(key not in LOWER_PROOFS for key in proof):
+        raise InputError(f"{SAMPLED_PROOF} = {quoted(proof)} in a certificate is not a table of {listing(LOWER_PROOFS)}")
+    plant = problem.at(level)
+    if plant is None:
+        return SampledBound(level, LowerBound(0.0), inside=True)
+    return SampledBound(level, _proved(proof, plant, problem.rows, problem.Dyw(level)))
+
+
+def _proved(record: Mapping[str, Any], plant: GeneralizedPlant, Cy: Array, Dyw: Array | None) -> LowerBound:
+    """Returns the lower bound that the proofs of a record prove; arguments and errors as for `read_proof`."""
     lower_bound = LowerBound(0.0)
     limit_at = _number(record, "limit_at")
     if limit_at is not None:
@@ -103,7 +137,7 @@ def read_proof(
         except ValueError as error:
             raise InputError(f"a certificate does not fit the vehicle: {error}; save it again") from error
         lower_bound = proved if proved.gamma > lower_bound.gamma else lower_bound
-    return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
+    return lower_bound
 
 
 def false_claims(record: Mapping[str, Any], certificate: Certificate) -> list[str]:

@@ -24,7 +24,7 @@ of 1 or more. No digits cancel. Ad - I is computed, not Ad, as it is small for a
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -193,9 +193,10 @@ class SampledLoop(Checked):
 
     With the plant's states x at a sample, the controller's states s, and p = [x; s],
 
-        u = gain p,    s+ = memory p + from_force u_a,
+        u = K p,    s+ = A_register p + B_register u_a,
 
-    where u_a is the acting force at the period's end.
+    where u_a is the acting force at the period's end. Noise of the readings is a sequence e, whose energy is the sum of its
+    squares. It adds `noise` e to [u; s+].
 
     Attributes:
         plant: n states, m inputs.
@@ -203,6 +204,7 @@ class SampledLoop(Checked):
         K: from p to the computed forces, shape (m, n + k).
         A_register: from p to the next controller states, shape (k, n + k).
         B_register: from the acting force to the next controller states, shape (k, m).
+        noise: from the noise to the computed forces and the next controller states, shape (m + k, j); None without noise.
     """
 
     plant: GeneralizedPlant
@@ -210,13 +212,17 @@ class SampledLoop(Checked):
     K: Matrix
     A_register: Matrix
     B_register: Matrix
+    noise: Matrix | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         (n, m), k = self.plant.B.shape, len(self.A_register)
-        check_shape("gain", self.K, (m, n + k), f"as the plant has n = {n} and m = {m}, and memory says k = {k}")
-        check_shape("memory", self.A_register, (k, n + k), f"as the plant has n = {n} states")
-        check_shape("from_force", self.B_register, (k, m), f"as the plant has m = {m} inputs")
+        check_shape("K", self.K, (m, n + k), f"as the plant has n = {n} and m = {m}, and A_register says k = {k}")
+        check_shape("A_register", self.A_register, (k, n + k), f"as the plant has n = {n} states")
+        check_shape("B_register", self.B_register, (k, m), f"as the plant has m = {m} inputs")
+        if self.noise is not None:
+            expected = (m + k, self.noise.shape[1])
+            check_shape("noise", self.noise, expected, f"as the plant has m = {m} inputs, and A_register says k = {k}")
 
     @property
     def period(self) -> float:
@@ -267,6 +273,36 @@ class SampledLoop(Checked):
         shifted = np.eye(max(delayed - m, 0), N, known + m)
         return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
 
+    @property
+    def heard(self) -> tuple[Array, Array]:
+        """From the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j); j may be 0."""
+        m, k = len(self.gain), len(self.memory)
+        noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
+        return noise[:m], noise[m:]
+
+    def entering(self) -> tuple[Array, Array]:
+        """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
+        asked, kept = self.heard
+        forces = [np.zeros_like(asked) if piece.late else asked for piece in self.pieces]
+        memory = kept + self.from_force @ forces[-1]
+        waiting = np.zeros((max(self.late - 1, 0) * len(asked), asked.shape[1]))
+        start = np.vstack([np.zeros((len(self.plant.A), asked.shape[1])), *forces])
+        return start, np.vstack([memory, waiting, asked] if self.late else [memory])
+
+    def entering_at(self, angles: Array) -> tuple[Array, Array]:
+        """Returns the maps from the noise at zeta = exp(j angle): to [x; held inputs], and to the next controller states.
+
+        Args:
+            angles: [rad], shape (F,).
+
+        Returns:
+            Shapes (F, n + i, j) and (F, k, j).
+        """
+        (asked, kept), turned = self.heard, np.exp(1j * angles)
+        forces = [asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        still = np.zeros((len(angles), len(self.plant.A), asked.shape[1]))
+        return np.concatenate([still, *forces], axis=1), kept + self.from_force @ forces[-1]
+
     def closed(self, increment: Array) -> tuple[Array, Array]:
         """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].
 
@@ -295,3 +331,123 @@ class SampledLoop(Checked):
         matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
         matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.A_register - self.B_register @ forces[-1]
         return matrix, start
+
+
+@dataclass(frozen=True, eq=False)
+class SampledDataProblem:
+    """A plant whose m forces are held from sample to sample and delayed by some samples.
+
+    The states of a level's plant are the plant's, and the previous forces that are still delayed or part of a measurement, the
+    last first. No gain acts on these: a controller with feedback of its own output would be a law with states.
+
+    Noise of rms s on a reading counts as much as 1 m/s of w. Held over T seconds, that has the energy T s^2. So the noise of a
+    reading is s / sqrt(T) times a sequence whose energy is the sum of its squares.
+
+    Attributes:
+        plant: continuous, n states.
+        Cy: shape (q, n).
+        through: feedthrough from the force before a sample to the measurements, shape (q, m).
+        pieces: of the sample period: two if the delay has a fraction of a period.
+        rms: of the noise of each measurement, shape (q,); None without noise.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    through: Array
+    pieces: tuple[HoldInterval, ...]
+    rms: Array | None = None
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return sum(piece.duration for piece in self.pieces)
+
+    @property
+    def before(self) -> int:
+        """Age in samples of the force that acts just before a sample."""
+        return self.pieces[-1].late + 1
+
+    @cached_property
+    def remembered(self) -> int:
+        """Number of previous forces among the states."""
+        return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
+
+    @cached_property
+    def rows(self) -> Array:
+        """C_y on all states, shape (q, n + m remembered)."""
+        (q, m), k = self.through.shape, self.remembered
+        past = np.zeros((q, k * m))
+        if np.any(self.through):
+            past[:, (self.before - 1) * m : self.before * m] = self.through
+        return np.hstack([self.Cy, past])
+
+    @property
+    def at_once(self) -> "SampledDataProblem":
+        """The same with forces that act at the sample, and in nothing that is measured."""
+        return replace(self, through=np.zeros_like(self.through), pieces=(HoldInterval(self.period, 0),))
+
+    @cached_property
+    def noise(self) -> Array:
+        """From noise of energy one to the measurements, shape (q, j): a column for each that has noise."""
+        if self.rms is None:
+            return np.zeros((len(self.Cy), 0))
+        return np.diag(self.rms)[:, self.rms > 0] / math.sqrt(self.period)
+
+    def of(self, kept: Sequence[int]) -> "SampledDataProblem":
+        """Returns the same with some of the measurements."""
+        rms = None if self.rms is None else self.rms[kept]
+        return replace(self, Cy=self.Cy[kept], through=self.through[kept], rms=rms)
+
+    def loop(self, K: Array) -> SampledLoop:
+        """Returns the loop of a gain, or of a discrete law of k states, as the computer closes it.
+
+        Args:
+            K: [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
+        """
+        (n, m), q = self.plant.B.shape, len(self.Cy)
+        k, held = len(K) - m, m if np.any(self.through) else 0
+        rows = np.hstack([self.Cy, np.zeros((q, k)), self.through[:, :held]])
+        asked = K[:, :q] @ rows
+        asked[:, n : n + k] += K[:, q:]
+        memory = np.vstack([asked[m:], np.zeros((held, n + k + held))])
+        noise = np.vstack([K[:, :q] @ self.noise, np.zeros((held, self.noise.shape[1]))])
+        from_force = np.vstack([np.zeros((k, m)), np.eye(held, m)])
+        return SampledLoop(self.plant, self.pieces, asked[:m], memory, from_force, noise if noise.size else None)
+
+    def at(self, gamma: float) -> GeneralizedPlant | None:
+        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""
+        (n, m), k = self.plant.B.shape, self.remembered
+        count = len(self.pieces)
+        held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
+        lifted_loop = lifted(self.plant, held, gamma)
+        if lifted_loop is None:
+            return None
+        start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
+        start[:n, :n] = np.eye(n)
+        for i, piece in enumerate(self.pieces):
+            acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
+            start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
+        moved = np.zeros((n + k * m, n + (k + 1) * m))
+        moved[:n] = lifted_loop.Ad[:n] @ start
+        if k:
+            moved[n : n + m, n + k * m :] = np.eye(m)
+            moved[n + m :, n : n + (k - 1) * m] = np.eye((k - 1) * m)
+        seen, driven = lifted_loop.Cd @ start, np.zeros((n + k * m, lifted_loop.Bd.shape[1] + self.noise.shape[1]))
+        driven[:n, : lifted_loop.Bd.shape[1]] = lifted_loop.Bd[:n]
+        states = n + k * m
+        return GeneralizedPlant(
+            A=moved[:, :states],
+            B=moved[:, states:],
+            Bw=driven,
+            C=seen[:, :states],
+            D=seen[:, states:],
+            Dw=np.zeros((len(seen), driven.shape[1])),
+            dt=self.period,
+        )
+
+    def Dyw(self, gamma: float) -> Array | None:
+        """Returns the noise of a level's measurements, shape (q, r + j); None without noise."""
+        if not self.noise.size:
+            return None
+        (n, m), (q, _) = self.plant.B.shape, self.noise.shape
+        return np.hstack([np.zeros((q, n + len(self.pieces) * m)), self.noise / gamma])

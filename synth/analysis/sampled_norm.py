@@ -77,6 +77,11 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     matrix, start = loop.at_angles(free - np.eye(width), np.array([angle]))
     driven = np.vstack([forced[:n], np.zeros((matrix.shape[1] - n, columns))])
     whole = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], driven)) + direct
+    if loop.noise is not None:
+        (entered,), (kept,) = loop.entering_at(np.array([angle]))
+        moved = np.vstack([(free - np.eye(width))[:n] @ entered, kept])
+        heard = np.vstack(seen_free) @ (start[0] @ np.linalg.solve(matrix[0], moved) + entered)
+        whole = np.hstack([whole, heard])
     return float(largest_singular_values(whole[None])[0])
 
 
@@ -132,7 +137,7 @@ TURN = 0.5  # [rad]; largest step of a phase between two points
 
 @one_thread()
 def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
-    """Returns the L2 gain of a sampled loop, to 1e-8.
+    """Returns the L2 gain of a sampled loop from w, and the noise if it has some, to 1e-8.
 
     Args:
         loop: stable or not.
@@ -202,8 +207,8 @@ def _grid(loop: SampledLoop) -> Array:
 class _Level:
     """A loop closed around the discrete plant of a level."""
 
-    def __init__(self, loop: SampledLoop, plant: Lifted) -> None:
-        self.loop, self.plant = loop, plant
+    def __init__(self, loop: SampledLoop, plant: Lifted, level: float) -> None:
+        self.loop, self.plant, self.level = loop, plant, level
         self.Bd, self.Cd = plant.Bd[: len(loop.plant.A)], plant.Cd
 
     def gains(self, angles: Array) -> Array:
@@ -213,7 +218,13 @@ class _Level:
         matrix, start = self.loop.at_angles(self.plant.increment, angles)
         driven = np.zeros((len(angles), matrix.shape[1], self.Bd.shape[1]), dtype=complex)
         driven[:, : len(self.Bd)] = self.Bd
-        return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
+        if self.loop.noise is None:
+            return largest_singular_values(self.Cd @ (start @ np.linalg.solve(matrix, driven)))
+        entered, kept = (part / self.level for part in self.loop.entering_at(angles))
+        driven = np.concatenate([driven, np.concatenate([self.plant.increment[: len(self.Bd)] @ entered, kept], axis=1)], axis=2)
+        reached = start @ np.linalg.solve(matrix, driven)
+        reached[:, :, self.Bd.shape[1] :] += entered
+        return largest_singular_values(self.Cd @ reached)
 
     def crossings(self) -> Array:
         """Returns angles [rad], ascending from 0, that contain all at which a singular value is 1."""
@@ -221,9 +232,12 @@ class _Level:
         T, N = self.loop.period, len(change)
         inverse = np.linalg.inv(2 * np.eye(N) + change)
         A, scale = balance(2 / T * change @ inverse)
-        B, C = inverse[:, : len(self.Bd)] @ self.Bd, self.Cd @ start
+        entered, kept = (part / self.level for part in self.loop.entering())
+        moved = np.vstack([self.plant.increment[: len(self.Bd)] @ entered, kept])
+        B, C = np.hstack([inverse[:, : len(self.Bd)] @ self.Bd, inverse @ moved]), self.Cd @ start
+        direct = np.hstack([np.zeros((len(C), self.Bd.shape[1])), self.Cd @ entered])
         into, out = 2 / math.sqrt(T) * B / scale[:, None], 2 / math.sqrt(T) * C @ inverse * scale
-        return 2 * np.arctan(T / 2 * level_crossings(A, into, out, -C @ B, 1.0))
+        return 2 * np.arctan(T / 2 * level_crossings(A, into, out, direct - C @ B, 1.0))
 
     def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
         """Returns the highest gain within some widths of some angles, and its angle."""
@@ -267,7 +281,7 @@ class _Search:
 
     def _at(self, level: float) -> _Level | None:
         lifted_loop = lifted(self.loop.plant, self.loop.acting, level)
-        return None if lifted_loop is None else _Level(self.loop, lifted_loop)
+        return None if lifted_loop is None else _Level(self.loop, lifted_loop, level)
 
     def _first(self, level: float) -> tuple[float, float, _Level]:
         """Returns a level with a discrete plant, the last level without one, or 0, and the loop of the first."""

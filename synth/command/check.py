@@ -10,6 +10,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.specification import Specification
 from synth.command.table import Row
 from synth.controller.controller import Controller
+from synth.controller.implementation_norm import false_sampled_bound
 from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_if_implemented, notes_on_sampled_loop
 from synth.vehicle.designer import Designer
 
@@ -44,6 +45,7 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures += controller.unmet_specifications
     norm = norm_if_implemented(designer.vehicle, controller)
     failures = failures_of_sampled_loop(designer.vehicle, certificate, failures, norm)
+    failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")

@@ -68,7 +68,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 except InterruptedDesign as stopped:
                     rows.append(_built(vehicle, _kept(stopped)))
                     raise
-                rows[-1] = _built(vehicle, rows[-1])
+                rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
     if parts.cut and not rows:
         raise KeyboardInterrupt
     if (
@@ -98,7 +98,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         if saved:
             from synth.command.save import save
 
-            save(options.save, vehicle, designs)
+            save(options.save, vehicle, designs, {row.name: row.sampled_below for row in rows})
         drawn = bool(options.picture) and _drawn(vehicle, rows, options.picture)
         limit = designer.beyond_control
         stage.end()
@@ -187,6 +187,11 @@ def _built(vehicle: Vehicle, row: Row) -> Row:
     norm, certificate = norm_if_implemented(vehicle, row.controller), row.controller.certificate
     said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
     return replace(row, sampled=norm, notes=said, failures=failures_of_sampled_loop(vehicle, certificate, row.failures, norm))
+
+
+def _bounded(designer: Designer, row: Row) -> Row:
+    """A row with the lower bound of the sampled loop, if it was designed for that."""
+    return replace(row, sampled_below=designer.sampled_bound(row.controller)) if row.controller is not None else row
 
 
 def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:

@@ -8,7 +8,8 @@ from typing import Any
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.analysis.record import to_record
+from synth.analysis.lower_bound import SampledBound
+from synth.analysis.record import bound_record, to_record
 from synth.controller.controller import Controller
 from synth.controller.report import norm_if_implemented, norm_record
 
@@ -30,8 +31,16 @@ def check_save(vehicle: Vehicle, names: Sequence[str]) -> None:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
 
 
-def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> None:
+def save(
+    path: Path,
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    sampled_bounds: Mapping[str, SampledBound | None] | None = None,
+) -> None:
     """Writes the vehicle file with each designed gain added as NAME_designed, for every other command to read.
+
+    Args:
+        sampled_bounds: lower bounds of sampled loops, by controller.
 
     Raises:
         InputError: there is nothing to write, a name is taken, or the file cannot be written.
@@ -40,14 +49,15 @@ def save(path: Path, vehicle: Vehicle, controllers: Sequence[Controller]) -> Non
     check_save(vehicle, [controller.name for controller in designed])
     text = vehicle.text.rstrip("\n") + "\n"
     for controller in designed:
-        text += "\n" + "\n".join(_entry(controller.name + SUFFIX, vehicle, controller)) + "\n"
+        text += "\n" + "\n".join(_entry(vehicle, controller, (sampled_bounds or {}).get(controller.name))) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _entry(name: str, vehicle: Vehicle, controller: Controller) -> list[str]:
-    record = to_record(controller.certificate) | norm_record(norm_if_implemented(vehicle, controller))
+def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
+    name, norm = controller.name + SUFFIX, norm_if_implemented(vehicle, controller)
+    record = to_record(controller.certificate) | norm_record(norm) | bound_record(sampled_bound)
     goals = vehicle.controllers[controller.name].goals if controller.name in vehicle.controllers else None
     key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [

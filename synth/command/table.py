@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from models.common.printed import cells, command, finite, json_object, option, percent, table, titles, wrapped
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
-from synth.analysis.record import to_record
+from synth.analysis.lower_bound import SampledBound
+from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.report import (
@@ -46,6 +47,7 @@ class Row:
         worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
         witness: result of a second solver, if requested.
         sampled: the norm as implemented, if the vehicle file has an implementation.
+        sampled_below: its lower bound for any controller with these measurements, of one designed for the sampled loop.
         fragile: the tolerated errors, if requested.
         ride: expected weighted acceleration on an average road [m/s2], or None.
     """
@@ -57,8 +59,16 @@ class Row:
     worth: float = 0.0
     witness: "CrossCheck | None" = None
     sampled: SampledNorm | None = None
+    sampled_below: SampledBound | None = None
     fragile: "FragilityReport | None" = None
     ride: float | None = None
+
+    @property
+    def sampled_gap(self) -> float | None:
+        """Relative distance of the sampled norm from its lower bound; None without either."""
+        if self.sampled is None or self.sampled_below is None or not self.sampled.stable:
+            return None
+        return self.sampled.value / self.sampled_below.level - 1
 
 
 def row_object(row: Row) -> dict[str, Any]:
@@ -75,6 +85,7 @@ def row_object(row: Row) -> dict[str, Any]:
         **({"design": "sampled"} if controller.sampled else {}),
         **json_object((BOUND, NORM), certificate),
         **norm_object(row.sampled),
+        **({SAMPLED_BOUND: row.sampled_below.level, "sampled_gap": row.sampled_gap} if row.sampled_below is not None else {}),
         "routes_gap": certificate.norm.gap if certificate.stable else None,
         **json_object((PEAK,), certificate),
         "poles": [[float(pole.real), float(pole.imag)] for pole in certificate.poles],
@@ -83,7 +94,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "stability": certificate.stability.verdict,
         **growth_object(controller),
         "lmi": _lmi_object(certificate.proof),
-        "certificate": to_record(certificate) | norm_record(row.sampled),
+        "certificate": to_record(certificate) | norm_record(row.sampled) | bound_record(row.sampled_below),
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
         "refine_lowers_by_at_least": row.worth or None,
@@ -103,9 +114,12 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
     """All controllers, one line each; where they have norms as implemented, in place of what stands above of each in full."""
-    built = any(row.sampled is not None for row in rows)
+    built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
     before, after = (BOUND, NORM), (PEAK, LOWER_BOUND, *(() if built else (GAP,)), SLOWEST_POLE)
-    headings = (*titles(before), *(("sampled",) if built else ()), *titles(after))
+    of_sampled = ("sampled",) if built else ()
+    if bounded:  # a lower bound stands behind each of the two norms
+        before, after, of_sampled = (BOUND, NORM, LOWER_BOUND), (), ("sampled", LOWER_BOUND.title, GAP.title)
+    headings = (*titles(before), *of_sampled, *titles(after))
     lines: list[tuple[str, ...]] = [("controller", *headings)]
     empty = ("",) * (len(headings) - 1)
     for row in rows:
@@ -115,16 +129,23 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
         elif not certificate.stable and (row.sampled is None or not row.sampled.stable):
             lines.append((row.name, certificate.stability.verdict.upper(), *empty))
         else:
-            [(bound, norm)], [others] = cells(before, [certificate]), cells(after, [certificate])
+            [(bound, norm, *below)], [others] = cells(before, [certificate]), cells(after, [certificate])
             norm = norm if certificate.stable else certificate.stability.verdict.upper()
             sampled = (_sampled(row.sampled),) if built else ()
-            lines.append((row.name, bound, norm, *sampled, *others))
+            sampled += _sampled_bound(row) if bounded else ()
+            lines.append((row.name, bound, norm, *below, *sampled, *others))
     return table(lines, indent="")
 
 
 def _sampled(norm: SampledNorm | None) -> str:
     """Returns the norm as implemented, as the table has it."""
     return "-" if norm is None else f"{norm.value:.7g}" if norm.stable else "UNSTABLE"
+
+
+def _sampled_bound(row: Row) -> tuple[str, str]:
+    """Returns the lower bound of the sampled loop, and how far the norm is above it, as the table has them."""
+    bound, gap = row.sampled_below, row.sampled_gap
+    return f"{bound.level:.7g}" if bound is not None else "-", percent(gap) if gap is not None else "-"
 
 
 def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
@@ -149,6 +170,11 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     for promise in controller.specifications:
         lines += wrapped(promise.text, "  promise: ", 4)
     lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
+    if row.sampled_gap is not None and row.sampled_below is not None:
+        lines.append(
+            f"  sampled norm {percent(row.sampled_gap)} above {row.sampled_below.level:.7g}, which no controller with these "
+            "measurements beats at this rate"
+        )
     if row.witness is not None:
         lines.append(f"  {row.witness.text}")
     if row.fragile is not None:

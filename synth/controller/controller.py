@@ -1,6 +1,6 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -143,6 +143,11 @@ class Controller(Checked, Shown):
     def text(self) -> str:
         """The law on one line."""
         return self.law.text if self.measured else "no control force"
+
+    @property
+    def quiet(self) -> "Controller":
+        """The same controller, whose norms as implemented are of the road alone, without the noise of its sensors."""
+        return replace(self, hardware=replace(self.hardware, noise=()))
 
     @property
     def gain(self) -> Array:

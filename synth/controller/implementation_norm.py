@@ -1,18 +1,22 @@
 """The L2 gain of a vehicle's sampled loop, from the road's continuous velocity to the continuous z.
 
 It is the continuous norm (18) of the loop with `[implementation]` and the lag of `[limits]`: the force is held and delayed, while
-road and vehicle move continuously. Nonlinear parts (limits of force and stroke, quantisation) and noise do not count. Behind a
-lag, z weights the acting force.
+road and vehicle move continuously. Nonlinear parts (limits of force and stroke, quantisation) do not count. Noise of the readings
+counts if the controller asks for it. Behind a lag, z weights the acting force.
 """
+
+import math
 
 import numpy as np
 
 from models import USUAL_TIMESTEP
-from models.vehicle.controllers import NOMINAL
+from models.common.errors import InputError
+from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm
-from synth.analysis.sampled_loop import HoldInterval, SampledLoop
+from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, SampledLoop
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
@@ -44,7 +48,47 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
     own = len(cut.model.A) - kept
     G = np.insert(cut.G, [own] * (n - own), 0.0, axis=1)  # of states of filters nobody measures any
     memory = np.hstack([np.zeros((kept, n)), np.eye(kept)]) + period * G[cut.forces :]
-    return SampledLoop(plant, pieces_of(how, period), G[: cut.forces], memory, period * cut.hold)
+    noise = None
+    if any(controller.hardware.noise):
+        rms = np.array(controller.hardware.noise)
+        heard = cut.reading @ np.diag(rms)[:, rms > 0] / math.sqrt(period)  # as in `SampledDataProblem`
+        noise = np.vstack([heard[: cut.forces], period * heard[cut.forces :]])
+    return SampledLoop(plant, pieces_of(how, period), G[: cut.forces], memory, period * cut.hold, noise)
+
+
+def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
+    """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
+
+    Raises:
+        InputError: the vehicle has no sample period.
+    """
+    how = vehicle.implementation
+    if how.sample_period is None:
+        raise InputError(
+            f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
+            "period; give it, as in sample_period = 0.01, seconds"
+        )
+    Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
+    rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
+    return SampledDataProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period), rms)
+
+
+def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
+    """Returns the false claim of a record about the lower bound of the sampled loop, in words; empty without one.
+
+    The dual solution is checked on the discrete plant of the claimed level, which is computed anew.
+
+    Raises:
+        InputError: the proof is malformed.
+    """
+    record = entry.certificate or {}
+    if SAMPLED_BOUND not in record:
+        return ()
+    claimed = f"the lower bound of the sampled loop is claimed to be {record[SAMPLED_BOUND]:.10g}"
+    if vehicle.implementation.sample_period is None:
+        return (f"{claimed}, and [implementation] has no sample_period",)
+    bound = read_sampled_bound(record, held_problem(vehicle, entry))
+    return () if bound.holds else (f"{claimed}, and its proof does not hold with this vehicle",)
 
 
 def pieces_of(how: Implementation, period: float) -> tuple[HoldInterval, ...]:

@@ -8,8 +8,9 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
+from models.common.errors import listing
 from models.common.printed import Column, finite, matrix, percent
-from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
+from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
@@ -18,6 +19,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.record import SAMPLED_NORM
 from synth.analysis.specification import ABOVE, SampledNorm
 from synth.controller.controller import Controller
+from synth.controller.problem import road_twist_inputs
 
 SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
 ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
@@ -76,8 +78,9 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
     seen = "frequencies" if norm.by_sweep else "level sets"
+    heard = ", and what is read has its noise" if any(controller.hardware.noise) else ""
     lines = [
-        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on",
+        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on{heard}",
         f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
@@ -171,7 +174,6 @@ def false_norm(
 IDEAL_LOOP = "of the ideal loop, continuous and without [limits] and [implementation]"
 SETTLED = 1e-2  # relative: a gain that moves less over the last hundredfold of mu is within 1e-4 of the limit
 SHORT = 1e-6  # relative in gamma; a smaller gap is the end of the path
-UNITS = {one.name: one.unit for one in (HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD)}
 
 
 def heading_lines(controller: Controller) -> list[str]:
@@ -199,9 +201,15 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
     model = vehicle.linear_model
     if not np.any(model.Br) and not np.any(model.Cr):
         return []
+    axes = {
+        "roll": "roll_centre_height_front",
+        "pitch": "pitch_centre_height",
+    }  # of a body whose weight feels how the road stands
+    felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
+    felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
-        "w is the road's velocity under every wheel and, as no car forgets it, the height of its twist, of which 1 m counts as "
-        f"{model.twist_rate:.4g} m/s (models/README.md)"
+        f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
+        f"1 m counts as {model.twist_rate:.4g} m/s (models/README.md)"
     ]
 
 
@@ -262,10 +270,10 @@ def judged_lines(controller: Controller) -> list[str]:
             "road's velocity, or what its filter shapes it from"
         )
     if hardware.loads:
-        loads = ", ".join(f"{value:g} {UNITS[name]} of {name}" for name, value in hardware.loads)
+        loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
         texts.append(
             f"norm and bounds are of road and loads together: {loads} count as much as 1 m/s of w each; a norm as implemented, "
-            "and one that sim.sweep measures, is of the road alone"
+            "and one that sim.sweep measures, knows no loads"
         )
     if controller.law.states and controller.law.sample_period is not None:
         texts.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")

@@ -1,4 +1,4 @@
-"""The two steps for the loop that a computer closes, and descent on its exact norm for what they do not reach.
+"""The two steps for the loop that a computer closes, and descent on its exact norm from there.
 
 For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). The level that a step reaches
 is the one for whose plant its optimum is a norm of 1: found by secants over the logarithms, in a handful of problems. State
@@ -8,8 +8,9 @@ depends on no solver and no unit. What it gains is then computed exactly, withou
 
 Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
 state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. If neither finds a gain, or if the continuous design or no control does better, descent on the exact norm goes on from what
-is known. The result says so.
+not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The
+gain of the two steps stays where descent gains next to nothing. If they find no gain, or if no control does better, descent
+starts from whatever is known. The result says so. The two steps know no noise of the readings; descent does.
 
 That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
 of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
@@ -20,113 +21,27 @@ import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from models.common.arrays import Array
-from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
+from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
-from synth.design.descent.refine import from_some, refine
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.refine import Refinement, from_some, refine
 from synth.design.two_step import state_path
 from synth.lmi.central_path import CentralPoint, fits
+from synth.lmi.full_order_bound import bound_beyond_control
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError, numerics
 from synth.plant.units import own_units
 
-
-@dataclass(frozen=True, eq=False)
-class SampledDataProblem:
-    """A plant whose m forces are held from sample to sample and delayed by some samples.
-
-    The states of a level's plant are the plant's, and the previous forces that are still delayed or part of a measurement, the
-    last first. No gain acts on these: a controller with feedback of its own output would be a law with states.
-
-    Attributes:
-        plant: continuous, n states.
-        Cy: shape (q, n).
-        through: feedthrough from the force before a sample to the measurements, shape (q, m).
-        pieces: of the sample period: two if the delay has a fraction of a period.
-    """
-
-    plant: GeneralizedPlant
-    Cy: Array
-    through: Array
-    pieces: tuple[HoldInterval, ...]
-
-    @property
-    def period(self) -> float:
-        """[s]."""
-        return sum(piece.duration for piece in self.pieces)
-
-    @property
-    def before(self) -> int:
-        """Age in samples of the force that acts just before a sample."""
-        return self.pieces[-1].late + 1
-
-    @cached_property
-    def remembered(self) -> int:
-        """Number of previous forces among the states."""
-        return max(self.pieces[0].late, self.before if np.any(self.through) else 0)
-
-    @cached_property
-    def rows(self) -> Array:
-        """C_y on all states, shape (q, n + m remembered)."""
-        (q, m), k = self.through.shape, self.remembered
-        past = np.zeros((q, k * m))
-        if np.any(self.through):
-            past[:, (self.before - 1) * m : self.before * m] = self.through
-        return np.hstack([self.Cy, past])
-
-    @property
-    def at_once(self) -> "SampledDataProblem":
-        """The same with forces that act at the sample, and in nothing that is measured."""
-        return replace(self, through=np.zeros_like(self.through), pieces=(HoldInterval(self.period, 0),))
-
-    def loop(self, K: Array) -> SampledLoop:
-        """The loop of a gain, shape (m, q), as the computer closes it."""
-        m, kept = self.plant.B.shape[1], np.any(self.through)
-        asked = K @ (np.hstack([self.Cy, self.through]) if kept else self.Cy)
-        memory = np.zeros((m if kept else 0, asked.shape[1]))
-        return SampledLoop(self.plant, self.pieces, asked, memory, np.eye(len(memory), m))
-
-    def at(self, gamma: float) -> GeneralizedPlant | None:
-        """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""
-        (n, m), k = self.plant.B.shape, self.remembered
-        count = len(self.pieces)
-        held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
-        lifted_loop = lifted(self.plant, held, gamma)
-        if lifted_loop is None:
-            return None
-        start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]
-        start[:n, :n] = np.eye(n)
-        for i, piece in enumerate(self.pieces):
-            acts = n + ((piece.late or k + 1) - 1) * m  # the new force comes last
-            start[n + i * m : n + (i + 1) * m, acts : acts + m] = np.eye(m)
-        moved = np.zeros((n + k * m, n + (k + 1) * m))
-        moved[:n] = lifted_loop.Ad[:n] @ start
-        if k:
-            moved[n : n + m, n + k * m :] = np.eye(m)
-            moved[n + m :, n : n + (k - 1) * m] = np.eye((k - 1) * m)
-        seen, driven = lifted_loop.Cd @ start, np.zeros((n + k * m, lifted_loop.Bd.shape[1]))
-        driven[:n] = lifted_loop.Bd[:n]
-        states = n + k * m
-        return GeneralizedPlant(
-            A=moved[:, :states],
-            B=moved[:, states:],
-            Bw=driven,
-            C=seen[:, :states],
-            D=seen[:, states:],
-            Dw=np.zeros((len(seen), lifted_loop.Bd.shape[1])),
-            dt=self.period,
-        )
-
-
 DESCENTS = 8
-WORTH = 1e-4  # relative; a descent that gains less is the last
+WORTH = 1e-4  # relative; a descent that gains less is the last, for what each leaves is the square of that
+KEPT = 5e-5  # relative; the gain of the two steps stays where descent gains less
 SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
 STARTS = 3  # the best of them
 MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
@@ -153,17 +68,17 @@ def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) 
     starts += [(norm_of(problem, K, near), K) for K in known[1:]]
     best = sorted(starts, key=lambda start: start[0])[:STARTS]
     return min(
-        (_down(problem, K, norm) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
+        (down(problem, K, norm) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
     )
 
 
-def _down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, float]:
+def down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, float]:
     """Descends from a stable K by `refine` on the plants of falling levels."""
     for _ in range(DESCENTS):
         plant = problem.at(norm)
         if plant is None:
             break
-        moved = refine(plant, problem.rows, K).gain
+        moved = refine(plant, problem.rows, K, problem.Dyw(norm)).gain
         reached = norm_of(problem, moved, norm)
         if not reached < norm:
             break
@@ -172,6 +87,30 @@ def _down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, fl
         if enough:
             break
     return K, norm
+
+
+def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refinement:
+    """Lowers the exact norm from a stabilising gain on all measurements, shape (m, q), as far as it is worth a larger gain.
+
+    Raises:
+        DesignError: the loop of K is not stable, or a force answers at no level near its norm.
+    """
+    before = norm_of(problem, K, near)
+    plant = problem.at(before) if np.isfinite(before) else None
+    if plant is None:
+        raise DesignError("the sampled loop is not stable, or its norm is that within a period; there is nothing to refine")
+    kept = independent_rows(plant, problem.rows)
+    few = problem.of(kept)
+    start = from_some(K, np.hstack([problem.Cy, problem.through]), kept)
+    moved, after = down(few, start, before)
+    last = problem.at(after)
+    refused = refine(last, few.rows, moved, few.Dyw(after)).refused if last is not None else None
+    landscape = Landscape(plant, few.rows, few.Dyw(before))
+    sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
+    gain = np.zeros_like(K)
+    gain[:, kept] = moved
+    growth = sizes[1] / sizes[0] if sizes[0] else 1.0
+    return Refinement(gain, before, after, growth, refused, "the sampled norm")
 
 
 def check_size(problem: SampledDataProblem) -> None:
@@ -230,7 +169,7 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
     if slow is None:
         raise InfeasibleError(f"within one period of {1e3 * problem.period:g} ms, where no force answers, w gains {FAR * near:g}")
     kept = independent_rows(slow, problem.rows)
-    few = replace(problem, Cy=problem.Cy[kept], through=problem.through[kept])
+    few = problem.of(kept)
     of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
     try:
         K, norm, level, instead = _gain(few, near, of_kept)
@@ -245,36 +184,59 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
 def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
     """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not."""
     undelayed = failure = K = level = None
-    norm = np.inf
+    norm, quiet = np.inf, replace(problem, rms=None)
     if problem.remembered:
         with contextlib.suppress(DesignError):
-            undelayed, *_ = _gain(problem.at_once, near, known)
+            undelayed, _ = two_steps(quiet.at_once, near, None)
     try:
-        K, level = _two_steps(problem, near, undelayed)
+        K, level = two_steps(quiet, near, undelayed)
         norm = norm_of(problem, K, near)
     except DesignError as error:
         failure = error
     nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
     others = {"the continuous design": known, "no control": [nothing]}
     least, which = min((norm_of(problem, other, near), name) for name, some in others.items() for other in some)
-    if K is not None and not least < norm * (1 - ROUNDING):
-        if np.isfinite(norm):
+    if K is not None and np.isfinite(norm):
+        moved, reached = K, norm
+        for start in (K, *known):
+            height = norm_of(problem, start, near)
+            if np.isfinite(height) and not _at_the_limit(problem, reached):
+                moved, reached = min((moved, reached), down(problem, start, height), key=lambda end: end[1])
+        if least < reached:
+            moved, reached = min((moved, reached), descended(problem, [*known, K], near), key=lambda end: end[1])
+        quietly = not problem.noise.size
+        if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
-        failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
-    moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
-    if not np.isfinite(reached):
-        raise failure or DesignError("no start of a descent is stable")
+        further = f"{which} to {least:.7g}" if least < norm else f"descent from them to {reached:.7g}"
+        why = f"they come to {norm:.7g}, and {further}" if quietly else "they know no noise"
+    else:
+        if K is not None:
+            failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
+        moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
+        if not np.isfinite(reached):
+            raise failure or DesignError("no start of a descent is stable")
+        why = str(failure)
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
-    return (
-        moved,
-        norm_of(problem, moved, near),
-        None,
-        str(failure) if failure else f"they come to {norm:.7g}, and {which} to {least:.7g}",
-    )
+    return moved, norm_of(problem, moved, near), None, why
 
 
-def _two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
-    """Returns K by the two steps and its level; L (14) is also chosen so that delayed forces follow an undelayed gain."""
+def _at_the_limit(problem: SampledDataProblem, norm: float) -> bool:
+    """Returns True if a norm is next to what no control force changes."""
+    plant = problem.at(norm * (1 - KEPT))
+    return plant is None or bound_beyond_control(plant).gamma >= 1
+
+
+def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
+    """Returns K by the two steps, which know no noise, and its level.
+
+    Args:
+        problem: without noise, of independent measurements.
+        near: a level to start from.
+        undelayed: a gain without delay, shape (m, q): L (14) is also chosen so that delayed forces follow it.
+
+    Raises:
+        DesignError: a step has no solution, or a path could not be followed.
+    """
     rows, (n, m) = problem.rows, problem.plant.B.shape
     size = n + m * problem.remembered
     fits(size * (size + 1) // 2 + m * size + 1, MOST, "the two steps of a sampled loop are gone")

@@ -15,14 +15,16 @@ from models.vehicle.combinations import check_command, goes
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller, certify_law, on_readings, verify_record
+from synth.controller.implementation_norm import false_sampled_bound, held_problem
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
 from synth.lmi.central_path import CentralPoint
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
+from synth.lmi.sampled_bound import find_sampled_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
@@ -117,6 +119,7 @@ class Designer:
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
+        self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
@@ -153,6 +156,20 @@ class Designer:
         """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
+    def sampled_bound(self, controller: Controller) -> SampledBound | None:
+        """Returns the lower bound of the sampled loop, for any controller with the measurements of one designed for it.
+
+        None for other controllers, or if none is proved.
+        """
+        return self._sampled_bound(self._entry(controller.name)) if controller.sampled else None
+
+    def _sampled_bound(self, entry: ControllerEntry) -> SampledBound | None:
+        key = entry.measured, entry.hardware.noise
+        if key not in self._sampled_bounds:
+            near = self.lower_bound(entry.measured, entry.hardware).gamma or 1.0
+            self._sampled_bounds[key] = find_sampled_bound(held_problem(self.vehicle, entry), near)
+        return self._sampled_bounds[key]
+
     @at_the_door
     def design(
         self, name: str, zero_l: bool = False, on_progress: Callable[[float, bool], None] = lambda goal, within: None
@@ -178,6 +195,10 @@ class Designer:
         posed = self.problem(entry.measured, hardware)
         try:
             lower_bound = self.lower_bound(entry.measured, hardware)
+            if entry.design and entry.sampled:
+                from synth.vehicle.sampled_data import full_order_sampled_design
+
+                return full_order_sampled_design(self.vehicle, entry, posed, lower_bound, self._sampled_bound(entry))
             if entry.design:
                 return self._named(entry, posed, lower_bound)
             if entry.goals is not None:
@@ -231,6 +252,7 @@ class Designer:
             from synth.vehicle.multi_objective import verify_specifications
 
             controller = replace(controller, promises=verify_specifications(self.vehicle, entry, entry.goals, law, self.search))
+        wrong += false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
         return replace(controller, false_claims=remaining_false_claims(self.vehicle, controller, wrong))
 
@@ -273,12 +295,17 @@ class Designer:
         except DesignError:
             start = None
         posed, lower_bound = self.problem(measured, entry.hardware), self.lower_bound(measured, entry.hardware)
+        if entry.sampled:
+            from synth.vehicle.sampled_data import sampled_refinement
+
+            return sampled_refinement(self.vehicle, entry, posed, start or self.design(name), lower_bound)
         return refined(self.vehicle, entry, posed, start, lower_bound)
 
     def worth_refining(self, controller: Controller) -> float:
         """Returns the relative decrease of a designed controller's norm that `refine` reaches at least; 0 below seven digits."""
         if (
             not controller.designed
+            or controller.sampled  # whose design is refined
             or not controller.measured
             or not goes("refine", self._entry(controller.name).parts)
             or not controller.certificate.stable

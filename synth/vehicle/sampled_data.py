@@ -1,35 +1,23 @@
-"""A controller of a vehicle file that is designed for the loop that its computer closes (`synth.design.sampled_data`)."""
+"""A controller of a vehicle file that is designed for the loop that its computer closes: a static gain or a full-order law."""
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 
-from models.common.errors import InputError
-from models.laws.linear import static_law
+import numpy as np
+
+from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.lower_bound import LowerBound
+from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller
-from synth.controller.implementation_norm import pieces_of, plant_as_built
-from synth.controller.problem import Problem, measurements
-from synth.design.sampled_data import SampledDataProblem, held_design
+from synth.controller.implementation_norm import held_problem
+from synth.controller.problem import Problem, plant_states
+from synth.design.full_order.sampled_data import sampled_full_order
+from synth.design.sampled_data import held_design, refined_further
 from synth.plant.numerics import DesignError
-
-
-def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
-    """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
-
-    Raises:
-        InputError: the vehicle has no sample period.
-    """
-    how = vehicle.implementation
-    if how.sample_period is None:
-        raise InputError(
-            f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
-            "period; give it, as in sample_period = 0.01, seconds"
-        )
-    Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
-    return SampledDataProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period))
+from synth.vehicle.refined import RefinedController
 
 
 def sampled_design(
@@ -50,20 +38,61 @@ def sampled_design(
     with contextlib.suppress(DesignError):
         known = [ideal().law.D]
     designed = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
-    law = static_law(designed.gain)
     level = f", whose norm the LMI promises to be at most {designed.level:.7g}" if designed.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
-    remark = f"designed for the sampled loop{reads}{level}"
+    made = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
+    return replace(
+        made,
+        redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
+        instead=f"not by the two steps but by descent on the sampled norm, for {designed.instead}" if designed.instead else "",
+    )
+
+
+def full_order_sampled_design(
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, bound: SampledBound | None
+) -> Controller:
+    """Designs a discrete law of full order for the sampled loop; arguments and errors as for `sampled_design`.
+
+    Args:
+        bound: lower bound of the sampled loop; None if none is proved.
+    """
+    states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
+    found = sampled_full_order(held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable)
+    law = replace(found.law, anti_windup=entry.anti_windup)
+    said = f"designed for the sampled loop{f'; {found.remark}' if found.remark else ''}"
+    return _controller(entry, posed, lower_bound, law, said)
+
+
+def sampled_refinement(
+    vehicle: Vehicle, entry: ControllerEntry, posed: Problem, start: Controller, lower_bound: LowerBound
+) -> RefinedController:
+    """Returns the controller of an entry with a lower sampled norm; arguments as for `refined`.
+
+    Raises:
+        DesignError: the sampled loop of the start is not stable.
+    """
+    refinement = refined_further(held_problem(vehicle, entry), start.law.D, lower_bound.gamma or 1.0)
+    gain = static_law(refinement.gain)
+    made = _controller(entry, posed, lower_bound, gain, "designed for the sampled loop, and refined there")
+    return RefinedController(replace(made, redundant=start.redundant), start, "", refinement)
+
+
+def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, law: LinearLaw, remark: str) -> Controller:
+    """Returns the controller of a law, with the certificate of its ideal loop.
+
+    Raises:
+        DesignError: the ideal loop does not exist, or rounding leaves no certificate.
+    """
+    try:
+        certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise DesignError(f"the law for the sampled loop has no ideal loop: {error}") from error
     return Controller(
         entry.name,
         entry.measured,
         law,
         designed=True,
-        certificate=certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant),
-        redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
-        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
-        if designed.instead
-        else "",
+        certificate=certificate,
         remarks=(remark,),
         hardware=entry.hardware,
         sampled=True,

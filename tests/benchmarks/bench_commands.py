@@ -2,9 +2,11 @@
 
     python -m pytest tests/benchmarks/bench_commands.py
 
-The imports take 0.85 s on the machine of the claims, so that 1.5 is 1.3 s there.
+The imports take 0.85 s on the machine of the claims, so that 1.5 is 1.3 s there. Python keeps what it has compiled, as it does
+for a user, also where the environment says otherwise.
 """
 
+import os
 import subprocess
 import sys
 
@@ -33,7 +35,9 @@ COMMANDS = [  # what is run, over which imports, at most how many times as long,
 def test_command(benchmark, tmp_path, command, imports, claim, rounds):
     """A command takes at most so many times as long as the imports."""
 
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+
     def run(arguments: list[str]) -> None:
-        subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+        subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True, env=environment)
 
     paired_ratio(benchmark, lambda: run(["-m", *command.split()]), lambda: run(["-c", imports]), rounds, claim)

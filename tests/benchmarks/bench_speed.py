@@ -217,13 +217,7 @@ def test_design(benchmark):
     """Both steps and the whole certificate of controller I take at most 2 plain cvxpy solves of (22)."""
     vehicle = read_vehicle("quarter_car")
     plant = generalized_plant(vehicle)
-    paired_ratio(
-        benchmark,
-        lambda: Designer(vehicle).design("I"),
-        lambda: solve_lmi(plant, np.zeros((4, 0)), np.eye(4)),
-        21,
-        2,
-    )
+    paired_ratio(benchmark, lambda: Designer(vehicle).design("I"), lambda: solve_lmi(plant, np.zeros((4, 0)), np.eye(4)), 21, 2)
 
 
 DAMPED = """

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import finite, finite_pairs, table, wrapped
+from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.runs.agreement import COARSEST, SLACK
@@ -29,6 +30,7 @@ from synth.controller.report import judged_lines, norm_if_implemented
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
 # Beside RK4's own error, which is known:
 TOLERANCE = 1e-4  # of the response at a line: what turning makes of higher roads; on those of 0.1 mm 3e-7 is left
+SMALLER, LEAST_AMPLITUDE = 0.1, 1e-6  # share of the road's height, and least height [m], at which turning is told from error
 ABOVE = 1e-5  # above the norm, relative: free motion that is left when a gain is read
 REACHED = 1e-3  # below the norm
 LEAPS = 1e-3  # above the norm of a slower controller: energies between leaps are exact to the square of the timestep
@@ -45,6 +47,7 @@ class Sweep:
     road: WorstRoad | None  # the one that reaches it; None where there is none such
     loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
+    small: Lines | None = None  # over roads of `SMALLER` of the height, if lines are off and the vehicle turns
 
     @property
     def controller(self) -> Controller:
@@ -91,12 +94,28 @@ def sweep(
     progress(EXTREMES)
     most = extremes(near, controllers, amplitude, timestep, speed)
     loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
+    off = [line.controller for line in lines if _off(line)[0] > _off(line)[1] and not line.ended]
+    small: dict[str, Lines] = {}
+    if off and amplitude * SMALLER >= LEAST_AMPLITUDE and has_geometry(near):
+        small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
     ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
-        norm = norm_if_implemented(ideal, controller, timestep)
+        norm = norm_if_implemented(ideal, controller.quiet, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        sweeps.append(Sweep(line, extreme, norm, road, load, vehicle.implementation.noise_text))
+        noise_text = vehicle.implementation.noise_text
+        sweeps.append(Sweep(line, extreme, norm, road, load, noise_text, small.get(controller.name)))
     return sweeps
+
+
+def _off(lines: Lines) -> tuple[float, float, str, bool]:
+    """Returns the worst difference of a line from the sampled response, what is allowed of it, its signal, and whether the
+    timestep is too coarse for it.
+    """
+    off = difference(lines.measured, lines.sampled, lines.units)
+    integrator = SLACK * difference(lines.integrated, lines.sampled, lines.units)
+    allowed = np.minimum(integrator, COARSEST) + TOLERANCE
+    at = np.unravel_index(np.argmax(off / allowed), off.shape)
+    return float(off[at]), float(allowed[at]), lines.outputs[at[1]], bool(integrator[at] > COARSEST)
 
 
 def failures(one: Sweep | DescribingFunction) -> list[str]:
@@ -104,15 +123,11 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
     failed, lines, norm = [], one.lines, one.extremes.worst.gain
-    off = difference(lines.measured, lines.sampled, lines.units)
-    integrator = SLACK * difference(lines.integrated, lines.sampled, lines.units)
-    allowed = np.minimum(integrator, COARSEST) + TOLERANCE
-    at = np.unravel_index(np.argmax(off / allowed), off.shape)
-    if not off[at] <= allowed[at]:
-        why = "; the timestep is too coarse, give a smaller one" if integrator[at] > COARSEST else ""
-        failed.append(
-            f"a line of {lines.outputs[at[1]]} is {off[at]:.2e} off the sampled response; {allowed[at]:.2e} is allowed{why}"
-        )
+    # What turning makes of a line goes with the road's height.
+    off, allowed, signal, coarse = _off(lines if one.small is None else one.small)
+    if not off <= allowed:
+        why = "; the timestep is too coarse, give a smaller one" if coarse else ""
+        failed.append(f"a line of {signal} is {off:.2e} off the sampled response; {allowed:.2e} is allowed{why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
             failed.append(f"{invariant.name} is {invariant.error:.1e} off its invariant; {invariant.allowed:.1e} is allowed")

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import special
 
 from models.common.arrays import Array
+from models.common.lean_scipy import special
 
 LEVELS = np.linspace(0.0, 12.0, 1201)  # over sigma; no run is long enough to exceed them
 BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz]; a running mean over 1 s forgets within 64 s
@@ -108,7 +108,7 @@ class Gaussian:
         if not self.sigma:
             return 0.0
         mass, apart = self._mass, np.arange(len(self._mass)) * BIN
-        pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, 2 * len(mass))) ** 2)[: len(mass)]  # by difference of frequencies
+        pairs = 2 * np.fft.irfft(np.abs(np.fft.rfft(mass, _power_of_two(2 * len(mass)))) ** 2)[: len(mass)]  # by difference
         pairs[0] /= 2
         low = 1 / (1 + (2 * np.pi * apart * memory) ** 2)
         slow = float(pairs @ low)
@@ -136,10 +136,14 @@ class Gaussian:
     @cached_property
     def _correlation(self) -> tuple[Array, float]:
         """Autocorrelation rho from 0 on, and its step [s]."""
-        spectrum = np.concatenate([self._mass, np.zeros(len(self._mass))])
-        rho = np.fft.hfft(spectrum)
+        rho = np.fft.hfft(self._mass, _power_of_two(4 * len(self._mass)))
         half = len(rho) // 2
         return rho[:half] / rho[0], 1 / (BIN * len(rho))
+
+
+def _power_of_two(count: int) -> int:
+    """Returns the lowest power of two from a count on: Fourier transforms of a length with large factors are slow."""
+    return 1 << (count - 1).bit_length()
 
 
 def positive_part(covariance: float, x: float, y: float, mean: float = 0.0) -> float:

@@ -11,6 +11,7 @@ from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
 from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles
+from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import Vehicle
@@ -205,9 +206,10 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     notes += line_words(run.vehicle, found.line) if found.line is not None else []
     if found.static:
         rests = ", ".join(f"{name} {value:.4g} deg" for name, value in found.static.items())
+        lacking = left_out(run.vehicle.parameters, found.static)
         notes.append(
-            f"under the final loads the linear loop rests at {rests}; pitch is positive nose down, roll right side down; "
-            "the moment of the body's own weight as it turns is left out"
+            f"under the final loads the linear loop rests at {rests}; pitch is positive nose down, roll right side down"
+            + (f"; {lacking}" if lacking else "")
         )
     notes += beside(run.vehicle)
     if found.error is not None and found.error > EXACT:

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from models.common.arrays import Array
+from models.common.lean_scipy import optimize
 from sim.studies.stability.loop_transfer import LoopTransfer
 from synth.plant.discrete import held_inputs
 

@@ -10,7 +10,6 @@ A curve departs from its line gradually: it counts from a stated share, `LEAVES`
 """
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response, sampled_responses
 from sim.linear.switched_response import switched_response
 from sim.physics.run_blocks import runs_at_once
-from sim.physics.simulate import MonitoredBatch
+from sim.physics.simulate import FEWEST, MonitoredBatch
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
 from sim.response.response import Response
 from synth.controller.controller import Controller
@@ -141,11 +140,13 @@ def validity(
     Raises:
         Interrupted: Ctrl-C came before the last cell was done.
     """
-    # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others.
+    # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others,
+    # unless a thread would have too few runs.
     order = sorted(range(len(bumps)), key=lambda i: (bumps[i].length, bumps[i].speed))
     at_once = min(MOST_AT_ONCE, runs_at_once(len(time), len(vehicle.kind.wheels)))
-    rounds = math.ceil(len(bumps) / (cores() * at_once))
-    chunks = [chunk for chunk in np.array_split(order, cores() * rounds) if len(chunk)]
+    fewest = -(-len(bumps) // at_once)
+    batches = max(fewest, min(cores() * -(-fewest // cores()), len(bumps) // FEWEST))
+    chunks = [chunk for chunk in np.array_split(order, batches) if len(chunk)]
     pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time, loads, foretold) for chunk in chunks]
     parts: list[Cells | None] = [None] * len(chunks)
     try:

@@ -36,6 +36,7 @@ class Refinement:
         after: the norm it ended at.
         growth: largest entry of the gain in the loop's own units, after over before.
         refused: relative decrease of gamma by one more stage, and its growth of the gain; None if gamma would not decrease.
+        what: the norm, in words.
     """
 
     gain: Array
@@ -43,15 +44,16 @@ class Refinement:
     after: float
     growth: float
     refused: tuple[float, float] | None
+    what: str = "gamma"
 
     @property
     def traded(self) -> str:
         """The trade-off in words."""
-        text = f"gamma {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
+        text = f"{self.what} {self.before:.7g} -> {self.after:.7g} ({percent(1 - self.after / self.before)} less), "
         text += f"largest gain times {self.growth:.3g}"
         if self.refused is not None:
             bought, growth = self.refused
-            text += f"; refused: {percent(bought)} more of gamma for {growth:.3g} times the gain"
+            text += f"; refused: {percent(bought)} more of {self.what} for {growth:.3g} times the gain"
         return text
 
 

@@ -19,12 +19,11 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.sampled_norm import sampled_norm, stable
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.implementation_norm import norm_in_continuous_time, sampled_loop
+from synth.controller.implementation_norm import held_problem, norm_in_continuous_time, sampled_loop
 from synth.controller.open_loop import sampled
 from synth.design.sampled_data import held_design
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import SharedDesignData
-from synth.vehicle.sampled_data import held_problem
 
 SHORTEST = 1e-5  # s; a computer of 100 kHz is the fastest that is asked about
 TURN = 0.1  # rad that a mode turns by from one period that is tried to the next
@@ -156,7 +155,7 @@ def cost(
 def norm_at(vehicle: Vehicle, controller: Controller, period: float, delay: float, near: float) -> SampledNorm:
     """The norm of a loop at another sample period [s] and delay [samples] than the vehicle file says; it is near a guess."""
     built = replace(vehicle, implementation=Implementation(period, delay))
-    return sampled_norm(sampled_loop(built, controller), near)
+    return sampled_norm(sampled_loop(built, controller.quiet), near)
 
 
 def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:

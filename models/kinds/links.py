@@ -1,0 +1,135 @@
+"""Links between body and wheels: the axes about which a body turns, and the share of a load that springs do not carry.
+
+Heights are over the ground. With roll centres the body rolls about the axis through both. At the centre of mass this axis is at
+
+    h_r = (h_front l_rear + h_rear l_front) / L,     b = h - h_r     (axle distances l, their sum L).
+
+The body's inertia about it is I_x + m_s b^2. Its weight sways out by b phi and turns it by m_s g b phi. In a steady curve, over
+rigid tyres or with roll centres on the ground,
+
+    phi = m_s a b / (K - m_s g b)
+
+with the stiffness K of springs, bars and tyres (T. D. Gillespie, Fundamentals of Vehicle Dynamics, ch. 6; W. F. and D. L.
+Milliken, Race Car Vehicle Dynamics, ch. 18). With a pitch centre the body pitches about an axis at its height likewise. Both axes
+are level and keep their place over the ground: no tyre slips sideways, and a tyre yields upright alone. The links guide every
+wheel, so that a suspension's deflection is z - x theta + y phi - z_u at any angle.
+
+Links carry a horizontal force F on the body to the tyres. Of a sideways one each axle takes the share s, the other's distance
+over L. Its outer wheels gain s F h_axle / track by the links. A lengthways force moves the load F h / L from axle to axle. The
+share of an axle's part that links carry is its `anti_...`. The front has the share b_f of the braking force, and beta is the
+slope of the line from a tyre's contact to the instant centre of the side view. Then (Gillespie, ch. 7; Milliken, ch. 17), where
+the rear wheels drive,
+
+    anti_dive_front = b_f tan(beta) L / h,     anti_lift_rear = (1 - b_f) tan(beta) L / h,     anti_squat_rear = tan(beta) L / h.
+
+Such a link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
+times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.
+"""
+
+from collections.abc import Collection, Sequence
+
+from models.common.errors import InputError
+from models.kinds.kind import BodyLoad, Parameter, Parameters
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD, WHEEL_LOAD
+
+AXLES = ("front", "rear")
+LOWEST, HIGHEST = -2.0, 3.0  # m, of an axis, which may lie below the ground; and of a share
+UNDER = {"brakes": ("anti_dive_front", "anti_lift_rear"), "power": ("anti_lift_front", "anti_squat_rear")}
+
+
+def _optional(name: str, unit: str, meaning: str, smallest: float = LOWEST) -> Parameter:
+    return Parameter(name, unit, meaning, smallest=smallest, largest=HIGHEST, optional=True)
+
+
+ROLL_CENTRES = tuple(
+    _optional(f"roll_centre_height_{axle}", "m", f"over the ground, {axle}; the body rolls about the axis through both")
+    for axle in AXLES
+)
+PITCH_CENTRE = _optional("pitch_centre_height", "m", "over the ground, of the axis about which the body pitches")
+LENGTHWAYS = (
+    PITCH_CENTRE,
+    *(
+        _optional(f"wheel_centre_height_{axle}", "m", f"over the ground, {axle}, where the wheel's own mass pushes", smallest=0.0)
+        for axle in AXLES
+    ),
+    *(
+        _optional(name, "1", f"share of its axle's part of m_s a h that links carry under {what}")
+        for what, names in UNDER.items()
+        for name in names
+    ),
+)
+
+
+def arms(p: Parameters) -> tuple[float | None, float | None]:
+    """Returns the heights of the centre of mass over pitch and roll axis [m]; None for an axis that the vehicle file lacks."""
+    pitch = p["centre_height"] - p[PITCH_CENTRE.name] if PITCH_CENTRE.name in p else None
+    heights = [p[part.name] for part in ROLL_CENTRES if part.name in p]
+    if len(heights) < len(ROLL_CENTRES):
+        return pitch, None
+    return pitch, p["centre_height"] - sum(share * height for share, height in zip(_shares(p), heights, strict=True))
+
+
+def wheel_loads(p: Parameters, corners: Sequence[str]) -> tuple[BodyLoad, ...]:
+    """Returns the loads on the wheels at these corners; none if links and wheels' own mass are not in the vehicle file."""
+    carrying = any(part.name in p for part in (*ROLL_CENTRES, *LENGTHWAYS) if part is not PITCH_CENTRE)
+    return tuple(BodyLoad(f"{WHEEL_LOAD.name}_{corner}", f"unsprung_{corner}") for corner in corners) if carrying else ()
+
+
+def carried(p: Parameters, corners: Sequence[str], way: str, force: float, acceleration: float) -> dict[str, float]:
+    """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m].
+
+    Args:
+        corners: names of the corners, an axle's or with its side.
+        way: `roll_load` for a force to the right, `pitch_load` for one forwards.
+        force: on the body, at its centre of mass [N]: of inertia, or of wind.
+        acceleration: against which the wheels' mass pushes the same way [m/s2]; 0 for wind.
+    """
+    if not wheel_loads(p, corners):
+        return {}
+    own = [p[f"unsprung_mass_{axle}"] * acceleration * p.get(f"wheel_centre_height_{axle}", 0.0) for axle in AXLES]
+    if way == ROLL_LOAD.name:
+        past = [share * force * p.get(part.name, 0.0) for share, part in zip(_shares(p), ROLL_CENTRES, strict=True)]
+        gained = {axle: (link + 2 * wheel) / p["track"] for axle, link, wheel in zip(AXLES, past, own, strict=True)}
+        on_wheels = {name: gained[name.split("_")[0]] * (1.0 if name.endswith("left") else -1.0) for name in corners}
+        on_body = {ROLL_LOAD.name: -sum(past)}
+    else:
+        front, rear = (p.get(name, 0.0) for name in UNDER["brakes" if force > 0 else "power"])
+        length, wheels = sum(_distances(p)), len(corners) // 2
+        exchanged, by_wheels = force * p["centre_height"] / length, sum(own) / length
+        pushes = {"front": -front * exchanged / wheels - by_wheels, "rear": rear * exchanged / wheels + by_wheels}
+        on_wheels = {name: pushes[name.split("_")[0]] for name in corners}
+        moment = exchanged * (front * p["axle_distance_front"] + rear * p["axle_distance_rear"])
+        on_body = {HEAVE_LOAD.name: (front - rear) * exchanged, PITCH_LOAD.name: -moment}
+    return on_body | {f"{WHEEL_LOAD.name}_{name}": value for name, value in on_wheels.items()}
+
+
+def left_out(p: Parameters, angles: Collection[str]) -> str:
+    """Returns a sentence on the moments of its own weight that a body with these angles lacks; empty if it lacks none."""
+    axes = (("rolls", "roll_angle", ROLL_CENTRES[0]), ("pitches", "pitch_angle", PITCH_CENTRE))
+    turning = [turns for turns, angle, part in axes if angle in angles and part.name not in p]
+    how = "turns" if len(turning) == len(angles) else " and ".join(turning)
+    return f"the moment of the body's own weight as it {how} is left out" if turning else ""
+
+
+def check_links(p: Parameters) -> None:
+    """Refuses a single roll centre.
+
+    Raises:
+        InputError: one axle has a roll centre and the other none.
+    """
+    given = [part.name for part in ROLL_CENTRES if part.name in p]
+    if len(given) == 1:
+        other = next(part.name for part in ROLL_CENTRES if part.name not in p)
+        raise InputError(
+            f"{given[0]} is given and {other} is not; the body rolls about the axis through both: give both, or none"
+        )
+
+
+def _distances(p: Parameters) -> list[float]:
+    return [p[f"axle_distance_{axle}"] for axle in AXLES]
+
+
+def _shares(p: Parameters) -> list[float]:
+    """Returns each axle's share of a sideways force at the centre of mass."""
+    front, rear = _distances(p)
+    return [rear / (front + rear), front / (front + rear)]
