@@ -5,12 +5,12 @@ mode, the twist, is fixed by the suspension deflections and the twist of the roa
 """
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.kind import BodyLoad, Parameter, Parameters, Variation, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Bar, Corner, RigidBody
 
@@ -76,16 +76,14 @@ STATES = (
     *_at_corners(signals.UNSPRUNG_VELOCITY),
 )
 FORCES = _at_corners(signals.CONTROL_FORCE)
-OUTPUTS = (
-    *STATES,
-    *_at_corners(signals.TYRE_DEFLECTION),
+ACCELERATIONS = (
     signals.HEAVE_ACCELERATION,
     signals.PITCH_ACCELERATION,
     signals.ROLL_ACCELERATION,
     *_at_corners(signals.SPRUNG_VELOCITY),
     *_at_corners(signals.SPRUNG_ACCELERATION),
-    *FORCES,
 )
+OUTPUTS = (*STATES, *_at_corners(signals.TYRE_DEFLECTION), *ACCELERATIONS, *FORCES)
 ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
@@ -140,7 +138,7 @@ def motion(p: Parameters) -> "Motion":
 
     lengths = (*_at_corners(signals.SUSPENSION_DEFLECTION), *_at_corners(signals.TYRE_DEFLECTION))
     rates = (signals.HEAVE_VELOCITY, signals.PITCH_RATE, signals.ROLL_RATE)
-    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)))
+    return rigid_motion(_body(p), (*lengths, *rates, *_at_corners(signals.UNSPRUNG_VELOCITY)), (*ACCELERATIONS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:
@@ -149,6 +147,31 @@ def check(p: Parameters) -> None:
     rigid_body.check_inertia("roll_inertia", p["roll_inertia"], p["sprung_mass"], p["track"], "track")
     links.check_links(p)
     rigid_body.check_stands(_body(p))
+
+
+def static_tyre_deflection(p: Parameters) -> dict[str, float]:
+    """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
+    return _body(p).static_tyre_deflection()
+
+
+def write_mjcf(spec: Any, p: Parameters) -> None:
+    """Writes the parameters into the MJCF."""
+    rigid_body.write_mjcf(spec, _body(p))
+
+
+def wheel_loads(p: Parameters) -> tuple[BodyLoad, ...]:
+    """Returns the loads on the wheels."""
+    return links.wheel_loads(p, CORNERS)
+
+
+def carried(p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
+    """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
+    return links.carried(p, CORNERS, way, force, acceleration)
+
+
+def angles(p: Parameters) -> dict[str, dict[str, float]]:
+    """Returns the body's angles [rad] as sums of signals."""
+    return rigid_body.angles(_body(p))
 
 
 KIND = VehicleKind(
@@ -161,15 +184,15 @@ KIND = VehicleKind(
             road_displacement=f"road_displacement_{corner}",
             road_velocity=f"road_velocity_{corner}",
             tyre_deflection=f"tyre_deflection_{corner}",
-            behind=rigid_body.wheelbase if corner.startswith("rear") else lambda p: 0.0,
+            behind=rigid_body.wheelbase if corner.startswith("rear") else nowhere_else,
             side=corner.split("_")[1],
             lateral=partial(_side, corner.split("_")[1]),
         )
         for corner in CORNERS
     ),
     linear_model=linear_model,
-    static_tyre_deflection=lambda p: _body(p).static_tyre_deflection(),
-    write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
     check_together=check,
     combined={
         mode.name: {f"tyre_deflection_{corner}": float(share) for corner, share in zip(CORNERS, pattern, strict=True)}
@@ -177,8 +200,8 @@ KIND = VehicleKind(
     },
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS,
-    wheel_loads=lambda p: links.wheel_loads(p, CORNERS),
-    carried=lambda p, way, force, acceleration: links.carried(p, CORNERS, way, force, acceleration),
-    angles=lambda p: rigid_body.angles(_body(p)),
+    wheel_loads=wheel_loads,
+    carried=carried,
+    angles=angles,
     motion=motion,
 )

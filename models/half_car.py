@@ -1,11 +1,11 @@
 """Half-car: heave and pitch of a body on two axles, one side of a symmetric car. Its equations: `kinds/rigid_body.py`."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.kinds import links, rigid_body, signals
-from models.kinds.kind import Parameter, Parameters, Variation, VehicleKind, Wheel
+from models.kinds.kind import BodyLoad, Parameter, Parameters, Variation, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Corner, RigidBody
 
@@ -46,14 +46,13 @@ STATES = (
     *_at_corners(signals.UNSPRUNG_VELOCITY),
 )
 FORCES = _at_corners(signals.CONTROL_FORCE)
-OUTPUTS = (
-    *STATES,
+ACCELERATIONS = (
     signals.HEAVE_ACCELERATION,
     signals.PITCH_ACCELERATION,
     *_at_corners(signals.SPRUNG_VELOCITY),
     *_at_corners(signals.SPRUNG_ACCELERATION),
-    *FORCES,
 )
+OUTPUTS = (*STATES, *ACCELERATIONS, *FORCES)
 ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
@@ -98,13 +97,38 @@ def motion(p: Parameters) -> "Motion":
     """Returns the exact equations of motion."""
     from models.kinds.rigid_motion import rigid_motion
 
-    return rigid_motion(_body(p), STATES)
+    return rigid_motion(_body(p), STATES, (*ACCELERATIONS, *ON_DEMAND))
 
 
 def check(p: Parameters) -> None:
     """Refuses an impossible body."""
     rigid_body.check_inertia("pitch_inertia", p["pitch_inertia"], p["sprung_mass"], rigid_body.wheelbase(p), "wheelbase")
     rigid_body.check_stands(_body(p))
+
+
+def static_tyre_deflection(p: Parameters) -> dict[str, float]:
+    """Returns the compression of each tyre at rest [m], by tyre deflection signal."""
+    return _body(p).static_tyre_deflection()
+
+
+def write_mjcf(spec: Any, p: Parameters) -> None:
+    """Writes the parameters into the MJCF."""
+    rigid_body.write_mjcf(spec, _body(p))
+
+
+def wheel_loads(p: Parameters) -> tuple[BodyLoad, ...]:
+    """Returns the loads on the wheels."""
+    return links.wheel_loads(p, CORNERS)
+
+
+def carried(p: Parameters, way: str, force: float, acceleration: float) -> dict[str, float]:
+    """Returns the loads that links and the wheels' own mass add to a force's moment on the body, by name [N, N m]."""
+    return links.carried(p, CORNERS, way, force, acceleration)
+
+
+def angles(p: Parameters) -> dict[str, dict[str, float]]:
+    """Returns the body's angles [rad] as sums of signals."""
+    return rigid_body.angles(_body(p))
 
 
 KIND = VehicleKind(
@@ -117,19 +141,19 @@ KIND = VehicleKind(
             road_displacement=f"road_displacement_{corner}",
             road_velocity=f"road_velocity_{corner}",
             tyre_deflection=f"tyre_deflection_{corner}",
-            behind=rigid_body.wheelbase if corner == "rear" else lambda p: 0.0,
+            behind=rigid_body.wheelbase if corner == "rear" else nowhere_else,
         )
         for corner in CORNERS
     ),
     linear_model=linear_model,
-    static_tyre_deflection=lambda p: _body(p).static_tyre_deflection(),
-    write_mjcf=lambda spec, p: rigid_body.write_mjcf(spec, _body(p)),
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
     check_together=check,
     on_demand=ON_DEMAND,
     loads=rigid_body.LOADS[:2],
-    wheel_loads=lambda p: links.wheel_loads(p, CORNERS),
-    carried=lambda p, way, force, acceleration: links.carried(p, CORNERS, way, force, acceleration),
-    angles=lambda p: rigid_body.angles(_body(p)),
+    wheel_loads=wheel_loads,
+    carried=carried,
+    angles=angles,
     motion=motion,
     lacking={
         "anti_roll": "an anti-roll bar acts where a body rolls, and a half-car only heaves and pitches: take a full_car",

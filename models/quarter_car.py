@@ -126,7 +126,27 @@ def motion(p: Parameters) -> "Motion":
         tyre_stiffness=p["tyre_stiffness"],
     )
     body = RigidBody((corner,), p["sprung_mass"], 1.0, None, tyre_modes=np.eye(1), twist=np.zeros(1))
-    return rigid_motion(body, STATES)
+    return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))
+
+
+def hub_frequency(p: Parameters) -> float:
+    """Returns the frequency of the wheel on its tyre alone [rad/s]."""
+    return math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"])
+
+
+def mass_ratio(p: Parameters) -> float:
+    """Returns the unsprung mass over the sprung mass."""
+    return p["unsprung_mass"] / p["sprung_mass"]
+
+
+def rigid_frequency(p: Parameters) -> float:
+    """Returns the frequency of both masses as one on the tyre [rad/s]."""
+    return math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"]))
+
+
+def whole_ratio(p: Parameters) -> float:
+    """Returns the whole mass over the sprung mass."""
+    return (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"]
 
 
 # From m_s z_s'' + m_u z_u'' = -k_u (z_u - z_r), which contains no suspension force.
@@ -134,14 +154,14 @@ INVARIANTS = (
     Invariant(
         name="z_s/z_r",
         signals=(signals.SUSPENSION_DEFLECTION.name, signals.TYRE_DEFLECTION.name, signals.ROAD_DISPLACEMENT.name),
-        omega=lambda p: math.sqrt(p["tyre_stiffness"] / p["unsprung_mass"]),
-        magnitude=lambda p: p["unsprung_mass"] / p["sprung_mass"],
+        omega=hub_frequency,
+        magnitude=mass_ratio,
     ),
     Invariant(
         name="(z_s-z_u)/z_r",
         signals=(signals.SUSPENSION_DEFLECTION.name,),
-        omega=lambda p: math.sqrt(p["tyre_stiffness"] / (p["sprung_mass"] + p["unsprung_mass"])),
-        magnitude=lambda p: (p["sprung_mass"] + p["unsprung_mass"]) / p["sprung_mass"],
+        omega=rigid_frequency,
+        magnitude=whole_ratio,
     ),
 )
 

@@ -62,8 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not options.brief:
             for of_run in compared_lines(runs, passive):
                 lines += ["", *of_run]
-        recordings = [] if options.brief else log_lines(logs)
-        say([*lines, "", *standing_lines(standings, "MuJoCo, all of the run"), *recordings, "", *summary_lines(runs)])
+        lines += ["", *standing_lines(standings, "MuJoCo, all of the run")]
+        say([*lines, *log_lines(logs, options.brief), "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 

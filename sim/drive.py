@@ -78,8 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lines += ["", *compared, ""]
                 lines += metric_lines(run, one, float(time[first]), options.duration, roughness)
         window = f"MuJoCo, from {time[first]:.4g} s on"
-        recordings = [] if options.brief else log_lines(logs)
-        say([*lines, "", *standing_lines(standings, window), *recordings, "", *summary_lines(runs)])
+        say([*lines, "", *standing_lines(standings, window), *log_lines(logs, options.brief), "", *summary_lines(runs)])
     view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 

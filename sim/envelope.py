@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.runs.run import sample_times
     from sim.studies.validity.grid import UNITS, grid, read_axes
     from sim.studies.validity.regime_map import InterruptedMap, loaded, validity
-    from sim.studies.validity.report import envelope_lines, envelope_object, loads_object, write_csv
+    from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
 
     vehicle = read_vehicle(options.vehicle)
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
         about = f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}{under}"
-        lines = titled(about, vehicle.source)
+        lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
         say([*lines, *written_lines(outputs), *log_lines(logs), "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():
         complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")

@@ -133,16 +133,12 @@ def _which_loop(vehicle: "Vehicle") -> str:
         lines += "; MuJoCo has these lines, as a curve bends at rest"
     if vehicle.ideal and not vehicle.dampers:
         return lines
-    lag = "with" if vehicle.limits.actuator_bandwidth is not None else "without"
-    without = " and without the file's [implementation], whose delay and period are part of what it bears"
-    if vehicle.implementation.has_measurement_noise:
-        without += f", and whose {vehicle.implementation.noise_text} is not tried"
-    computer = "" if vehicle.implementation.ideal else without
-    follow = "; they hold only while the adjustable dampers of [actuators] give the force, as those do that push" * bool(
-        vehicle.dampers
-    )
-    borne = f"borne by the loop {lag} an actuator's lag{computer}{follow}; norms of other vehicles are of the ideal loop"
-    return "; ".join(filter(None, (borne, lines)))
+    how = vehicle.implementation
+    loop = f"the loop has {'no actuator lag' if vehicle.limits.actuator_bandwidth is None else 'the lag of its actuators'}"
+    totals = "" if how.prompt else "delay and sample period below are totals, each alone, which the file's own are part of"
+    blur = f"{how.noise_text} is left out" if how.has_measurement_noise else ""
+    follow = "margins hold only while the adjustable dampers of [actuators] give the commanded force" if vehicle.dampers else ""
+    return "; ".join(filter(None, (loop, totals, blur, follow, "norms of other vehicles are of the ideal loop", lines)))
 
 
 if __name__ == "__main__":

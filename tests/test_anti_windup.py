@@ -16,7 +16,8 @@ from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.inspect.__main__ import main as inspect
-from sim.physics.simulate import simulate
+from sim.physics.simulate import MonitoredBatch, simulate
+from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisation
 from sim.runs.report import controller_lines, controller_object, verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
@@ -131,6 +132,36 @@ def test_a_batch_is_as_its_runs():
         assert np.array_equal(together.run(i).values, alone.run(0).values)
 
 
+def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
+    """No linear claim is made once anti-windup acts: when the demand is clipped, before the lagging force is at its limit.
+
+    The first clipped demand is that of a run, of a batch in blocks, as of campaigns and maps, and of a scaled linear response.
+    """
+    plain = limited(50.0)
+    vehicle = replace(plain, limits=replace(plain.limits, actuator_bandwidth=20.0))
+    controller, time, end = designed(vehicle, "kept"), sample_times(vehicle, 0.5, 1e-3), END_NAMES.index(SATURATION.name)
+    road = RoadInput(vehicle, BUMP, time)
+    made = simulate([controller], [road])
+    demand, force = made.asked[0, :, 0], made.response["control_force"][0]
+    clipped, full = (time[(np.abs(signal) >= 50.0).argmax()] for signal in (demand, force))
+    assert 0 < clipped < full - 5e-3
+    (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
+    assert run.holds
+    assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
+    assert any("asked for more than its force" in line for line in verdict_lines(run))
+    (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)
+    full = time[(np.abs(free.physics["control_force"]) >= 50.0).argmax()]
+    assert clipped < free.agreement.ended[SATURATION.name] == full  # without anti-windup a lag is linear until then
+    batch = MonitoredBatch([controller] * 2, [road] * 2)
+    for _ in batch.blocks():
+        pass
+    assert (batch.ends.times[:, end] == clipped).all()
+    (factor,) = 1 / utilisation(vehicle, run.sampled, anti_windup=True)[[end]]
+    times = scaled_reached(vehicle, run.sampled, np.array([1.0, 0.999 * factor, 1.001 * factor]), anti_windup=True)[:, end]
+    assert times[0] == clipped
+    assert np.isfinite(times).tolist() == [True, False, True]
+
+
 def test_what_is_clipped_is_zero_while_nothing_is():
     """Of a force that a damper gives exactly nothing is clipped, to the last bit; of others as much as the harness misses."""
     of = range_of([read_vehicle("quarter_car_semi_active").adjustable], ["control_force"])
@@ -185,6 +216,16 @@ def test_a_state_that_shows_in_no_force_is_refused():
     law = LinearLaw(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), anti_windup=RATE)
     with refused("anti_windup = 20", "shows in no force"):
         anti_windup_gain(law.sampled(1e-3))
+
+
+def test_a_rate_that_rounding_hides_is_refused():
+    """An integrator decays at twice the rate; a rate below a millionth per sample would do nothing, and is refused."""
+    integrator = LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), anti_windup=2e-3)
+    law = integrator.sampled(1e-3)
+    left = 1 - float((law.A - anti_windup_gain(law) @ law.C)[0, 0])
+    assert left == pytest.approx(2 * 2e-3 * 1e-3, rel=1e-5)  # first order of 4e-6, and rounding of 1 + 4e-6
+    with refused("anti_windup = 0.0005", "lost in rounding at a sample period of 0.001 s; give at least 0.001"):
+        anti_windup_gain(replace(law, anti_windup=5e-4))
 
 
 GAIN = 'measured = ["sprung_velocity"]\ngain = [[-100.0]]\n'

@@ -11,11 +11,12 @@ from scipy.stats import qmc
 from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.campaign.__main__ import main
+from sim.campaign.best import Choice, Request, _near
 from sim.campaign.file import read_campaign
-from sim.campaign.plan import Plan
+from sim.campaign.plan import Candidate, Plan
 from sim.campaign.summary import trade_off
 from sim.studies.ride.standing import KEYS
-from tests.commands import prose
+from tests.commands import prose, refused
 
 CAR = (
     read_vehicle("quarter_car_semi_active").text
@@ -172,7 +173,9 @@ def test_the_saved_file_drives_as_the_variant(tmp_path, capsys, car, law, keys):
     tuned = f"{law}_tuned"
     assert f"saved as controller {tuned}" in capsys.readouterr().out
     said = (tmp_path / "tuned.toml").read_text()
-    (variant,) = re.findall(rf"variant (\d) of {law}: the best ride within control_force_rms <= 10000 and ride <= 1000", said)
+    (variant,) = re.findall(
+        rf"variant (\d) of {law}: the best ride within control_force_rms <= 10000 N and ride <= 1000 m/s2", said
+    )
     assert "seed 4 of [samples]" in said
     assert "--subject-to control_force_rms:1e4 --subject-to ride:1e3 --save" in said
     again = text.replace(f'"{law}"', f'"{tuned}"').replace("variants = 3\n", "").replace("car.toml", "tuned.toml")
@@ -186,6 +189,15 @@ def test_the_saved_file_drives_as_the_variant(tmp_path, capsys, car, law, keys):
         of_law = [row for row in then if row["controller"] == law and row["sample"] == 1]
         found = {row[f"expected_{RIDE}"] or row[f"linear_{RIDE}"] for row in of_law if row["seed"] != 1}
         assert len(found) == 2 * 3, "every variant has its own prediction, over the random road and the bump"
+
+
+def test_a_near_tie_is_named():
+    """Candidates with the digits that the table prints for the best are named with their distance; others are not."""
+    best, tied, worse = (Candidate(name, None) for name in ("pdd", "acc", "soft"))
+    near = _near("peak_travel", best, {worse: 0.0701, best: 0.07, tied: 0.07 * (1 + 3e-6)})  # in mm: 70.1, 70.0, 70.0
+    assert near == {"acc": pytest.approx(3e-6, rel=1e-6)}  # rounding of 1 + 3e-6
+    said = Choice("car", Request("peak_travel", {}), best, {}, {"peak_travel": 0.07}, 3, 3, near).line
+    assert said == "car: the best peak_travel has pdd: peak_travel 0.07; of 3; and acc within 0.0003 %"
 
 
 def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
@@ -202,7 +214,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert nearest["misses"] == {"peak_travel": numbers[who][0] - travel, "dynamic_load": numbers[who][1] - load}
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
-    limits = r"peak_travel <= \S+ and dynamic_load <= \S+"
+    limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
     said = rf"none of 12 is within {limits}; {name}.* is nearest, and misses peak_travel by \S+ \(.* %\)"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
@@ -227,7 +239,12 @@ def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys)
     """Where a controller of the file is best, the saved file is that file, with a comment; a lone table leaves no best out."""
     folder, _ = campaign
     options = ["--best", "force_peak", "--save", str(folder / "saved.toml"), "--brief"]
-    assert main([str(folder / "campaign.toml"), *options]) == 0
+    (folder / "saved.toml").write_text(CAR)
+    with refused("saved.toml exists and was not written by --save"):
+        main([str(folder / "campaign.toml"), *options])
+    (folder / "saved.toml").unlink()
+    for _ in range(2):  # it replaces what it wrote
+        assert main([str(folder / "campaign.toml"), *options]) == 0
     out = prose(capsys.readouterr().out)
     assert "the best force_peak has passive: force_peak 0; of 12" in out
     assert "variants that are best at nothing are left out" in out
@@ -251,6 +268,8 @@ def test_a_folder_of_drawn_laws_is_verified(campaign, capsys):
         (["--best", "colour"], "--best 'colour' is no metric of this campaign; give at_stops, dynamic_load, force_peak"),
         (["--best", "linear_error"], "--best 'linear_error' is no metric of this campaign"),
         (["--best", "at_stops"], "--best at_stops: vehicle 'car.toml' has no such metric; it has control_energy"),
+        (["--best", "ride", "--subject-to", "travel:0.08"], "'travel' is no metric of this campaign, and peak_travel is; give"),
+        (["--best", "ride", "--subject-to", "peak_travel:-1"], "peak_travel:-1: peak_travel is never below 0; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "colour:1"], "--subject-to 'colour' is no metric"),
         (["--best", "ride", "--subject-to", "peak_travel:nan"], "'nan' is no finite number; give METRIC:LIMIT"),
         (["--best", "ride", "--subject-to", "peak_travel:-inf"], "'-inf' is no finite number"),

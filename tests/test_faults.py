@@ -13,6 +13,7 @@ from models.common.errors import InputError
 from models.roads.road import Bump, RoadInput
 from models.vehicle.mjcf import build_spec
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.physics import sensor_readout
 from sim.physics.simulate import simulate
 from sim.runs.agreement import compare
 from sim.runs.report import verdict, verdict_lines
@@ -99,6 +100,59 @@ def found(clean: Run, vehicle: Vehicle, fault: Fault | None = None) -> bool:
     with built_with(fault or (lambda spec: None)):
         made = simulate([clean.controller], [RoadInput(vehicle, clean.road, clean.physics.time)])
     return not compare(clean.prediction, made.run(0), made.requested_force[0]).step_by_step
+
+
+def clipped(vehicle: Vehicle, clean: Run, signal: str) -> Fault:
+    """A fault of a sensor: it reads the signal only up to half of its largest value."""
+    names, (_, readout) = vehicle.linear_model.outputs, sensor_readout.prepared(vehicle, 1e-3)
+    most = abs(readout.rest[names.index(signal)]) + 0.5 * float(clean.physics[signal].max())
+
+    def fault(spec):
+        spec.sensor(signal).cutoff = most
+
+    return fault
+
+
+def displaced(spec):
+    """A fault of the sensors of the body's centre: they sit 1 cm above it."""
+    spec.site("centre").pos[2] += 0.01
+
+
+@pytest.mark.parametrize("signal", ["heave_acceleration", "unsprung_acceleration_front", ""])
+def test_signals_that_are_wrong_at_large_motions_alone_are_found(signal):
+    """A sensor that clips, or one beside its place, is no geometry: it has gone at a hundredth of the height.
+
+    The state tells every acceleration: those of a correct half-car are as exact as its steps.
+    """
+    text = read_vehicle("half_car").text.replace("[performance]", "[performance]\nunsprung_acceleration_front = 1e-3", 1)
+    vehicle, road = parse_vehicle(text), Bump(0.1)
+    clean = judged(vehicle, road, "passive", duration=0.4)
+    assert clean.holds
+    assert clean.agreement.steps is not None
+    assert clean.agreement.steps.error < 1e-12  # rounding
+    fault = clipped(vehicle, clean, signal) if signal else displaced
+    wrong = judged(vehicle, road, "passive", fault, duration=0.4)
+    steps = wrong.agreement.steps
+    assert steps is not None
+    assert all(one.agrees for one in wrong.agreement.signals.values())  # nothing else finds it
+    assert not steps.agrees
+    assert steps.signal == (signal or "heave_acceleration")
+    apart = np.abs(wrong.physics[steps.signal] - clean.physics[steps.signal])
+    assert steps.since == wrong.physics.time[(apart > steps.allowed * wrong.physics.scale(steps.signal)).argmax()]
+    assert verdict(wrong).startswith("DOES NOT AGREE step by step")
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("kind", KINDS)
+def test_sensors_count(kind):
+    """Every sensor that clips its signal is found: in the air, and where forces are at their limit."""
+    for regime in ("flight", "force"):
+        vehicle, road, name = driven(kind, regime)
+        clean = judged(vehicle, road, name)
+        sensors = [each for each in vehicle.linear_model.outputs if each not in vehicle.kind.combined]
+        heard = [each for each in sensors if clean.physics[each].max() > 1e-6 * clean.physics.scale(each)]
+        assert len(heard) > len(sensors) / 2
+        assert [each for each in heard if not found(clean, vehicle, clipped(vehicle, clean, each))] == []
 
 
 def numbers(kind: str, regime: str) -> list[tuple[str, str, str, int]]:

@@ -404,7 +404,8 @@ REFUSED = [
     (["--front", "ride:travel", "--picture", "a.png", "--csv", "a.png"], "is the file of"),
     (["--front", "ride:travel", "--csv", "/nowhere/a.csv"], "/nowhere"),
     (["--front", "ride:travel", "--csv", "/dev/stdout", "--json"], "both write to standard output"),
-    (["--csv", "a.csv"], "--csv and --point are of the designs of --front"),
+    (["--csv", "a.csv"], "--csv is of the designs of --front"),
+    (["--point", "3"], "--point is of the designs of --front"),
 ]
 
 

@@ -78,8 +78,8 @@ def test_its_table_says_what_the_norm_is_of(tmp_path, capsys):
     asked = ["--vehicle", str(file), "--controller", "one", "--controller", "passive"]
     assert main(asked) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "of road and noise together: a noise of 0.001 on suspension_deflection, 0.02 on sprung_velocity counts as" in text
-    assert "with the actuators' lag, 80 rad/s; the force that z weighs is the one asked for" in text
+    assert "count noise, too: an rms of 0.001 on suspension_deflection, 0.02 on sprung_velocity weighs as much as 1 m/s" in text
+    assert "include the actuators' lag, 80 rad/s; z weighs the commanded force" in text
     assert "without [limits] and [implementation], but for the noise and lag that one asks for" in text
     assert main([*asked, "--json"]) == 0
     one, passive = json.loads(capsys.readouterr().out)["controllers"]
@@ -170,10 +170,10 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert main(["--vehicle", str(file), "--controller", "one", "--save", str(saved)]) == 0
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
-    assert "of road and noise together" in " ".join(capsys.readouterr().out.split())
+    assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
     assert bump(["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--logs", str(logs)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "of road and noise together" in said
+    assert "norm and bounds count noise, too" in said
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0
     capsys.readouterr()
     saved.write_text(saved.read_text().replace("sprung_velocity = 0.02", "sprung_velocity = 2.0"))
@@ -188,7 +188,7 @@ def test_swept_without_noise(tmp_path, capsys):
     )
     assert sweep(["--vehicle", str(file), "--controller", "one", "--timestep", "4e-3"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "of the continuous one, norm and bounds are of road and noise together" in said
+    assert "about the continuous norm: norm and bounds count noise, too: an rms of" in said
 
 
 def test_loops_of_python_control():
@@ -312,7 +312,7 @@ def test_a_law_too_fast_for_its_period():
         InputError, match=r"controller 'one' changes its states too fast to be run every 0.01 s: .*B has an entry"
     ):
         sampled(vehicle, controller, 0.01)
-    assert any("bilinear transform (Tustin)" in line for line in judged_lines(controller))
+    assert any("Tustin transform" in line for line in judged_lines(controller))
     faster = built(law.replace("5e13", "1e15"), section=section, with_what="[implementation]\nsample_period = 0.01\n")
     with pytest.raises(InputError, match=r"\[controllers.one\] of its continuous counterpart \(Tustin\), B has an entry"):
         Designer(faster).design("one")

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -102,6 +103,14 @@ def test_geometry_is_all_that_differs_in_cars(kind, text, name):
     assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
     assert run.energy is not None
     assert run.energy.residual < 1e-6
+
+
+def test_a_flat_road_has_no_roughness(capsys):
+    """Over a flat road the table has no rows of IRI, which would be rounding; over a bump it has them."""
+    options = ["--vehicle", "half_car", "--controller", "passive", "--duration", "1", "--no-logs"]
+    for road, rows in (("flat", 0), ("bump", 1)):
+        assert main([*options, "--road", road, "--load", "brake:g=0.1"]) == 0
+        assert len(re.findall(r"^  iri ", capsys.readouterr().out, re.M)) == rows
 
 
 def test_error_is_of_the_fourth_order(paper, designer):

@@ -652,12 +652,12 @@ def test_loops_without_margins(tmp_path, paper, gain, word):
 def test_which_loop_is_said(paper):
     """What the vehicle file says beyond parameters is in the margins or left out of them; it is said which."""
     plain = _which_loop(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
-    assert plain == "borne by the loop without an actuator's lag; norms of other vehicles are of the ideal loop"
+    assert plain == "the loop has no actuator lag; norms of other vehicles are of the ideal loop"
     built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))
-    assert "with an actuator's lag and without the file's [implementation]" in _which_loop(built)
-    assert "not tried" not in _which_loop(built)
+    assert "has the lag of its actuators; delay and sample period below are totals" in _which_loop(built)
+    assert "left out" not in _which_loop(built)
     blurred = dataclasses.replace(built, implementation=Implementation(noise={"sprung_velocity": 0.01}))
-    assert "whose noise is not tried;" in _which_loop(blurred)
+    assert "noise is left out;" in _which_loop(blurred)
 
 
 def test_logs_of_earlier_versions_are_of_margins_too(paper):

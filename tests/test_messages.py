@@ -49,6 +49,28 @@ def test_values(value):
     assert len(quoted(value)) <= LONGEST_VALUE
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        *(
+            ("[controllers.I]", f'[controllers.own]\nmeasured = ["control_force_rear_left"]\norder = {value}\n[controllers.I]',
+             f"[controllers.own] order = {value.title()} is not known; known: full")
+            for value in ("true", "0", "[]")
+        ),
+        ("[controllers.I]", "[implementation]\nquantisation = { heave_acc = 1.0 }\n[controllers.I]",
+         "[implementation] quantisation of unknown signal 'heave_acc'; measured can be heave_acceleration, "),
+        ("[controllers.I]", f"x = {'[' * 2000}{']' * 2000}\n[controllers.I]", "its brackets are nested too deeply; a matrix"),
+    ],
+)  # fmt: skip
+def test_the_cause_is_named_shortly(old, new, said):
+    """A value of a wrong type, a wrong signal among dozens, and nested brackets are each said in less than 300 characters."""
+    text = read_vehicle("full_car").text
+    with pytest.raises(InputError) as error:
+        parse_vehicle(text.replace(old, new, 1))
+    assert said in str(error.value)
+    assert len(str(error.value)) < 300
+
+
 @pytest.mark.parametrize("most", [10, 11, 60])
 def test_the_middle(most):
     """What is cut has exactly the length that is allowed, its first characters and its last."""

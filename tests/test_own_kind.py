@@ -1,8 +1,12 @@
 """A kind of vehicle of the user's own: its three files work beside one another, and whatever is wrong with one is one line."""
 
+import copy
 import json
 import os
+import pickle
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +16,7 @@ from models.common.files import TEXT
 from models.kinds.user_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 from models.vehicle.vehicle import kinds, read_vehicle
 from sim.bump import main
+from tests.commands import environment
 from tests.damaged_kinds import damages
 from tests.pages import hopper
 
@@ -37,6 +42,17 @@ def refusal(folder: Path) -> str:
 def test_it_works(folder):
     """As models/README.md has them, they do."""
     assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
+
+
+def test_it_goes_to_other_processes(folder):
+    """Pickle writes it with its functions, also into a process that knows no such file; a deep copy is the same kind."""
+    vehicle = read_vehicle(folder / "hopper.toml")
+    (folder / "hopper.pickle").write_bytes(pickle.dumps(vehicle))
+    assert copy.deepcopy(vehicle).kind is vehicle.kind
+    (folder / "hopper.py").unlink()
+    code = "import pickle; print(pickle.load(open('hopper.pickle', 'rb')).kind.model({'mass': 2.0, 'stiffness': 8.0}).A.tolist())"
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment(), capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[[0.0, 1.0], [-4.0, 0.0]]"
 
 
 @pytest.mark.parametrize(

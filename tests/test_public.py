@@ -7,6 +7,7 @@ import doctest
 import importlib
 import inspect
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ import pytest
 import models
 import sim
 import synth
+from models.vehicle.vehicle import shipped
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = (models, synth, sim)
@@ -188,6 +190,35 @@ def test_with_parameters():
             vehicle.with_parameters(**wrong)
     with pytest.raises(models.InputError, match="unknown parameter 'sprung_mas'"):
         dataclasses.replace(vehicle, parameters={**vehicle.parameters, "sprung_mas": 1.0})
+
+
+def test_vehicles_and_controllers_go_to_other_processes():
+    """Plain pickle writes every shipped vehicle, whole, and a controller; what comes back is the same, as is a deep copy."""
+    for name in shipped():
+        vehicle = models.read_vehicle(name)
+        for again in (pickle.loads(pickle.dumps(vehicle)), copy.deepcopy(vehicle)):
+            assert (again.text, again.shown, again.kind.signals) == (vehicle.text, vehicle.shown, vehicle.kind.signals)
+            for one, same in zip(vehicle.kind.wheels, again.kind.wheels, strict=True):
+                assert one.behind is same.behind
+                assert one.lateral(vehicle.parameters) == same.lateral(again.parameters)
+            np.testing.assert_array_equal(again.linear_model.C, vehicle.linear_model.C)
+    (controller,) = synth.design_controllers(models.read_vehicle("quarter_car"), ["I"])
+    for again in (pickle.loads(pickle.dumps(controller)), copy.deepcopy(controller)):
+        assert repr(again) == repr(controller)
+        np.testing.assert_array_equal(again.gain, controller.gain)
+
+
+def test_one_controller_is_a_list_of_one():
+    """A single name, or controller, is run and designed as a list of it; no controller at all is refused by both."""
+    vehicle, bump = models.read_vehicle("quarter_car"), models.Bump()
+    (passive,) = synth.design_controllers(vehicle, "passive")
+    for one in ("passive", passive):
+        (alone,), (listed,) = (sim.run(vehicle, given, bump, duration=0.1) for given in (one, [one]))
+        np.testing.assert_array_equal(alone.physics["tyre_deflection"], listed.physics["tyre_deflection"])
+    for call in (lambda: sim.run(vehicle, [], bump), lambda: synth.design_controllers(vehicle, [])):
+        with pytest.raises(models.InputError, match="at least one"):
+            call()
+    assert max(len(repr(one)) for one in (vehicle.kind, synth.Designer(vehicle))) < 130
 
 
 def test_a_vehicle_is_read_only():

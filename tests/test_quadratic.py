@@ -121,7 +121,8 @@ def test_cars(kind):
     assert lqr.h2_norm < lqg.h2_norm < static
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
-    assert lqg.remark == f"it needs noise on what is measured almost without: {ASSUMED:g} of the plant's own size was assumed"
+    said = "this design needs noise on measurements that have little or none"
+    assert lqg.remark == f"{said}: {100 * ASSUMED:g} % of the plant's own size was assumed"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark
@@ -132,7 +133,7 @@ def test_a_force_that_costs_nothing():
     """Where z does not weigh a force a small cost is assumed, and said."""
     plant, Cy, Dyw = noisy(2, 0.4)
     free = replace(plant, D=0 * plant.D)
-    assert "a cost of the forces" in lqr_design(free).remark
+    assert "a cost for forces" in lqr_design(free).remark
     assert "noise" not in h2_design(free, Cy, Dyw).remark
     assert lqr_design(free).h2_norm < lqr_design(plant).h2_norm
 

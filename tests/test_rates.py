@@ -23,7 +23,7 @@ from synth.controller.implementation_norm import norm_as_implemented
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
-from synth.vehicle.sample_rate.report import LITTLE, drawn_periods, rates_figure
+from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
 from tests.commands import attacks, prose
 from tests.shared import made
@@ -127,6 +127,8 @@ def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     )
     vehicle = parse_vehicle(text)
     found = cost(vehicle, design(vehicle, name), [1e-5, 2e-5])
+    said = f"controller {name}: in continuous time, with lag: norm {found.ideal:.7g}"
+    assert prose(" ".join(cost_lines(found, "lag"))).startswith(said)
     off = [found.loss(at.undelayed_norm) for at in found.rates]
     assert 0 < abs(off[0]) < 6e-4  # rad, what 63 rad/s turns by in 10 us
     assert off[1] / off[0] == pytest.approx(2, rel=1e-2)  # the first power of the period

@@ -192,6 +192,8 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
     ("text", "said"),
     [
         (GOOD.replace("rear", "back"), "no column is called rear, after the wheel that would stand on it, but back, front"),
+        (GOOD.replace("\n", ",0\n").replace("mm],0", "mm],spare [mm]"), "column 'spare' is of no wheel of this vehicle"),
+        (GOOD.replace("rear", "front"), "two columns are called 'front'"),
         (GOOD.replace("rear", "Front"), "two columns, 'front' and 'Front', are of one wheel"),
         (GOOD.replace("front [mm]", "front"), "column 2, 'front', has no unit; allowed: cm, ft, in, km, m, mm; write front [m]"),
         (GOOD.replace("time [s]", "time"), "column 1, 'time', has no unit; allowed: ms, s; write time [s]"),
@@ -226,6 +228,7 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "rig:depth=2"], "a rig is given by its drive file"),
         (["--road", "rig:file=drive.rsp"], "a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"),
         (["--road", "rig:file=none.csv"], "drive file none.csv: there is no such file"),
+        (["--road", "none.crg"], "road file none.crg: there is no such file"),
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),
         (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was asked for"),

@@ -378,7 +378,7 @@ HEADED = [  # (what stands above, how the numbers are read without it: columns a
     ("distance [m],left [mm],right [mm]", (0, 2, 2), (1, 1e-3, 1e-3), ":columns=1,3"),
     ("distance,left [mm],right [mm]", (0, 1, 2), (1, 1e-3, 1e-3), ":height_unit=mm"),
     ("distance [furlong],height [yd],t", (0, 1, 1), (0.3048, 0.01, 0.01), ":distance_unit=ft:height_unit=cm"),
-    ("a,b,c", (0, 1, 2), (1, 1, 1), ""),
+    ("a,b,c", (0, 1, 2), (1, 1, 1), ":columns=1,2,3"),
     ("the left lane, in m, by hand", (0, 1, 2), (1, 1, 1), ""),
     ("# in,cm,mm", (0, 1, 2), (1, 1, 1), ""),
 ]
@@ -408,6 +408,14 @@ def test_headings(tmp_path, monkeypatch, above, columns, metres, settings, separ
             ":columns=1,3,2",
             "column 3 is called 'right', and would be read as the height of the left track",
         ),
+        (
+            "a,b,c",
+            "",
+            "column 1 is called 'a', and none of distance, height, left, right; say which columns are meant, as in :col",
+        ),
+        ("distance,a,b [mm]", "", "column 2 is called 'a', and none of distance"),
+        ("distance,height,height [m]", "", "columns 2, 'height' and 3, 'height [m]', are both height; say which columns"),
+        ("x,station,z", "", "columns 1, 'x' and 2, 'station', are both distance"),
         ("left,right,distance", ":columns=1,2", "column 1 is called 'left', and would be read as distance"),
         ("height,distance,right", "", "column 1 is called 'height', and would be read as distance"),
         ("time,height,right", "", "column 1 is called 'time', and would be read as distance"),

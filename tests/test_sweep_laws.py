@@ -122,7 +122,7 @@ def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
     assert (mine["controller"], mine["law"], mine["norm"], mine["failures"]) == ("mine", "mine.py:step", None, [])
     assert max(mine["signals"]["control_force"]["outside"]) > 0.99
     outside = max(share for signal in mine["signals"].values() for share in signal["outside"] if share is not None)
-    assert f"mine no linear claim: at most {percent(outside)} of a signal's energy is outside its fundamental" in said
+    assert f"mine no linear claim: in the worst signal {percent(outside)} of the energy is at other frequencies" in said
     worst = int(np.argmax(mine["gains"]))
     largest, hertz = mine["gains"][worst], mine["omega"][worst] / (2 * np.pi)
     assert f"largest L2 gain of these sinusoids: {largest:.5g} at {hertz:.3g} Hz; no norm" in said
@@ -186,7 +186,7 @@ def test_shares_read_as_percent(gain):
     text = prose(" ".join(describing_lines(large)))
     assert " 100 % " in text
     assert "a fundamental still changed by 1420 %" in text
-    assert "at most 100 % of a signal's energy" in describing_verdict(large)
+    assert "in the worst signal 100 % of the energy" in describing_verdict(large)
 
 
 def test_a_picture_has_points_and_no_line(gain):

@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -348,6 +349,35 @@ def test_check_needs_no_solver(capsys, tmp_path):
     )
     assert "checked: every claim of its certificate holds" in done.stdout
     assert "came without a certificate" in done.stdout
+
+
+def test_no_file_of_the_users_own_is_replaced(capsys, tmp_path):
+    """`--save` replaces its own file, and an empty one, and refuses any other: here the one that --vehicle was to name."""
+    own, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
+    own.write_text(read_vehicle("quarter_car").text)
+    saved.touch()
+    for _ in range(2):
+        table(capsys, "--controller", "I", "--save", str(saved))
+    with refused(f"--save {own} exists and was not written by --save; give another name or remove it"):
+        main(["--controller", "I", "--save", str(own)])
+    assert own.read_text() == read_vehicle("quarter_car").text
+
+
+def test_a_saved_file_finds_its_laws(capsys, tmp_path, monkeypatch):
+    """A file that is saved above names laws in Python from there; where it could not name them it is refused, before the work."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("cars", "cars/laws", "other"):
+        Path(folder).mkdir()
+    Path("cars/laws/sky.py").write_text("def step(y, t, h):\n    return [0.0]\n")
+    law = '[controllers.sky]\nmeasured = ["sprung_velocity"]\nlaw = "laws/sky.py:step"  # mine\n'
+    Path("cars/car.toml").write_text(f"{read_vehicle('quarter_car').text}\n{law}")
+    for place, named in (("saved.toml", "cars/laws/sky.py"), ("cars/saved.toml", "laws/sky.py"), ("cars/laws/a.toml", "sky.py")):
+        table(capsys, "--vehicle", "cars/car.toml", "--controller", "I", "--save", place)
+        python = read_vehicle(place).controllers["sky"].python
+        assert python is not None
+        assert (python.file, python.source()) == (named, Path("cars/laws/sky.py").read_text())
+    with refused("--save other/saved.toml: ", "law laws/sky.py:step would be outside of other); name a file beside it"):
+        main(["--vehicle", "cars/car.toml", "--controller", "I", "--save", "other/saved.toml"])
 
 
 def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):

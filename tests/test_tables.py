@@ -7,7 +7,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.files import parse_toml
-from models.common.table import LENGTH, find_table
+from models.common.table import BOTH, LENGTH, find_table
 from models.roads import profile_file
 from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history
@@ -79,7 +79,10 @@ def test_every_dialect_is_the_same_table(caller, tmp_path, monkeypatch):
     ("text", "said"),
     [
         ("time [s];heave [N]\n0;1\n1;2,5,3\n", "line 3, column 2: '2,5,3' is no finite number; give"),
-        ("time [s];heave [N]\n0;1\n1;1.234,5\n", "line 3, column 2: '1.234,5' is no finite number"),
+        ("time [s];heave [N]\n0;1\n1;1.234,5\n", f"{BOTH}: line 3 has '1.234,5'; write 1234,5"),
+        ("time [s]\theave [N]\n0\t1\n1\t1,300.0\n", f"{BOTH}: line 3 has '1,300.0'; write 1300.0"),
+        ("time [s] heave [N]\n1.300,0 1\n1400 2\n", f"{BOTH}: line 2 has '1.300,0'; write 1300,0"),
+        ('time [s],heave [N]\n"0,5","-1.350"\n', f"{BOTH}: line 2 has '0,5', and line 2 has '-1.350'; write -1350 or -1,35"),
         ("time [s];heave [N]\nx;1\n1;2\n", "line 2, column 1: 'x' is no number; give"),
         ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 names its 2 column(s); give"),
         ("0,1\n1,2\n", "no line above line 1 names its 2 column(s)"),
@@ -94,6 +97,14 @@ def test_wrong_tables(text, said):
         parse_history(text, "push.csv")
     assert str(error.value).startswith("load file push.csv: ")
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize("caller", CALLERS)
+def test_one_decimal_mark(caller, tmp_path):
+    """A dot beside decimal commas may separate thousands: every caller refuses it, wherever it stands."""
+    text = "\n".join(written(caller, ";", ",", "", False, "beside")).replace("12,5", "1.250")
+    with pytest.raises(InputError, match=f"{BOTH}: line . has '[0-9],[0-9]+', and line . has '1.250'; write 1250 or 1,25$"):
+        read(caller, text, tmp_path)
 
 
 def test_long_lines():

@@ -17,7 +17,7 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 CHANGES = [
     ("not TOML", MASS, "sprung_mass is 504.5", ["not TOML", "line 5"]),
     ("a number of 5000 digits", MASS, f"sprung_mass = {'9' * 5000}", ["not TOML", "digits"]),
-    ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["not TOML"]),
+    ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["nested too deeply"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
     (
         "unknown section",

@@ -199,7 +199,13 @@ GOOD = {
     "names measured",
 }
 # By what the text has, or by the parameter that a value is of.
-NAMED_OTHERWISE = {("parse_vehicle", "text"), ("choose_road", "text"), ("Designer.design", "name"), ("Parameter", "usual")}
+NAMED_OTHERWISE = {
+    ("parse_vehicle", "text"),
+    ("choose_road", "text"),
+    ("Designer.design", "name"),
+    ("design_controllers", "names"),
+    ("Parameter", "usual"),
+}
 
 
 def mistake(name: str, argument: str, what: str) -> str:

@@ -1,6 +1,6 @@
 """Checks of values by their annotations: a value that does not fit is an `InputError` that names it.
 
-`models.common.lazy` puts `at_the_door` before every public function; what is called inside passes no door. Dataclasses are
+`models.common.lazy` wraps every public function in `at_the_door`; calls within the packages are not checked. Dataclasses are
 `Checked`, or call `check_fields` in `__post_init__`. An annotation in quotes allows anything: type checkers alone resolve it.
 """
 

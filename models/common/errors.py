@@ -1,8 +1,9 @@
 """The error for wrong input: every command turns it into one line and exit code 2."""
 
+import difflib
 import re
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
@@ -47,6 +48,15 @@ def middle_cut(text: str, most: int) -> str:
 def listing(names) -> str:
     """Returns the allowed names as a list for a message."""
     return ", ".join(sorted(names)) or "none"
+
+
+def alike(name: object, names: Iterable[str], most: int = 12) -> str:
+    """Returns the allowed names as a list for a message; of many only those that are most like a wrong one."""
+    known = sorted(names)
+    if len(known) <= most:
+        return listing(known)
+    near = difflib.get_close_matches(str(name)[:LONGEST_VALUE], known, n=most // 2, cutoff=0.0)
+    return first_few(near + [one for one in known if one not in near], most // 2)
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:

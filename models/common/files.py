@@ -49,8 +49,10 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise InputError(f"a key has {dots} dots, and at most {MOST_DOTS} are allowed; name a section's key by its own name")
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not TOML; a number of 5000 digits; deeply nested brackets
+    except ValueError as error:  # not TOML; a number of 5000 digits
         raise InputError(f"not TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError("its brackets are nested too deeply; a matrix has two of them around a number") from error
     _check_range("", tables)
     return tables
 

@@ -1,6 +1,7 @@
 """Public names of a package that are imported at their first use (PEP 562), so that `import sim` is fast.
 
-A public function checks its arguments at this door (`models.common.checks`); inside, nobody calls it by its public name.
+A function that is called by its public name checks its arguments first (`models.common.checks`). The packages themselves do not
+use these names.
 """
 
 import importlib

@@ -7,7 +7,7 @@ from models.common.errors import InputError
 
 LEAST = 512_000_000  # bytes; with less, OpenBLAS asks the system for its buffers again and again, for ever
 AMPLE = 2**32  # bytes, with which every command has room
-SHORT = 2**27  # bytes of room; with less, any error may be for want of memory
+SHORT = 2**27  # bytes of room; with less, any error may be due to lack of memory
 
 
 def limit() -> float:
@@ -26,24 +26,24 @@ def room() -> float:
         import resource
 
         return limit() - int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-    except (ImportError, OSError):  # not every system says what is taken
+    except (ImportError, OSError):  # not every system tells the size that is in use
         return limit()
 
 
 def words() -> str:
-    """Says how much is allowed."""
+    """Returns the allowed size in words."""
     return f"the address space is limited to {limit() / 1e6:.0f} MB (ulimit -v)"
 
 
 def check(least: float = LEAST, instead: str = "") -> None:
-    """Checks that the limit leaves room to begin with, and takes what must not be missing later.
+    """Checks that the limit leaves enough room, and reserves the memory that must not be missing later.
 
     Args:
         least: needed address space in bytes.
         instead: advice beside that to raise the limit, for the message.
 
     Raises:
-        InputError: it does not.
+        InputError: the limit leaves too little.
     """
     if limit() < least:
         raise InputError(f"{words()}, and at least {least / 1e6:.0f} MB are needed; raise the limit{instead}")
@@ -52,7 +52,7 @@ def check(least: float = LEAST, instead: str = "") -> None:
 
 
 def is_short(error: BaseException) -> bool:
-    """Returns True if an error is, or may be, for want of memory."""
+    """Returns True if an error is, or may be, due to lack of memory."""
     wants = isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
     text = str(error).lower()
     return wants or "allocate memory" in text or "failed to map segment" in text or room() < SHORT

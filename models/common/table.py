@@ -1,8 +1,8 @@
 """Tables of numbers in text files: the one reader of roads, rigs, curves, loads and families.
 
 Cells are separated by semicolons, tabs, commas or spaces, and may stand in quotes. The decimal point may be a comma wherever a
-comma separates no cells. `#` begins a comment. Lines above the numbers name the columns and their units: `force [kN]`,
-`height_cm`, `left / mm`, or units in a line of their own.
+comma separates no cells; one table has one decimal mark. `#` begins a comment. Lines above the numbers name the columns and
+their units: `force [kN]`, `height_cm`, `left / mm`, or units in a line of their own.
 """
 
 import csv
@@ -17,7 +17,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 
-SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least doubtful first
+SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
 ABOVE = 50  # lines that may come before the numbers
 LENGTH = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 TIME = {"s": 1.0, "ms": 1e-3}
@@ -38,6 +38,9 @@ IN_BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 AT_THE_END = re.compile(r"(?<=\w)\s*[\s_/,-]\s*([A-Za-z]+)$")
 SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s{0,9})?[\[(][^\[\]()]{0,60}[\])]|\S+')  # a unit in brackets goes with its word
 LONGEST = 200  # characters of a heading
+WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
+WITH_BOTH = re.compile(r"[+-]?\d+(\.\d*)*\.\d*,\d*|[+-]?\d+(,\d*)*,\d*\.\d*")  # 1.300,0 and 1,300.0
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 
 
 def unit_named(text: str) -> str:
@@ -68,7 +71,7 @@ class Heading:
             units: the allowed ones.
             asked: the unit that the option asks for; empty for none.
             option: the setting's name; empty for none.
-            unsaid: the unit of a heading without one; empty if a unit must be said.
+            unsaid: the unit of a heading without one; empty if a unit is required.
 
         Raises:
             InputError: the unit is missing or unknown, or another one was asked for.
@@ -170,6 +173,32 @@ class NumberTable:
             if text and not text.isspace():
                 yield number, split_cells(text, self.mark)
 
+    def check_marks(self, columns: Sequence[int]) -> None:
+        """Refuses a table in which comma and dot both are decimal marks: one of them may separate thousands.
+
+        Args:
+            columns: those whose dots count, from 0. Every cell's decimal comma counts.
+
+        Raises:
+            InputError: both marks are there; the message names a cell of each.
+        """
+        dot, comma = ("", ""), ("", "")  # the first cell with each mark, and its line
+        for number, text in enumerate(self.texts[self.first :], self.first + 1):
+            text = text.partition("#")[0]
+            new = ("." in text and not dot[0]) or ("," in text and (not comma[0] or "." in text))
+            if not new or (self.mark == "," and '"' not in text):
+                continue
+            for column, cell in enumerate(_separated(text, self.mark)):
+                if column in columns and WITH_BOTH.fullmatch(cell):
+                    raise InputError(f"{BOTH}: line {number} has {quoted(cell)}; write {' or '.join(_one_mark(cell))}")
+                if column in columns and not dot[0] and "." in cell and numbers_of([cell]) is not None:
+                    dot = cell, f"line {number}"
+                if not comma[0] and WITH_COMMA.fullmatch(cell):
+                    comma = cell, f"line {number}"
+            if dot[0] and comma[0]:
+                beside = f"{comma[1]} has {quoted(comma[0])}, and {dot[1]} has {quoted(dot[0])}"
+                raise InputError(f"{BOTH}: {beside}; write {' or '.join(_one_mark(dot[0]))}")
+
     def numbers(self, columns: Sequence[int] = (), ragged: bool = False) -> tuple[Array, Sequence[int]]:
         """Returns the finite numbers of columns, shape (rows, columns), and the line of every row, from 1.
 
@@ -178,9 +207,11 @@ class NumberTable:
             ragged: True if lines may have other numbers of cells.
 
         Raises:
-            InputError: a cell is no finite number, or a line has another number of them. It names line and column.
+            InputError: a cell is no finite number, a line has another number of them, or the decimal marks differ. It names line
+                and column.
         """
         used = columns or range(self.count)
+        self.check_marks(used)
         lines, values = array("Q"), array("d")
         for line, cells in self.rows():
             if len(cells) != self.count and not ragged and (len(cells) <= max(used) or numbers_of(cells) is not None):
@@ -217,7 +248,7 @@ def find_table(text: str, give: str, separator: str = "", column: int = 0) -> Nu
             continue
         mark = SEPARATORS.get(separator) or separator_of(numbers)
         cells = split_cells(numbers, mark)
-        if column < len(cells) and numbers_of(cells[column : column + 1]) is not None:
+        if column < len(cells) and _numeric(cells[column]):
             above = [(i, _heading_cells(text, mark, len(cells))) for i, text in enumerate(texts[:first], 1) if text.strip()]
             return NumberTable(texts, first, mark, len(cells), [row for row in above if row[1]], give)
         before += 1
@@ -247,17 +278,41 @@ def numbers_of(cells: Sequence[str]) -> list[float] | None:
 
 
 def separator_of(line: str) -> str:
-    """Returns the separator of a line's cells: the least doubtful that makes all of them numbers, else the least doubtful."""
+    """Returns the separator of a line's cells: the least ambiguous that makes all of them numbers, or that of any."""
     marks = [mark for mark in SEPARATORS.values() if mark in line] or [" "]
-    return next((mark for mark in marks if numbers_of(split_cells(line, mark)) is not None), marks[0])
+    return next((mark for mark in marks if all(map(_numeric, split_cells(line, mark)))), marks[0])
+
+
+def _numeric(cell: str) -> bool:
+    """Returns True for a number, and for one with both decimal marks."""
+    return numbers_of([cell]) is not None or WITH_BOTH.fullmatch(cell) is not None
+
+
+BOTH = "comma and dot both stand as decimal marks"
+
+
+def _one_mark(cell: str) -> list[str]:
+    """Returns how a cell may be written in a table with decimal commas: without thousands marks, or with a decimal comma."""
+    if WITH_BOTH.fullmatch(cell):
+        mark = max(".,", key=cell.rfind)
+        whole, _, decimals = cell.rpartition(mark)
+        return [f"{whole.replace('.', '').replace(',', '')}{mark}{decimals}"]
+    decimal = cell.replace(".", ",")
+    whole = [cell.replace(".", "")] if THOUSANDS.fullmatch(cell) else []
+    return [*whole, decimal.rstrip("0").rstrip(",") if whole else decimal]
 
 
 def split_cells(line: str, mark: str) -> list[str]:
     """Returns the cells of a line of numbers. A comma that separates no cells is the decimal point."""
-    cells = line.split() if mark == " " and '"' not in line else _cells(line, mark)
+    cells = _separated(line, mark)
     if "," not in line or (mark == "," and '"' not in line):
         return cells
     return [cell.replace(",", ".", 1) if cell.count(",") == 1 and "." not in cell else cell for cell in cells]
+
+
+def _separated(line: str, mark: str) -> list[str]:
+    """Returns the cells of a line as they are written."""
+    return line.split() if mark == " " and '"' not in line else _cells(line, mark)
 
 
 def _cells(line: str, mark: str) -> list[str]:

@@ -16,6 +16,9 @@ ENDINGS = {  # allowed suffixes, and the reason
     "csv": ((".csv",), "a table is written as CSV"),
     "save": ((".toml",), "a vehicle file is TOML"),
 }
+CHECKED_BY = "# checked by: python -m synth --check THIS_FILE"
+CAMPAIGN_SUM = "# SHA-256 of the campaign and the files that it names: "
+SAVED = (CHECKED_BY, CAMPAIGN_SUM)  # comments of which every saved vehicle file has one
 TEXTS = ("csv", "save")  # these may be printed
 OF_FIGURES = (*SUFFIXES, ".csv")
 
@@ -29,7 +32,8 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         json: True if standard output is for one JSON object.
 
     Raises:
-        InputError: an output cannot be written, has a suffix of another format, or is the same file as another one or an input.
+        InputError: an output cannot be written, has a suffix of another format, or is the same file as another one or an input;
+            or a vehicle file would replace one that no command saved.
     """
     read_files = {identity(Path(path)) for path in read}
     taken: dict[object, str] = dict.fromkeys(read_files, "is an input file")
@@ -51,6 +55,8 @@ def check_outputs(outputs: Mapping[str, Path | None], read: Sequence[Path | str]
         else:
             _check_ending(path, what)
             check_file(path, what)
+            if what == "save" and not _is_own(path):
+                raise InputError(f"--save {path} exists and was not written by --save; give another name or remove it")
         if what == "picture":
             from models.figures.picture import check_drawing
 
@@ -66,6 +72,14 @@ def _check_ending(path: Path, what: str) -> None:
     endings, why = ENDINGS[what]
     if path.suffix.lower() not in endings and not (path == STDOUT and what in TEXTS):
         raise InputError(f"{what} {path}: {why}; give a name that ends in {' or '.join(endings)}")
+
+
+def _is_own(path: Path) -> bool:
+    """Returns True if nothing is lost where a vehicle file is saved: there is no file, an empty one, or a saved one."""
+    if not path.is_file() or not path.stat().st_size:
+        return True
+    with path.open("rb") as lines:
+        return any(mark.encode() in line for line in lines for mark in SAVED)
 
 
 def written(outputs: Mapping[str, Path | None]) -> dict[str, str | None]:

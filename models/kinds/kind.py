@@ -1,10 +1,11 @@
 """Interface of a kind of vehicle, which `models/<name>.py` must provide, its parameters included."""
 
+import pickle
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
 import numpy as np
 
@@ -115,6 +116,31 @@ Side = Annotated[str, Must("'left', 'right', or '' where there is only one track
 Parameters = Mapping[str, float]
 
 
+# The usual functions of a kind have names: pickle finds no function without one.
+def nowhere_else(p: Parameters) -> float:
+    """Returns 0 m: the wheel is at the first one, or in the vehicle's middle."""
+    return 0.0
+
+
+def anything(p: Parameters) -> None:
+    """Accepts all parameters."""
+
+
+def no_wheel_loads(p: Parameters) -> "tuple[BodyLoad, ...]":
+    """Returns no loads."""
+    return ()
+
+
+def nothing_carried(p: Parameters, way: str, force: float, acceleration: float) -> Mapping[str, float]:
+    """Returns no loads by name."""
+    return {}
+
+
+def no_angles(p: Parameters) -> Mapping[str, Mapping[str, float]]:
+    """Returns no angles."""
+    return {}
+
+
 @dataclass(frozen=True)
 class Wheel(Checked):
     """Point where a road acts on the vehicle.
@@ -133,9 +159,9 @@ class Wheel(Checked):
     road_displacement: Name
     road_velocity: Name
     tyre_deflection: Name
-    behind: Callable[[Parameters], float] = lambda p: 0.0
+    behind: Callable[[Parameters], float] = nowhere_else
     side: Side = ""
-    lateral: Callable[[Parameters], float] = lambda p: 0.0
+    lateral: Callable[[Parameters], float] = nowhere_else
 
 
 @dataclass(frozen=True)
@@ -245,17 +271,33 @@ class VehicleKind(Checked):
     static_tyre_deflection: Callable[[Parameters], Mapping[str, float]]
     write_mjcf: Callable[[Any, Parameters], None]
     folder: Path = HERE
-    check_together: Callable[[Parameters], None] = lambda p: None
+    check_together: Callable[[Parameters], None] = anything
     combined: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     suspended: tuple[Suspension, ...] | None = None
     invariants: tuple[Invariant, ...] = ()
     on_demand: tuple[Signal, ...] = ()
     loads: tuple[BodyLoad, ...] = ()
-    wheel_loads: Callable[[Parameters], tuple[BodyLoad, ...]] = lambda p: ()
-    carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = lambda p, way, force, acceleration: {}
-    angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = lambda p: {}
+    wheel_loads: Callable[[Parameters], tuple[BodyLoad, ...]] = no_wheel_loads
+    carried: Callable[[Parameters, str, float, float], Mapping[str, float]] = nothing_carried
+    angles: Callable[[Parameters], Mapping[str, Mapping[str, float]]] = no_angles
     motion: Callable[[Parameters], "Motion"] | None = None
     lacking: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Returns its name and how much it has."""
+        return (
+            f"VehicleKind {self.name}: {len(self.parameters)} parameters, {len(self.signals)} signals, {len(self.wheels)} wheels"
+        )
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> Any:
+        if self.folder == HERE:
+            return super().__reduce_ex__(protocol)
+        import cloudpickle  # no module has the functions of a user's own kind
+
+        return _written, (cloudpickle.dumps({part.name: getattr(self, part.name) for part in fields(self)}),)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "VehicleKind":
+        return self  # it is frozen
 
     def naming(self, names: Collection[str]) -> "VehicleKind":
         """Returns the kind with those of the signals on demand that are named, after its other signals."""
@@ -377,6 +419,11 @@ class VehicleKind(Checked):
     def signal(self, name: str) -> Signal:
         """Returns the signal of that name, which this kind has."""
         return next(signal for signal in self.signals if signal.name == name)
+
+
+def _written(content: bytes) -> VehicleKind:
+    """Returns a kind of a user's own from its pickled fields."""
+    return VehicleKind(**pickle.loads(content))
 
 
 class ShownVehicle(Shown):

@@ -43,3 +43,10 @@ class Motion(Protocol):
             loads: on the body [N, N m], shape (T, l).
         """
         ...
+
+    def outputs(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Mapping[str, Array]:
+        """Returns the vehicle's other signals, such as accelerations, by name, each of shape (T,). Arguments as for `rate`.
+
+        It leaves out inputs, and what is a sum of other signals.
+        """
+        ...

@@ -23,6 +23,9 @@ With j = m s^2 + I, Lagrange's equations are then
 
 and the links guide every wheel, so that d_i = z - x_i theta + y_i phi - z_u without a strut's length.
 
+A point (x, y) of the body is at z - x sin theta + y sin phi cos theta, whose time derivatives are its velocity and acceleration.
+An angular acceleration is that about an axis of the road: theta'', and phi'' cos theta - phi' theta' sin theta.
+
 An anti-roll bar has the angle a = phi - (arms) z_u and the moment k a. Nothing here comes from the MJCF but L_0, which
 the vehicle file does not say.
 """
@@ -57,12 +60,15 @@ class RigidMotion:
         shape: S of `RigidBody`, or its first columns, shape (c, k).
         yaw_inertia: I_z; it counts only if a body pitches and rolls at once.
         names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
+        further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
+            accelerations of the hubs. Of a body that only heaves they are its acceleration and that of its hub.
     """
 
     body: RigidBody
     shape: Array
     yaw_inertia: float
     names: tuple[str, ...]
+    further: tuple[str, ...]
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """See `Motion`. The position of the body is sought whose struts have these deflections."""
@@ -117,6 +123,32 @@ class RigidMotion:
             on_body[:, 2] -= moment
             on_hubs = on_hubs + moment[:, None] * arms
         return np.concatenate([rates, hub_rates, self._turned(q, rates, on_body), on_hubs / unsprung - GRAVITY], axis=1)
+
+    def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
+        """See `Motion`."""
+        k = self.shape.shape[1]
+        q, _, rates, _ = self._split(state)
+        _, _, second, hub_second = self._split(self.rate(state, heights, inputs, pulls, loads))
+        turning = second.copy()
+        columns = [turning, hub_second]
+        if k > 1:
+            # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
+            x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
+            c, b = self.body.pitch_arm or 0.0, self.body.roll_arm or 0.0
+            sin, cos = np.sin(q[:, 1:2]), np.cos(q[:, 1:2])
+            roll = q[:, 2:3] if k > 2 else np.zeros_like(sin)
+            over = np.sin(roll) * y + c - 2 * b * np.sin(roll / 2) ** 2
+            side, bend = np.cos(roll) * y - b * np.sin(roll), -np.sin(roll) * y - b * np.cos(roll)
+            by_q = np.stack([np.ones_like(over), -x * cos - over * sin, side * cos][:k], axis=-1)
+            pitch_rate, roll_rate = rates[:, 1:2], rates[:, 2:3] if k > 2 else np.zeros_like(sin)
+            bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * side * sin
+            velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
+            acceleration = acceleration + bent
+            turning[:, :1] = acceleration[:, :1]
+            columns[1:1] = [velocity[:, 1:], acceleration[:, 1:]]
+            if k > 2:
+                turning[:, 2:] = turning[:, 2:] * cos - roll_rate * pitch_rate * sin
+        return dict(zip(self.further, np.concatenate(columns, axis=1).T, strict=True))
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
         """Returns q'' under generalized forces, shape (T, k)."""
@@ -194,12 +226,14 @@ class RigidMotion:
         return d, (by_q * rates[:, None]).sum(axis=-1) - J[0] * hub_rates, by_q, J[0]
 
 
-def rigid_motion(body: RigidBody, signals: Sequence[Signal]) -> RigidMotion:
+def rigid_motion(body: RigidBody, signals: Sequence[Signal], further: Sequence[Signal]) -> RigidMotion:
     """Returns the equations of a body.
 
     Args:
         signals: deflections of its c suspensions, of its c tyres, its own rates, as many as it has, and those of its c hubs.
+        further: see `RigidMotion`.
     """
     inertias = [body.pitch_inertia] + ([] if body.roll_inertia is None else [body.roll_inertia])
     rates = len(signals) - 3 * len(body.corners)
-    return RigidMotion(body, body.shape[:, :rates], max(inertias), tuple(signal.name for signal in signals))
+    names, more = (tuple(signal.name for signal in some) for some in (signals, further))
+    return RigidMotion(body, body.shape[:, :rates], max(inertias), names, more)

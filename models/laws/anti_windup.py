@@ -4,9 +4,10 @@ A law as a computer runs it is x_c[i+1] = A x_c[i] + B y[i], u[i] = C x_c[i] + D
 on top: back-calculation (Astrom, Wittenmark 1997, Computer-Controlled Systems, chapter 9). While nothing is clipped that is zero,
 to the last bit. While all is clipped the states go by A - L C, whatever A is.
 
-L is the smallest gain with which all of these decay by exp(-rate T) or faster in a sample of T seconds. States that do so by
-themselves are left alone; other poles are mirrored at that circle. It is the Kalman filter of that degree of stability whose
-corrections are dear (Anderson, Moore 1971, Linear Optimal Control), the same in all units of the states.
+With L all of these decay by exp(-rate T) or faster in a sample of T seconds. Poles within that circle stay where they are.
+Slower ones are mirrored at it: an integrator then decays at twice the rate. L is the gain of a Kalman filter of that degree of
+stability, in the limit of much measurement noise (Anderson, Moore 1971, Linear Optimal Control). It does the same in all units of
+the states.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ from models.common.errors import InputError
 from models.common.lean_scipy import linalg
 from models.laws.linear import LinearLaw
 
-SLACK = 1e-6  # a pole further beyond the circle is there since rounding has taken the gain
+SLACK = 1e-6  # a pole of A - L C further beyond the circle shows that rounding has spoilt L; smaller rates times T are refused
 
 
 def anti_windup_gain(law: LinearLaw) -> Array:
@@ -26,12 +27,17 @@ def anti_windup_gain(law: LinearLaw) -> Array:
         law: as it is run, see `LinearLaw.sampled`.
 
     Raises:
-        InputError: a state that is too slow acts on no force, or hardly.
+        InputError: the rate is too small for the sample period, or a state that is too slow acts on no force, or hardly.
     """
     k, m = law.C.shape[1], len(law.C)
     if law.anti_windup is None or not k:
         return np.zeros((k, m))
     assert law.sample_period is not None, "it is discrete"
+    if law.anti_windup * law.sample_period < SLACK:
+        raise InputError(
+            f"anti_windup = {law.anti_windup:g} 1/s is lost in rounding at a sample period of {law.sample_period:g} s; give at "
+            f"least {SLACK / law.sample_period:.2g}"
+        )
     circle = float(np.exp(-law.anti_windup * law.sample_period))
     try:
         gain = _mirroring(law.A, law.C, circle)

@@ -71,10 +71,6 @@ def read_surface(path: Path) -> Surface:
     Raises:
         InputError: PyOpenCRG is not installed, or the file is no OpenCRG file, too large, or refers to another one.
     """
-    try:
-        from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
-    except ImportError as error:
-        raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
     with open_plain(path, "road file", GIVE) as stream:
         size = os.fstat(stream.fileno()).st_size
     if size > LARGEST:
@@ -82,6 +78,10 @@ def read_surface(path: Path) -> Surface:
             f"road file {path}: is too large, {size / MIB:.0f} MiB; at most {LARGEST / MIB:g} MiB is read: give a part of it, or "
             "a coarser grid"
         )
+    try:
+        from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
+    except ImportError as error:
+        raise InputError(f"road file {path} needs PyOpenCRG; install it with: pip install -e '.[opencrg]'") from error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what its checks find and a profile does not need

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, listing, quoted
 from models.common.files import TABLE, read_content
 from models.common.table import LENGTH as UNITS
 from models.common.table import SEPARATORS, Heading, NumberTable, find_table, heading_of, merged
@@ -21,6 +21,7 @@ MEANT: Mapping[str, frozenset[str]] = {
     "another quantity": frozenset({"time", "t", "speed", "v", "velocity", "acceleration", "lat", "latitude", "lon", "longitude",
                                    "iri", "slope", "width", "y", "n", "no", "number", "index", "id"}),
 }  # fmt: skip
+READ = ("distance", "height", "left", "right")
 BESIDE = frozenset({"wheel", "wheelpath", "path", "track", "road", "surface", "along", "the", "of", "in", "side", "vertical"})
 SAY = "say which columns are meant, as in :columns=1,3 or :columns=1,3,4, or mend the headings"
 A_RIG = "; heights over time are of a rig's posts: give rig:file=..., then the file"
@@ -41,8 +42,18 @@ def read_heading(text: str, column: int = 0) -> Heading:
     return replace(heading, name=meanings[0] if len(meanings) == 1 and not strange else "", unit=unit)
 
 
+WORD = re.compile(r"[^\W\d]\w*")
+
+
+def stem(heading: Heading) -> str:
+    """Returns the text of a heading without its unit."""
+    return heading_of(heading.text, UNITS).name
+
+
 def headings_of(table: NumberTable) -> list[Heading]:
     """Returns the heading of each column, from the lines above the numbers; empty headings if these lines are prose.
+
+    A line of single words, one for each column, is no prose, whatever they are.
 
     Raises:
         InputError: two lines give a column two units, or two meanings.
@@ -53,7 +64,8 @@ def headings_of(table: NumberTable) -> list[Heading]:
         prose = table.mark == " " or table.is_comment(line)  # "in metres" is no pair of units
         named = re.search(r"[\[(]", table.texts[line - 1]) or any(heading.name for heading in row)
         says = [heading for heading in row if heading.name or heading.unit in UNITS]
-        if len(says) >= min(2, table.count) and (named or not prose):
+        words = not prose and table.mark in table.texts[line - 1] and all(WORD.fullmatch(stem(heading)) for heading in row)
+        if words or (len(says) >= min(2, table.count) and (named or not prose)):
             headings = [merged(old, new) for old, new in zip(headings, row, strict=True)]
     return headings
 
@@ -68,6 +80,10 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
     Raises:
         InputError: headings contradict the requested columns, or their order, or are ambiguous.
     """
+    for meaning in READ if not columns else ():
+        if len(same := [heading for heading in headings if heading.name == meaning]) > 1:
+            texts = " and ".join(f"{heading.column}, {quoted(heading.text)}" for heading in same)
+            raise InputError(f"columns {texts}, are both {meaning}; {SAY}")
     at = {meaning: [i for i, heading in enumerate(headings) if heading.name == meaning] for meaning in MEANT}
     if not columns and len(at["distance"]) == 1:
         if len(at["left"]) == len(at["right"]) == 1:
@@ -81,6 +97,8 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
     roles: tuple[tuple[str, ...], ...] = (("distance",), *tracks)
     for i, allowed in zip(used, roles, strict=True):
         meaning = headings[i].name if i < len(headings) else ""
+        if not columns and not meaning and stem(headings[i]):
+            raise InputError(f"column {i + 1} is called {quoted(headings[i].text)}, and none of {listing(READ)}; {SAY}{A_RIG}")
         if meaning and meaning not in allowed:
             role = allowed[0] if len(allowed) == 1 or len(used) == 2 else f"the height of the {allowed[-1]} track"
             raise InputError(f"column {i + 1} is called {headings[i].text!r}, and would be read as {role}; {SAY}{A_RIG}")

@@ -112,8 +112,13 @@ class Rig(Road):
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
         """Checks the rig as any road, and that every wheel of the vehicle stands on a post."""
-        for wheel in vehicle.kind.wheels:
-            self.met_by(wheel)
+        met = {self.met_by(wheel) for wheel in vehicle.kind.wheels}
+        for post in self.posts:
+            if post not in met:
+                names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
+                raise InputError(
+                    f"column {quoted(post)} is of no wheel of this vehicle, which has {listing(names)}; leave it out"
+                )
         super().check(vehicle, time)
 
     def scaled(self, factor: float) -> "Rig":

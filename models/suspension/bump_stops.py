@@ -1,10 +1,10 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
 A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if squeezed by x: a rubber stop's stiffness
-grows. One number is a linear stop; a list of up to three a progressive one; {bump, rebound} gives each side its own.
+grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side.
 
-A section is named as a corner, or as the common beginning of several: `rear` is rear_left and rear_right. Keys that it leaves out
-are those of the section with more corners, so that `[limits.rear]` may have its own stroke and the common stiffness.
+A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
+leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
 """
 
 import math
@@ -20,7 +20,7 @@ from models.suspension import STOP_KEYS
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
 MOST = 3  # coefficients, as MuJoCo's polynomial springs have
-SLACK = 1e3  # m; no suspension is that long
+SLACK = 1e3  # m; larger strokes are refused, as no suspension is that long
 SMALLEST, LARGEST = 1e-6, 1e12  # SI, of numbers above 0
 
 Stiffness = float | tuple[float, ...]

@@ -1,7 +1,7 @@
 """A damper's force over velocity, or a spring's over deflection, as straight lines from point to point.
 
 Both arguments are positive if the suspension stretches, and a force is positive if it pulls body and wheel together: so a damper
-takes energy if force and velocity have the same sign. Beyond its last points a curve goes on as straight as it ends.
+takes energy if force and velocity have the same sign. Beyond its last points a curve continues with its last slope.
 
 Linear analysis uses the slope s at rest; at a kink there, the mean of both sides. The deviation of the curve F from that line is
 a sum of straight pieces, each between its bounds,
@@ -9,7 +9,7 @@ a sum of straight pieces, each between its bounds,
     F(x) - s x = sum over i of clip(a_i (x - k_i), low_i, high_i),
 
 one for every segment whose slope is not s, measured from its end nearer to rest. A straight curve has no pieces. A curve that
-falls again on its way is such a sum as well.
+falls in some segments is such a sum as well.
 """
 
 from dataclasses import dataclass, replace

@@ -1,7 +1,8 @@
-"""Curve files, `file = "damper.csv"` in `[curves]` or `[actuators]`: a vehicle file holds the table in place of the name.
+"""Curve files, `file = "damper.csv"` in `[curves]` or `[actuators]`: the table replaces the name when a vehicle file is read.
 
-So a vehicle file is whole once it is read, as with laws and families. Two formats are known: CSV, whose header names quantity
-and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the TeimOrbit
+So a vehicle that was read needs no other files, as with laws and families. Two formats are known: CSV, whose header names
+quantity and unit of each column, `velocity [mm/s], force [kN]`; and the damper property files, `.dpr`, of Adams/Car, in the
+TeimOrbit
 format: blocks in brackets, tables under a row of names in braces, comments from `$` or `!` on, units in `[UNITS]`, the table in
 `[CURVE]` (MSC Software, Adams Tire help, "About tire property files"; Altair MotionView help, READ_T_O_START_TABLE_READ).
 """
@@ -124,7 +125,7 @@ def _of_dpr(text: str) -> dict[str, list[float]]:
         elif line:
             inside.append(line)
         if inside is not blocks.get("CURVE") or block or line.startswith("{"):
-            lines[i] = ""  # what is left are the numbers, each in its line
+            lines[i] = ""  # only the numbers remain, a row in each line
     for name in ("UNITS", "CURVE"):
         if name not in blocks:
             raise InputError(f"has no block [{name}]; a damper property file has [UNITS] and [CURVE]")

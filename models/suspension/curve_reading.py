@@ -39,11 +39,9 @@ def thinned(x: Array, force: Array, error: float) -> Array:
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
-    """Returns the last point that a straight line from the first can reach without missing a point between by more than the
-    error.
-    """
+    """Returns the last point to which a straight line from the first is within the error of every point between."""
     run, rise = x[first + 1 : last + 1] - x[first], force[first + 1 : last + 1] - force[first]
-    # A line's slope has to lie between what every point on the way leaves open.
+    # Every point on the way limits the slope of a line from above and below.
     steepest = np.minimum.accumulate((rise + error) / run)
     flattest = np.maximum.accumulate((rise - error) / run)
     slope = rise / run

@@ -1,11 +1,11 @@
 """`[actuators]` of a vehicle file: in every suspension an actuator that pushes, or an adjustable damper.
 
-An adjustable damper has a coefficient c from c_min to c_max that a valve sets, and gives -c v, with v the velocity at which its
-suspension is stretched. The linear model (28) has the nominal coefficient c_s in it, so what such a damper gives beyond that is
+An adjustable damper has a coefficient c from c_min to c_max that a valve sets, and gives the force -c v, with v the velocity at
+which its suspension is stretched. The linear model (28) contains the nominal coefficient c_s. The force beyond that is
 
     u = -(c - c_s) v.
 
-A controller that asks for a force u* beyond the nominal damper's gets the coefficient that would give it, as far as there is one:
+If a controller commands a force u* beyond the nominal damper's, the coefficient is the one that gives it, within the limits:
 
     c = clip(c_s - u* / v, c_min, c_max),
 
@@ -14,12 +14,12 @@ from the velocity then, and held until the next. If v is 0 and u* is not, v coun
 is the nominal one.
 
 Such a damper may be measured, as its force over velocity at its softest and at its firmest setting. With F_min and F_max these
-curves (`models.suspension`), and s the setting that a valve holds, from 0 to 1, the damper pulls with
+curves (`models.suspension`), and s from 0 to 1 the setting of the valve, the damper pulls with
 
     F = (1 - s) F_min(v) + s F_max(v) = F_min(v) + (c - c_min) h(v),    h = (F_max - F_min) / (c_max - c_min),
 
-where c_min and c_max are the slopes of both at rest, and c = c_min + s (c_max - c_min) the coefficient at rest of a setting, by
-which it is called. h is a velocity that bends as the curves do, of slope 1 at rest; of straight curves it is v, and F is c v.
+where c_min and c_max are the slopes of both at rest. The coefficient at rest, c = c_min + s (c_max - c_min), names a setting.
+h is a velocity that bends as the curves do, with slope 1 at rest; for straight curves h = v and F = c v.
 """
 
 from collections.abc import Mapping, Sequence
@@ -121,7 +121,7 @@ def pair_of(soft: ForceCurve, hard: ForceCurve) -> Pair:
 
 
 KINDS = ("force", "damper")
-CURVED = ("c_min", "c_max")  # that may be tables
+CURVED = ("c_min", "c_max")  # keys whose values may be tables
 KEYS = ("kind", *CURVED, "bandwidth")
 SMALLEST, LARGEST = 1e-6, 1e12  # SI; numbers beyond these are mistakes
 

@@ -118,7 +118,7 @@ class CoefficientRange:
 def _pieces(pieces: Array, v: Array) -> Array:
     """Returns the sum of pieces, shape (4, ..., P), at velocities, shape (...)."""
     slope, start, low, high = pieces
-    # As `Pieces.force`; between two steps, where every call counts, without numpy's dearer ones.
+    # As `Pieces.force`, without numpy's slower functions, as this runs between any two steps.
     return np.add.reduce(np.minimum(np.maximum(slope * (v[..., None] - start), low), high), axis=-1)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, alike, listing, quoted
 from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
 from models.kinds.linear_model import LinearModel
@@ -183,6 +183,7 @@ def _controller(
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
         raise InputError(f"{where} is not a section with measured = [signals]")
+    design = _design(where, entry)  # a value that is none is no part, and what is beside it is right
     check_together(where, section_parts(entry, model.inputs))
     semi_active = read_semi_active(where, entry, model.outputs, model.inputs, dampers)
     if semi_active is not None:
@@ -200,7 +201,7 @@ def _controller(
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
-    design, python = _design(where, entry), read_law(where, entry, folder)
+    python = read_law(where, entry, folder)
     if design == "lqr" and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
@@ -210,7 +211,7 @@ def _controller(
         raise InputError(f"{where} {mistake}; give a list of signals out of: {measurable}")
     for signal in measured:
         if signal not in model.outputs:
-            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {measurable}")
+            raise InputError(f"{where} unknown signal {quoted(signal)}; it can measure {alike(signal, model.measurable)}")
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
         if signal not in model.measurable:

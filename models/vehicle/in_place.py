@@ -8,6 +8,7 @@ its numbers are factors on them.
 """
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +20,7 @@ from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, first_few, listing, quoted
 from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
 from models.common.table import find_table
+from models.laws.python_law import PythonLaw
 from models.vehicle.mat_file import SAVE, Variable, read_mat
 
 
@@ -54,6 +56,31 @@ def in_place_of(text: str, key: str, given: Mapping[str, str]) -> str:
             start, end = lines[place[name]].span()
             text = text[:start] + given[name] + text[end:]
     return text
+
+
+def text_in(folder: Path, text: str, laws: Mapping[str, PythonLaw]) -> str:
+    """Returns a vehicle file's text for another folder, from which its laws in Python are named.
+
+    Args:
+        folder: the new folder.
+        laws: the laws that have files, by controller.
+
+    Raises:
+        InputError: a law's file is not in the new folder or below, where alone a vehicle file can name it.
+    """
+    places = {
+        name: os.path.relpath(os.path.realpath(law.path or law.file), os.path.realpath(folder)) for name, law in laws.items()
+    }
+    for name, place in places.items():
+        if place.startswith(os.pardir):
+            raise InputError(f"its law {laws[name].law} would be outside of {folder}")
+    named = {name: f"{Path(place).as_posix()}:{laws[name].function}" for name, place in places.items()}
+    named = {name: law for name, law in named.items() if law != Path(laws[name].law).as_posix()}
+    whole = in_place_of(text, "law", {name: f"law = {json.dumps(law, ensure_ascii=False)}" for name, law in named.items()})
+    for name, law in named.items():
+        if controllers_of(whole)[name].get("law") != law:
+            raise InputError(f'[controllers.{name}] its law is not named on a line of its own; write law = "{law}" on one')
+    return whole
 
 
 KEY = "family"

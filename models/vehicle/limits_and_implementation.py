@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, alike, listing, quoted
 from models.kinds.kind import Parameter
 from models.suspension import STOP_KEYS
 
@@ -245,7 +245,9 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...])
             raise InputError(f"[implementation] {name} is not a table; write {name} = {{ signal = value }}")
         for signal in values:
             if signal not in measurable:
-                raise InputError(f"[implementation] {name} of unknown signal {signal!r}; measured can be {listing(measurable)}")
+                raise InputError(
+                    f"[implementation] {name} of unknown signal {quoted(signal)}; measured can be {alike(signal, measurable)}"
+                )
         values_by_key[name] = {
             signal: Parameter(f"{name} of {signal}", "of its unit", "", positive=False).check(value)
             for signal, value in values.items()

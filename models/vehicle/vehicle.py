@@ -12,7 +12,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TEXT, parse_toml, read_text
+from models.common.files import STDOUT, TEXT, parse_toml, read_text
 from models.kinds.kind import HERE, ShownVehicle, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
@@ -214,6 +214,25 @@ class Vehicle(ShownVehicle):
         entries, own = self.controllers.values(), (Path(self.source),) if self.source else ()
         laws = (*self.named_files, *(entry.python.path for entry in entries if entry.python and entry.python.path))
         return (*own, *laws, *road_files(entry.goals for entry in entries), *self.kind_files)
+
+    def text_for(self, path: Path) -> str:
+        """Returns the text that a file needs to be this vehicle: laws in Python are named from its folder.
+
+        Raises:
+            InputError: the file could not be read there, as a law or the kind is in another folder.
+        """
+        from models.vehicle.in_place import text_in
+
+        laws = {name: entry.python for name, entry in self.controllers.items() if entry.python and entry.python.path}
+        folder = Path(self.source).parent if path == STDOUT else path.parent
+        try:
+            text = text_in(folder, self.text, laws)
+            parse_vehicle(text, folder=folder)
+        except InputError as error:
+            raise InputError(
+                f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it"
+            ) from error
+        return text
 
     @property
     def ideal(self) -> bool:

@@ -6,7 +6,7 @@ Candidates are all controllers, and every variant of those whose laws are drawn.
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
+from models.figures.outputs import CAMPAIGN_SUM
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.campaign.file import Campaign
@@ -24,13 +25,16 @@ from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.campaign.summary import Standings
 from sim.studies.ride.metrics import Metric, metrics_of
-from sim.studies.ride.standing import KEYS, Standing, columns_of
+from sim.studies.ride.standing import KEYS, MEASURES, Standing, columns_of, digits
 
 SUFFIX = "_tuned"
 GIVE = "give METRIC:LIMIT, as in peak_travel:0.08, in SI units"
 LARGEST_OF = ("peak", "mtvv", "vdv", "crest", "dive", "squat")  # what is largest over the runs; shares and work are means
 MEAN_OF = ("at_stops", "off_ground", "power", "energy")  # all else are root mean squares
 SIGNED = ("at_end",)
+SIGNED_LIMITS = ("power", "energy", "dive", "squat")
+UNITS = {"ride": "m/s2", "peak_travel": "m", "force_rms": "N", "force_peak": "N"}  # of `KEYS`; shares have none
+NEAREST = 3  # candidates next to the best that are named
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,12 @@ class Request:
     Attributes:
         metric: of which the least is best.
         limits: the most that other metrics may be, in SI units.
+        units: of the limits; empty for numbers without one.
     """
 
     metric: str
     limits: Mapping[str, float]
+    units: Mapping[str, str]
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -53,7 +59,7 @@ class Request:
     @property
     def words(self) -> str:
         """The limits in words, after the metric; empty without them."""
-        return " and ".join(f"{name} <= {limit:g}" for name, limit in self.limits.items())
+        return " and ".join(f"{name} <= {limit:g} {self.units[name]}".rstrip() for name, limit in self.limits.items())
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,7 @@ class Choice:
         numbers: of the metrics that were asked for.
         within: how many candidates are within the limits; 0 if the candidate is only the nearest.
         count: how many candidates there are.
+        near: relative distances of the candidates that the table's digits do not tell from the best, by name.
     """
 
     vehicle: str
@@ -77,6 +84,7 @@ class Choice:
     numbers: Mapping[str, float]
     within: int
     count: int
+    near: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def misses(self) -> dict[str, float]:
@@ -108,7 +116,10 @@ class Choice:
         if self.within:
             limits = f" within {request.words}" if request.limits else ""
             count = f"; {self.within} of {self.count} are within" if request.limits else f"; of {self.count}"
-            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}"
+            near = [f"{name} within {percent(share)}" for name, share in self.near.items()]
+            others = f", and {len(near) - NEAREST} more" if len(near) > NEAREST else ""
+            tied = f"; and {', '.join(near[:NEAREST])}{others}" if near else ""
+            return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}{tied}"
         missed = " and ".join(
             f"{name} by {by:.3g}{f' ({percent(by / abs(limit))})' if (limit := request.limits[name]) else ''}"
             for name, by in self.misses.items()
@@ -142,21 +153,38 @@ def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save:
             limit = math.nan
         if not math.isfinite(limit):
             raise InputError(f"{where}: {quoted(number)} is no finite number; {GIVE}")
+        if limit < 0 and not _may_be_negative(metric, campaign):
+            raise InputError(f"{where}: {metric} is never below 0; {GIVE}")
         if metric in read:
             raise InputError(f"{where}: {metric} has two limits; give the smaller one")
         read[metric] = limit
     if save is not None:
         _check_save(campaign, save)
-    return Request(best, read)
+    return Request(best, read, {name: _unit(name, campaign) for name in read})
+
+
+def _may_be_negative(metric: str, campaign: Campaign) -> bool:
+    """Returns True for a metric that is a power, an energy, or an angle against level ground."""
+    known = [_by_name(vehicle, campaign.loaded).get(metric) for vehicle in campaign.vehicles.values()]
+    return any(one is not None and one.what in SIGNED_LIMITS for one in known)
+
+
+def _unit(metric: str, campaign: Campaign) -> str:
+    """Returns the SI unit of a metric; empty for a number without one."""
+    if metric in KEYS:
+        return UNITS.get(metric, "")
+    unit = next(_by_name(vehicle, campaign.loaded)[metric].unit for vehicle in campaign.vehicles.values())
+    return "" if unit == "-" else unit
 
 
 def _check_metric(option: str, name: str, campaign: Campaign) -> None:
     """Refuses a metric that a vehicle lacks."""
     known = {key for vehicle in campaign.vehicles.values() for key in _known(vehicle, campaign.loaded)} | {*KEYS}
     if name not in known:
+        meant = [key for key in KEYS if name and name in key]
+        unknown = f"{quoted(name)} is no metric of this campaign{f', and {listing(meant)} is' if meant else ''}"
         raise InputError(
-            f"{option} {quoted(name)} is no metric of this campaign; give {listing(KEYS)}, or a metric's column of its "
-            "results, as sprung_acceleration_weighted"
+            f"{option} {unknown}; give {listing(KEYS)}, or a metric's column of its results, as sprung_acceleration_weighted"
         )
     for vehicle, one in campaign.vehicles.items():
         if name not in (there := _known(one, campaign.loaded)):
@@ -181,10 +209,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
         check_name("--save:", controller + SUFFIX, ())
         if controller + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {name} has a controller {controller + SUFFIX!r} already; rename or remove that one")
-    try:
-        parse_vehicle(vehicle.text, folder=path.parent)
-    except InputError as error:
-        raise InputError(f"--save {path}: the vehicle file could not be read there ({error}); name a file beside it") from error
+    vehicle.text_for(path)
 
 
 def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> list[Choice]:
@@ -214,7 +239,17 @@ def _choice(plan: Plan, store: Store, request: Request, vehicle: str, standings:
         best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)
     of_law = plan.campaign.variants[vehicle].get(best.controller, ()) if best is not None else ()
     drawn = of_law[best.variant] if best is not None and best.variant is not None else {}
-    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates))
+    near = _near(request.metric, best, {one: numbers[one][request.metric] for one in within}) if best in within else {}
+    return Choice(vehicle, request, best, drawn, numbers[best] if best is not None else {}, len(within), len(candidates), near)
+
+
+def _near(metric: str, best: Candidate | None, values: Mapping[Candidate, float]) -> dict[str, float]:
+    """Returns relative distances from the best, by name, of the candidates with the same digits in the table of standings."""
+    if best is None or not values[best]:
+        return {}
+    scale, least = next((one.scale for one in MEASURES if one.key == metric), 1.0), values[best]
+    same = [one for one in values if one != best and digits(scale * values[one]) == digits(scale * least)]
+    return {one.name: values[one] / least - 1 for one in sorted(same, key=values.__getitem__)}
 
 
 def _over_runs(metric: Metric, values: Array) -> float:
@@ -253,11 +288,11 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
         f"# {name}{of_law}: the best {request.metric}{within}, of {choice.count} and in SI units, by:",
         f"# {pasted(shlex.split(command))}",
         f"# {numbers}{drawn}; {len(campaign.seeds)} road seed(s), {min(campaign.seeds)} to {max(campaign.seeds)};",
-        f"# SHA-256 of the campaign and the files that it names: {identity}",
+        f"{CAMPAIGN_SUM}{identity}",
     ]
     if candidate.variant is not None:
         lines += section_lines(vehicle, candidate.controller, choice.values, name)
-    text = vehicle.text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
+    text = vehicle.text_for(path).rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")

@@ -120,7 +120,7 @@ def read_samples(section: Any, vehicles: Mapping[str, Vehicle], controllers: Seq
 def _count(section: Mapping[str, Any], key: str) -> int:
     count = section[key]
     if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_RUNS:
-        raise InputError(f"[samples] {key} = {quoted(count)} makes no runs; give a whole number from 1 to {MOST_RUNS}")
+        raise InputError(f"[samples] {key} = {quoted(count)} is not allowed; give a whole number from 1 to {MOST_RUNS}")
     return count
 
 

@@ -115,14 +115,18 @@ def recorded(
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
-def log_lines(logs: Mapping[str, str | None]) -> list[str]:
-    """Returns lines with the recorded files and how to open them; empty if nothing was recorded."""
+def log_lines(logs: Mapping[str, str | None], brief: bool = False) -> list[str]:
+    """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
+
+    Args:
+        brief: True for a line on a missing file alone.
+    """
     paths = {name: Path(path) for name, path in logs.items() if path}
     if not paths:
         return []
-    from sim.recording.files import opening_lines
+    from sim.recording.files import left_out_lines, opening_lines
 
-    return ["", "logs", *opening_lines(paths)]
+    return left_out_lines(paths) if brief else ["", "logs", *opening_lines(paths)]
 
 
 def check_view(options: argparse.Namespace) -> None:

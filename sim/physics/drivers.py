@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from models.suspension.damper_range import CoefficientRange
 
 
-WILD = 1e8  # of any measurement, in SI units: beyond it the run has diverged, and its law is called no more
+WILD = 1e8  # largest measurement, in SI units: beyond it the run has diverged, and its law is no longer called
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +274,7 @@ class Dampers:
             beyond = commands[..., j] if self.lagging[j] < 0 else acts[..., self.lagging[j]]
             values[:, names.index(adjustable.coefficient)] = nominal + beyond
             values[:, names.index(adjustable.missing)] = commands[..., m + j]
-            if adjustable.damper.pair is not None:  # its force is that of several actuators
+            if adjustable.damper.pair is not None:  # its force is the sum of several actuators
                 velocity = values[:, names.index(self.velocities[adjustable.force])]
                 shaped = np.stack(
                     [other.adjustable[i].shape(v) for other, v in zip(self.vehicles, velocity.T, strict=True)], axis=-1

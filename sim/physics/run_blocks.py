@@ -203,14 +203,14 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     needed = np.any(K != 0, axis=(0, 1)) | np.any(beside != 0, axis=(0, 1)) | named
     stage = sensed_stage(readout, needed)
     sensors = _span(readout.of_sensors[needed & ~readout.linear]) if stage else slice(0, 0)
-    # An acceleration is read in an evaluation of its own: with the present road, and the force that has acted until now.
+    # An acceleration is read in a separate evaluation, with the present road and the force that has acted until now.
     fresh = stage > int(mujoco.mjtStage.mjSTAGE_VEL)
     unmoved = np.zeros_like(now) if fresh else now - before
     offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
     gain = np.concatenate([of_state @ readout.of_state, of_sensors @ readout.of_sensors[:, sensors]], axis=-1)
     plain, held = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
     if undelayed is None and going is None and not (others or vehicle.dampers) and len(held) == 1:
-        # Runs that may drop out hold for different times, and are read as if they all did.
+        # Runs that may drop out hold forces for different times; all runs are read as if they did.
         plain = not any(one.delay or one.has_measurement_noise for one in ways)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
@@ -222,7 +222,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         if not plain:
             of_reading, unseen = dampers.after(of_reading, unseen)
 
-    # Recorded signals were sensed inside the step, with the road midway, or before it, with the road of the last step.
+    # Recorded signals were sensed inside the step, with the road midway, or before the step, with the road of the last one.
     signals = vehicle.kind.signals
     place = np.array([[signal.name == name for name in readout.names] for signal in signals], dtype=float)
     names = [signal.name for signal in signals]
@@ -283,7 +283,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             physical = recorded[:, acting] if mine is not None else recorded
             largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
             overflowed = np.asarray(~(np.isfinite(asked).all(axis=2) & np.isfinite(kept).all(axis=2)))
-            # MuJoCo replaces a force beyond 1e10 by 0 and runs on: the requested force counts, unless it is clipped before.
+            # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
             for force, given in zip(np.moveaxis(asked, 2, 0), unclipped[runs].T, strict=False):
                 largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
             yield Block(start, recorded, qpos, qvel, largest, overflowed, asked, kept)
@@ -302,7 +302,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
 
 
 def _unclipped(vehicle: Vehicle) -> list[bool]:
-    """Returns True for every input whose requested force acts whole, however large it is."""
+    """Returns True for every input whose requested force acts without a limit."""
     most = vehicle.limits.actuator_force
     return [force not in vehicle.dampers and (most is None or most >= DIVERGED) for force in vehicle.linear_model.inputs]
 

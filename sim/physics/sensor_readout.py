@@ -88,7 +88,7 @@ class LinearLaws:
         return computed
 
     def follow(self, due: Array | slice, requested_force: Array) -> None:
-        """Has the states of the due laws follow the forces that are given; `requested_force` as for `AntiWindup`."""
+        """Adds the anti-windup to the states of the due laws; `requested_force` is as for `AntiWindup`."""
         if self.anti_windup is not None:
             self.kept[due] += self.anti_windup(requested_force, due)
 
@@ -120,7 +120,7 @@ class Sampler:
 
     def __call__(self, k: int, signals: Array) -> Array:
         """Returns the forces of step k, shape (N, m), from the signals at its start, shape (N, S)."""
-        # This runs between any two steps of the physics, where a call of numpy costs as much as stepping a run: no call in vain.
+        # This runs between any two steps of the physics, where a call of numpy costs as much as stepping a run: few calls.
         due = self.all if self.together else (k % self.period == 0).nonzero()[0]
         if len(due) == len(self.all):
             self._sample(slice(None), due, k, signals)
@@ -162,7 +162,7 @@ class Sampler:
 def reads_out(vehicle: Vehicle, timestep: float) -> bytes:
     """Returns a key that is equal for vehicles that can be stepped side by side: same geometry and number of elements."""
     model, readout = prepared(vehicle, timestep)
-    # A model without a stop, a bar or a ramp has no place for that of another vehicle.
+    # A model without a stop, a bar or a ramp cannot hold that of another vehicle.
     elements = np.array([model.ntendon, model.nwrap, model.nu, *model.actuator_gaintype, *model.actuator_trnid[:, 0]])
     used = np.where(readout.linear[:, None], readout.of_state, 0.0)
     return b"".join(
@@ -236,7 +236,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     # qpos = 0 is the static equilibrium of every MJCF here.
     still, flat = np.zeros(model.nq + model.nv), np.zeros(len(mocap))
     rest = np.round(read(still, flat), 12)  # in SI; an acceleration's rounding would differ with the masses
-    small = 0.1  # of a metre, a radian: a tyre's length is linear only while its road stays below the hub
+    small = 0.1  # metres and radians: a tyre's length is linear only while its road stays below the hub
     of_road = np.stack([read(still, height) - rest for height in small * np.eye(len(flat))], axis=-1) / small
     of_state = np.stack([read(move, flat) - rest for move in small * np.eye(len(still))], axis=-1) / small
 
@@ -244,7 +244,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
     felt = bool(np.any(np.abs(of_road[late]) > 1e-9 * (1 + np.abs(rest[late, None]))))
     linear = ~late
     rng = np.random.default_rng(0)
-    for _ in range(3):  # linear, if a few states far from the axes say so
+    for _ in range(3):  # a signal counts as linear if it is at a few states far from the axes
         move, height = rng.uniform(-0.1, 0.1, len(still)), rng.uniform(-0.1, 0.1, len(flat))
         linear &= np.abs(read(move, height) - rest - of_state @ move - of_road @ height) < 1e-12
     inputs, stretching = len(vehicle.linear_model.inputs), []
@@ -315,7 +315,7 @@ def anti_windup_on(vehicles: Sequence[Vehicle], controllers: Sequence[Controller
 def _as_run(
     vehicles: Sequence[Vehicle], controllers: Sequence[Controller | None], timestep: float
 ) -> tuple[list[tuple[Controller | None, LinearLaw | None]], list[int]]:
-    """Returns each controller that is run with its sampled law, once, and which of these each of the N is."""
+    """Returns the distinct controllers with their sampled laws, and the index of each of the N among them."""
     of_vehicle = {id(vehicle): steps_per_sample(vehicle.implementation, timestep) * timestep for vehicle in vehicles}
     pairs = [(id(controller), of_vehicle[id(vehicle)]) for controller, vehicle in zip(controllers, vehicles, strict=True)]
     places = {pair: i for i, pair in enumerate(dict.fromkeys(pairs))}
@@ -376,6 +376,6 @@ def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
 
 
 def mix(matrix: Array, parts: Array, total: Array) -> None:
-    """Adds sums of parts, shape (B, k, N), to totals, shape (B, S, N), by a matrix of shape (S, k), one by one."""
+    """Adds weighted parts, shape (B, k, N), to totals, shape (B, S, N), by a matrix of shape (S, k), term by term."""
     for i, j in np.argwhere(matrix).tolist():
         total[:, i] += parts[:, j] if matrix[i, j] == 1 else matrix[i, j] * parts[:, j]

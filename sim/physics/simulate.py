@@ -3,8 +3,8 @@
 It agrees with the analysis to the integrator's own error (RK4's, to the fourth power of the step), because
 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at its height midway through the step;
-- but signals are read with the road where it is at the sample;
-- loads on the body are held over a step as they are midway through it, and signals are under the load that is held from then on;
+- signals are read with the road's height at the sample;
+- loads on the body are held over a step at their value midway through it, and signals at its start are under that load;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
@@ -27,7 +27,7 @@ from sim.physics.drivers import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -66,8 +66,7 @@ class PhysicsRuns:
 def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
-    A run's numbers are the same, to the last bit, whatever other runs of its controller are beside it: those whose computers
-    differ share no batch.
+    A run's numbers do not depend, to the last bit, on other runs of its controller: different implementations share no batch.
 
     Args:
         controllers: N controllers.
@@ -88,7 +87,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
         beyond = np.stack([under_wheels(road.road.displacement, road.road, road.vehicle, after) for road in once], axis=1)
     shares = shared(
         len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
-    )  # Python is run by one thread at a time
+    )  # only one thread at a time executes Python
     edges = (0, len(time))
     loads = loads_on(met)
     course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
@@ -200,7 +199,8 @@ class MonitoredBatch:
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
         self.loads = loads_on(met)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
-        self.ends, self.diverged = EndDetector(vehicles, time), np.full(len(vehicles), np.inf)
+        self.ends = EndDetector(vehicles, time, anti_windup=[has_anti_windup(one) for one in controllers])
+        self.diverged = np.full(len(vehicles), np.inf)
         self.ran_away = np.zeros(len(vehicles), dtype=bool)
 
     @property

@@ -48,7 +48,7 @@ class Alone:
         """Returns a function that makes a step, then computes the stages up to one at the new state."""
         step, computed = functools.partial(mj_step, self.model, self._data), _STAGES[stage]
         if not computed:
-            return step  # a function around it would cost a twentieth of a step
+            return step  # a wrapper function would cost a twentieth of a step
 
         def steps() -> None:
             step()
@@ -92,7 +92,7 @@ class Reading:
         sensors: part of `sensordata` in the reading; empty without a stage.
         stage: mjtStage up to which sensors are evaluated before a step.
         fresh: True to evaluate sensors apart, with the road at the samples, so that accelerations are right.
-        once: True to record from that evaluation, too: accelerations and forces are then those until the sample.
+        once: True to record from that evaluation, too: accelerations and forces are then those just before the sample.
         damped: setting of adjustable dampers, or None if all actuators push; the gain then has rows for its inputs.
         lagging: True to record the activations.
         held: number of steps for which commands are held, if there is no law beside the gains.
@@ -193,7 +193,7 @@ def step_batch(
     known_beside = reading.memory if kept else np.broadcast_to(np.eye(commands), (count, commands, commands))
     gain = np.concatenate([gain, known_beside], axis=-1)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
-    # Of one run the product of a matrix and a vector is the same, and a third of the call.
+    # For a single run the product of a matrix and a vector has the same result at a third of the cost.
     alone = count == 1 and law is None and not kept and damped is None
     last, used = np.zeros(commands), states
     ask = gain[0].dot if alone else functools.partial(np.matvec, gain)
@@ -265,7 +265,7 @@ def step_batch(
             if at_samples is None:
                 result[...] = sensed_now
         if stage and at_samples is None:
-            # The evaluation after a step has overwritten the step's own readings by those before the next step.
+            # The evaluation after a step has overwritten the step's own readings with those before the next step.
             sensed[1:, early] = sensed[:-1, early]
         if damped is not None and law is None:
             requested = damped.commands(requested)

@@ -80,11 +80,17 @@ def record(
         raise _not_writable(folder, error) from error
 
 
+def left_out_lines(paths: Mapping[str, Path]) -> list[str]:
+    """Returns a line that says why a recording has no Rerun file; empty if it has one."""
+    if "rerun" in paths:
+        return []
+    return [f"  no .rrd file, as {memory.words()}, which is too little for Rerun; raise the limit to have one"]
+
+
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """Returns the commands that open each file of a recording."""
-    left_out = f"  no .rrd file, as {memory.words()}, which Rerun does not bear; raise the limit to have one"
     return [
-        Whole(f"  rerun {pasted_path(paths['rerun'])}") if "rerun" in paths else left_out,
+        *([Whole(f"  rerun {pasted_path(paths['rerun'])}")] if "rerun" in paths else left_out_lines(paths)),
         "  for Foxglove and Lichtblick, with the layout beside it",
         *(Whole(f"    {pasted_path(paths[kind])}") for kind in ("mcap", "layout")),
     ]

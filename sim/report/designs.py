@@ -64,7 +64,7 @@ def design_section(scope: Scope) -> Section:
     if not scope.is_ideal:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
     said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
-    text = (*text, *(f"But of controller {name}, {line}." for name, line in said))
+    text = (*text, *(f"Controller {name}: {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.built_norms:
 
@@ -212,8 +212,8 @@ def frequency_section(
             )
         else:
             text.append(
-                "The controller is slower than the timestep, so its loop makes harmonics: its held-road norm is without them and "
-                "bounds no road's gain."
+                "The force is held over several timesteps, which adds other frequencies to a sinusoid. The held-road norm leaves "
+                "them out, and bounds no road's gain."
             )
         if len(scope.vehicle.kind.wheels) > 1:
             text.append("Here all wheels meet one road; the norm of the designs is that of any roads under any wheels.")

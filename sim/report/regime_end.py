@@ -22,7 +22,7 @@ from sim.linear.switched_response import switched_response
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, utilisation
 from sim.runs.run import run_controllers
 from sim.studies.validity.regime_map import validity
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
 
 # Factors on the predicted height, either way, within which the end is looked for: the first is how closely it is to be known,
@@ -72,7 +72,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     alone = (
         switched_response(controller, met) if short else sampled_response(LoopModel(met.vehicle, controller, met.timestep), met)
     )
-    used = utilisation(vehicle, alone)
+    used = utilisation(vehicle, alone, has_anti_windup(controller))
     if short:
         used[REGIME_ENDS.index(DAMPER)] = 0.0
     if used.max() * LIMITS["height"][1] < REACHES[-1]:

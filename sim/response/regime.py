@@ -180,20 +180,38 @@ DAMPER = End(
 )
 REGIME_ENDS = (LIFT_OFF, BUMP_STOP, SATURATION, FLAT, CURVE, DAMPER)
 END_NAMES = tuple(end.name for end in REGIME_ENDS)
+DEMAND_CLIPPED = (
+    "saturation: a lagging actuator is asked for more than its force first at {when:.4g} s; anti-windup acts from there"
+)
 DIVERGENCE = "divergence"
 LAW_OVERFLOW = "law overflow"
 RAN_AWAY = "the law's own states ran away, and from {when:.4g} s on it asks for no finite force"
 
 
-def utilisation(vehicle: Vehicle, response: Response) -> Array:
-    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E): 1 at the limit, 0 without a limit."""
-    columns = []
+def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
+    """Returns the share of each of `REGIME_ENDS` that a response reaches, shape (..., E): 1 at the limit, 0 without a limit.
+
+    Args:
+        anti_windup: True if clipped demands of its actuators end the linear regime, see `EndDetector`.
+    """
+    columns, times = [], response.time
+    way = _way(vehicle, float(times[1] - times[0]), predicted=True) if anti_windup and len(times) > 1 else 0.0
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
         for limit in end.thresholds(vehicle):
-            share = np.maximum(share, limit.towards(response[limit.signal]).max(axis=-1) / limit.value)
+            values = response[limit.signal]
+            share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
+            if way and end is SATURATION and limit.signal not in vehicle.dampers:
+                demand = values[..., :-1] + np.diff(values, axis=-1) / way
+                share = np.maximum(share, limit.towards(demand).max(axis=-1) / limit.value)
         columns.append(share)
     return np.stack(columns, axis=-1)
+
+
+def _way(vehicle: Vehicle, timestep: float, predicted: bool) -> float:
+    """Returns the share of the way to its command that a lagging force goes in a step, exactly or as RK4; 0 without a lag."""
+    z = (vehicle.limits.actuator_bandwidth or 0.0) * timestep
+    return float(-np.expm1(-z)) if predicted else z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
 
 
 class EndDetector:
@@ -203,13 +221,31 @@ class EndDetector:
     tyre on a hub that has jumped. Therefore a tyre also counts as flat if its hub has jumped and the road is above the hub's
     extrapolated position.
 
+    Anti-windup acts from the first sample at which the demand on an actuator is clipped. Behind a lag that is before the force
+    reaches its limit. The demand follows from the forces at both ends of a step, and its clipping counts as saturation.
+
     Attributes:
         times: first time of each end [s], shape (N, E), or infinity.
     """
 
-    def __init__(self, vehicles: Sequence[Vehicle], time: Array, predicted: bool = False) -> None:
-        """Prepares runs over these sample times [s], read by MuJoCo, or predicted: predicted tyres pass through hubs."""
+    def __init__(
+        self,
+        vehicles: Sequence[Vehicle],
+        time: Array,
+        predicted: bool = False,
+        anti_windup: Sequence[bool] | None = None,
+    ) -> None:
+        """Prepares runs over these sample times [s], read by MuJoCo, or predicted: predicted tyres pass through hubs.
+
+        Args:
+            anti_windup: True for each run whose law has anti-windup, N of them; None if no law has.
+        """
         self.samples, self.times = time, np.full((len(vehicles), len(REGIME_ENDS)), np.inf)
+        h = float(time[1] - time[0]) if len(time) > 1 else 0.0
+        flags = [False] * len(vehicles) if anti_windup is None else anti_windup
+        self.way = np.array([_way(one, h, predicted) if flag else 0.0 for one, flag in zip(vehicles, flags, strict=True)])
+        self.pushing = {names for names in vehicles[0].linear_model.inputs if names not in vehicles[0].dampers}
+        self.forces: dict[int, Array] = {}  # at the last sample, by signal [N], shape (1, N)
         names = [signal.name for signal in vehicles[0].kind.signals]
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
@@ -244,10 +280,26 @@ class EndDetector:
             towards = threshold.towards(values[:, signal])
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
-            beyond = towards >= limit
-            hit = np.flatnonzero(beyond.any(axis=0))
-            when = self.samples[start + beyond[:, hit].argmax(axis=0)]
-            self.times[hit, end] = np.minimum(self.times[hit, end], when)
+            self._note(end, start, towards >= limit)
+            if REGIME_ENDS[end] is SATURATION and threshold.signal in self.pushing and self.way.any():
+                demands = self._demands(signal, values)
+                # The first of a later block is that of the last sample before it.
+                self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
+
+    def _note(self, end: int, start: int, beyond: Array) -> None:
+        """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""
+        hit = np.flatnonzero(beyond.any(axis=0))
+        when = self.samples[start + beyond[:, hit].argmax(axis=0)]
+        self.times[hit, end] = np.minimum(self.times[hit, end], when)
+
+    @np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
+    def _demands(self, signal: int, values: Array) -> Array:
+        """Returns what lagging actuators of laws with anti-windup are asked for [N], up to the last sample but one; else 0."""
+        forces = values[:, signal]
+        forces = np.concatenate([self.forces[signal], forces]) if signal in self.forces else forces
+        self.forces[signal] = forces[-1:].copy()
+        demands = forces[:-1] + np.diff(forces, axis=0) / np.where(self.way, self.way, 1.0)
+        return np.where(self.way, demands, 0.0)
 
     def _risen(self, tyre: int, values: Array) -> Array:
         """Returns the height of a road over the extrapolated hub, if the hub has jumped [m], shape (B, N); -inf otherwise."""
@@ -259,24 +311,25 @@ class EndDetector:
         return np.where(hub - before > JUMP, road - before, -np.inf)
 
 
-def reached(vehicle: Vehicle, response: Response) -> Array:
+def reached(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> Array:
     """Returns the time at which physics first reaches each of `REGIME_ENDS` [s], shape (..., E), or infinity; leading axes are
-    runs.
+    runs. `anti_windup` is that of their law.
     """
     leading, whole = response.values.shape[:-2], response.values.shape[-2:]
     runs = response.values.reshape(-1, *whole)
-    detector = EndDetector([vehicle] * len(runs), response.time)
+    detector = EndDetector([vehicle] * len(runs), response.time, anti_windup=[anti_windup] * len(runs))
     detector.update(0, np.moveaxis(runs, 0, 2))
     return detector.times.reshape(*leading, len(REGIME_ENDS))
 
 
-def scaled_reached(vehicle: Vehicle, response: Response, factors: Array) -> Array:
+def scaled_reached(vehicle: Vehicle, response: Response, factors: Array, anti_windup: bool = False) -> Array:
     """Returns the time at which a linear response, times N factors, would reach each of `REGIME_ENDS` [s], shape (N, E).
 
     Args:
         factors: also negative, as over a hole; shape (N,).
+        anti_windup: True if the law of the response has anti-windup.
     """
-    detector = EndDetector([vehicle] * len(factors), response.time, predicted=True)
+    detector = EndDetector([vehicle] * len(factors), response.time, True, [anti_windup] * len(factors))
     for start in range(0, len(response.time), BLOCK):
         detector.update(start, response.values[start : start + BLOCK, :, None] * factors)
     return detector.times
@@ -290,9 +343,13 @@ def first_end(times: Array) -> Array:
     return np.where(np.isfinite(times).any(axis=-1), times.argmin(axis=-1), -1)
 
 
-def ended_by(vehicle: Vehicle, response: Response) -> tuple[str, ...]:
-    """Returns the names of `REGIME_ENDS`, and `DIVERGENCE` or `LAW_OVERFLOW`, that occur in the physics of one run."""
-    ended = [name for name, when in zip(END_NAMES, reached(vehicle, response), strict=True) if np.isfinite(when)]
+def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) -> tuple[str, ...]:
+    """Returns the names of `REGIME_ENDS`, and `DIVERGENCE` or `LAW_OVERFLOW`, that occur in the physics of one run.
+
+    `anti_windup` is that of its law.
+    """
+    times = reached(vehicle, response, anti_windup)
+    ended = [name for name, when in zip(END_NAMES, times, strict=True) if np.isfinite(when)]
     return (*ended, *((broken_by(response),) if np.isfinite(response.diverged) else ()))
 
 

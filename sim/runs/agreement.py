@@ -1,22 +1,22 @@
-"""Physics against analysis, signal by signal, and no further than the analysis applies.
+"""Comparison of physics with analysis, signal by signal, for as long as the analysis applies.
 
-The yardstick is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, and that is
+The reference is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, which is
 known: on a linear system RK4 is the Taylor polynomial of degree 4, so its response can be computed without MuJoCo. Physics and
-analysis agree where they differ by no more than that.
+analysis agree if they differ by no more than that.
 
-A body that pitches and rolls is not linear, and there physics leaves the analysis with the amplitude. Then the same road is
-driven at a hundredth of its height: what is geometry has gone there, in proportion or faster, and what is wrong has not. A
-vehicle that has no such geometry (`models.vehicle.mjcf`), as a quarter-car, is not excused by it. What the integrator makes of a
-smaller motion is the same share of it where all is linear but geometry; where curves have knots near rest it may be a larger one,
-and is computed there, too.
+A body that pitches and rolls is not linear: its difference from the analysis grows with the amplitude. Then the same road is
+driven at a hundredth of its height. There a relative difference caused by geometry is a hundredth or less, and one caused by a
+mistake is as large as before. A vehicle without such geometry (`models.vehicle.mjcf`), such as a quarter-car, gets no such
+excuse. The integrator's relative error does not depend on the height if geometry is the only nonlinearity. With knots of curves
+near rest it may be larger at a smaller height, and is computed there, too.
 
-What is wrong at large motions alone has gone at a hundredth, too: a curve beyond its line, a bump stop. So every step has to be
-that of the vehicle's exact equations (`sim.runs.steps`), on the whole road and also where the linear analysis does not apply. A
-kind of vehicle that turns and gives no such equations is driven at a half and a quarter of the height instead. Two terms of a
-power series in the height follow from these, and foretell what geometry makes of the whole road.
+A mistake that only shows at large motions, as in a curve beyond its line or a bump stop, is absent at a hundredth of the height.
+So every step is also compared with the vehicle's exact equations (`sim.runs.steps`), on the whole road, and where the linear
+analysis does not apply. A kind of vehicle that turns and has no such equations is driven at a half and a quarter of the height
+instead. These give two terms of a power series in the height, which predict the effect of geometry on the whole road.
 
-Rounding does not go with the road: it is that of the vehicle's weight and lengths, and beside a hundredth of the road it counts a
-hundred times as much. An unstable loop makes more and more of it, as of everything.
+Rounding does not depend on the road: it is relative to the vehicle's weight and lengths, and at a hundredth of the road it counts
+a hundred times as much. In an unstable loop it grows, like everything.
 """
 
 import math
@@ -33,31 +33,31 @@ from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reac
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, ScaledPrediction
 from sim.runs.steps import StepAgreement, compare_steps, left_over, motion_of
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
-COARSEST = 1e-2  # of a peak; physics that is further off confirms nothing, even if the integrator has to be
-SMALL = 1e-2  # the share of the road's height at which geometry has to have gone
-PARTS = (0.5, 0.25)  # further shares of the height, from which geometry on the whole road is foretold
-FORETOLD = 0.25  # of what geometry makes: the terms of higher order that are left out make less
-SLACK = 1.5  # on the predicted integrator error: it is a maximum over time of one of two nearly equal curves
+COARSEST = 1e-2  # of a peak; a larger difference confirms nothing, even if the integrator's own error is as large
+SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
+PARTS = (0.5, 0.25)  # further shares of the height, from which the effect of geometry on the whole road is predicted
+FORETOLD = 0.25  # of the effect of geometry: the neglected terms of higher order are smaller
+SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
 
 
 @dataclass(frozen=True)
 class SignalAgreement:
-    """Difference of one signal of the physics from its references, over the time in which the linear analysis applies.
+    """Difference of one signal of the physics from its references, while the linear analysis applies.
 
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
         continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
         allowed: bound on `sampled` by the integrator's own error, no more than `COARSEST`, with noise and rounding.
-        blur: part of `allowed` by noise and quantisation.
-        rounding: part of `allowed` that is as large over any road; see `sim.linear.sampled_response`.
+        blur: part of `allowed` for noise and quantisation.
+        rounding: part of `allowed` that does not depend on the road; see `sim.linear.sampled_response`.
         scale: of all these differences, in the signal's unit.
-        geometry: what `sampled` would be if physics differed from the linear analysis by geometry alone, or None if `small` was
+        geometry: value of `sampled` if physics differed from the linear analysis by geometry alone, or None if `small` was
             not needed.
-        foretold: largest difference of physics from the linear response with the geometry that smaller heights foretell, or
-            None for a vehicle with exact equations.
+        foretold: largest difference of physics from the linear response plus the effect of geometry that smaller heights
+            predict, or None for a vehicle with exact equations.
         small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
         allowed_small: `allowed` over that road, or None.
     """
@@ -75,14 +75,14 @@ class SignalAgreement:
 
     @property
     def judged(self) -> tuple[float, float]:
-        """The difference that decides, and what is allowed of it: `sampled`, or `small` with what geometry has left there."""
+        """The deciding difference and its limit: `sampled`, or `small`, whose limit includes the remaining effect of geometry."""
         if self.small is None or self.allowed_small is None:
             return self.sampled, self.allowed
         return self.small, self.allowed_small + SLACK * SMALL * self.sampled
 
     @property
     def is_geometry(self) -> bool:
-        """Returns True unless smaller heights foretell another difference."""
+        """Returns True unless smaller heights predict another difference."""
         return self.foretold is None or self.foretold <= self.allowed + FORETOLD * self.sampled
 
     @property
@@ -93,7 +93,7 @@ class SignalAgreement:
 
     @property
     def agrees(self) -> bool:
-        """Returns True if the difference is the integrator's, or vanishes with the amplitude as that of geometry does."""
+        """Returns True if the difference is the integrator's, or vanishes with the amplitude as an effect of geometry does."""
         return self.excess <= 1 and self.is_geometry
 
 
@@ -104,10 +104,10 @@ class Agreement(Shown):
     Attributes:
         signals: by name.
         lift_off: intervals [s] in which a tyre is off the road.
-        ended: when each of `REGIME_ENDS` first happens [s], by name; infinite where it does not.
-        until: the comparison applies before this time [s]; infinite where it always does. What the exact response goes on beyond
+        ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
+        until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
             does not end it.
-        blurred: whether measurements are noisy or quantised: then the comparison is with their predicted spread.
+        blurred: True if measurements are noisy or quantised: then differences up to their predicted spread are allowed.
         steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
     """
 
@@ -129,7 +129,7 @@ class Agreement(Shown):
 
     @property
     def verdict(self) -> str:
-        """The verdict on physics, and until when it holds, in words."""
+        """The verdict on physics, and the time until which it holds, in words."""
         when = f"until {self.until:.4g} s" if math.isfinite(self.until) else "throughout"
         return f"{'agrees' if self.agrees else 'DOES NOT AGREE'} {when}"
 
@@ -140,32 +140,31 @@ class Agreement(Shown):
 
     @property
     def step_by_step(self) -> bool:
-        """Returns True unless a step is not that of the vehicle's exact equations."""
+        """Returns False if a step differs from the vehicle's exact equations, else True."""
         return self.steps is None or self.steps.agrees
 
 
 def compare(prediction: Prediction, physics: Response, requested_force: Array | None = None) -> Agreement:
-    """Compares what MuJoCo did in one run with its prediction.
+    """Returns the comparison of one run of MuJoCo with its prediction.
 
     Args:
-        requested_force: what its controller asked for, see `PhysicsRuns`; None if that is not known.
+        requested_force: the controller's requests, see `PhysicsRuns`; None if they are not known.
     """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
-    ended = dict(zip(END_NAMES, reached(vehicle, physics).tolist(), strict=True))
+    ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
     until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
-    # A loop that grows threefold in a step is through the road and back within one, which the prediction's own squeeze shows.
+    # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
     if foretold < until:
         ended[FLAT.name] = until = foretold
     lift_off = lift_off_intervals(vehicle, physics)
-    steps = None
+    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
+    steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended))
+        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended), rounding)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
-    controller = prediction.controller if isinstance(prediction.controller, Controller) else None
-    rounding = roundings(vehicle, controller)
     if prediction.loop is not None and prediction.radius > 1:
         rounding = grown(rounding, prediction.loop, len(physics.time))
     for name, rounded in rounding.items():
@@ -183,22 +182,22 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
 
 
 def steps_end(vehicle: Vehicle, physics: Response, ended: Mapping[str, float]) -> float:
-    """Returns the time [s] before which single steps compare: until nothing of a vehicle is left.
+    """Returns the time [s] before which single steps are compared: until a tyre is flat, or the run diverges.
 
-    The equations of a kind that gives none but a linear model hold only while all tyres are on the road.
+    A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
     """
     end = min(ended[FLAT.name], physics.diverged)
     return end if vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(vehicle, physics))
 
 
 def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response) -> Agreement:
-    """Asks of a run that does not agree whether that is geometry: then it vanishes with the amplitude.
+    """Checks if the difference of a run that does not agree is due to geometry: then it vanishes with the amplitude.
 
     Args:
-        small: what is predicted over the same road at `SMALL` of its height.
-        physics: what MuJoCo did over that.
+        small: prediction over the same road at `SMALL` of its height.
+        physics: response of MuJoCo over that road.
     """
-    # As long as the comparison is of: what is allowed is, too.
+    # Over the same time as the comparison, as its limits are.
     physics, sampled = physics.until(agreement.until), small.sampled.until(agreement.until)
     integrated = None if small.integrated is None else small.integrated.until(agreement.until)
     signals = {}
@@ -213,7 +212,7 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
 
 
 def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, requested_force: Array | None) -> Agreement:
-    """Says what geometry makes by the vehicle's exact equations: all differences but those that single steps leave.
+    """Adds the effect of geometry by the vehicle's exact equations: all differences except those that single steps leave.
 
     Arguments as for `compare`.
     """
@@ -239,7 +238,7 @@ def foretell(
     whole: tuple[Response, Response],
     parts: Sequence[tuple[Response, Response]],
 ) -> Agreement:
-    """Says what geometry makes of the whole road by what it makes of smaller ones, to the third power of the height.
+    """Adds the effect of geometry on the whole road as smaller heights predict it, to the third power of the height.
 
     Args:
         whole: physics and exact response over the whole road.
@@ -261,7 +260,7 @@ def foretell(
 
 
 def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float, float], ...]:
-    """When any tyre is off the road: first and last sample of every interval [s], in order of their start."""
+    """Returns the intervals in which any tyre is off the road: first and last sample [s], in order of their start."""
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
         off = np.concatenate([[False], limit.towards(physics[limit.signal]) >= AT * limit.value, [False]])
@@ -271,10 +270,10 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 
 
 def _first_loose(vehicle: Vehicle, physics: Response) -> float:
-    """First sample [s] before which a tyre may have been off the road within a step; infinite where none may have been.
+    """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
-    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. What paths bend
-    within a step, and RK4's stages probe of it, is within their second differences.
+    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. The curvature of
+    paths within a step, as RK4's stages see it, is bounded by their second differences.
     """
     static, first = vehicle.kind.static_tyre_deflection(vehicle.parameters), np.inf
     for wheel in vehicle.kind.wheels:
@@ -295,7 +294,7 @@ def _integrator(integrated: Response, sampled: Response, signal: str) -> float:
 
 
 def _difference(response: Response, reference: Response, signal: str) -> float:
-    """Largest difference over time, over the reference's scale; 0 where neither ever moves."""
+    """Returns the largest difference over time, over the reference's scale; 0 if neither ever moves."""
     if len(response.time) == 0:
         return 0.0
     difference = float(np.max(np.abs(response[signal] - reference[signal])))

@@ -16,7 +16,7 @@ from synth.vehicle.designer import Designer
 
 def run(
     vehicle: Vehicle,
-    controllers: Annotated[Sequence[Driver | ControllerEntry | str], AT_LEAST_ONE],
+    controllers: Driver | ControllerEntry | str | Annotated[Sequence[Driver | ControllerEntry | str], AT_LEAST_ONE],
     road: Road,
     duration: float = 3.0,
     timestep: float = USUAL_TIMESTEP,
@@ -26,14 +26,14 @@ def run(
     Args:
         vehicle: the vehicle.
         controllers: as `synth.design_controllers` makes them, or names of the vehicle's, or entries of `vehicle.controllers`:
-            those are designed, and laws in Python and semi-active ones driven as they are.
+            those are designed, and laws in Python and semi-active ones driven as they are. A single one is a list of one.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: of the run [s].
-        timestep: of MuJoCo [s], and the controllers' sample period where the vehicle file says none.
+        timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
 
     Raises:
-        InputError: the road cannot be driven by this vehicle, a controller is another one's, a time is not allowed, or noise is
-            of what nobody measures.
+        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a
+            signal with noise is measured by no controller.
         DesignError: a controller cannot be designed.
 
     Example:
@@ -46,13 +46,14 @@ def run(
     time = sample_times(vehicle, duration, timestep)
     road.check(vehicle, time)
     designer = Designer(vehicle)
-    drivers = [_driver(designer, one) for one in controllers]
+    several = controllers if isinstance(controllers, Sequence) and not isinstance(controllers, str) else [controllers]
+    drivers = [_driver(designer, one) for one in several]
     check_fits(vehicle, *drivers)
     return run_controllers(vehicle, drivers, road, time)
 
 
 def _driver(designer: Designer, given: Driver | ControllerEntry | str) -> Driver:
-    """Returns a controller that may be named, or be an entry of the vehicle file."""
+    """Returns the controller of a name, or of an entry of the vehicle file."""
     if not isinstance(given, str | ControllerEntry):
         return given
     name, known = given if isinstance(given, str) else given.name, designer.vehicle.controllers

@@ -1,4 +1,4 @@
-"""Adjustable dampers in a run: what they did not give of what was asked, and where decisions were a matter of rounding."""
+"""Adjustable dampers in a run: the requested force that they did not give, and decisions that rounding made."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

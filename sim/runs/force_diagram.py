@@ -1,4 +1,4 @@
-"""Damper and spring diagrams: what a suspension pulls with over how fast, or far, it is stretched, and its curve or limits."""
+"""Damper and spring diagrams: force of a suspension over velocity or deflection, with its curve or limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class Line:
     """A line of a diagram.
 
     Attributes:
-        signal: what a log calls its force at the argument that was reached.
-        label, dash, width: how it is drawn.
+        signal: name in a log of its force at the actual argument.
+        label, dash, width: style.
         force: over its argument [N].
     """
 
@@ -47,7 +47,7 @@ class Diagram:
         argument, pull: signals of the two in a log.
         x: the argument in a response, shape (T,).
         force: pulling force at those x in the response [N], shape (T,).
-        lines: forces over x that are drawn.
+        lines: the drawn forces over x.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Forces of a run over time: those of loads on the body, and those that a law in Python asked for, as a log has them attached."""
+"""Forces of a run over time: of loads on the body, and requested by a law in Python, as attached to a log."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +16,9 @@ from sim.response.response import Response
 
 
 def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
-    """All of them together in each of their ways, then each by itself where there are several; None of a road without any.
+    """Returns the loads: their sum in each direction, then each one if there are several; None for a road without loads.
 
-    As they act: held over a step at what they are midway through it.
+    They are held over a step at their value midway through it, as they act.
 
     Args:
         road: with loads, or without.
@@ -43,7 +43,7 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
 
 
 def _called(loads: Sequence[Load]) -> list[str]:
-    """A name for each: its kind, with a number where there are several of that."""
+    """Returns a name for each load: its kind, with a number if there are several of that kind."""
     kinds = [load.text.partition(":")[0] if load.label == load.text else "file" for load in loads]
     counted = [f"{kind}_{kinds[: i + 1].count(kind)}" for i, kind in enumerate(kinds)]
     return [name if kinds.count(kind) > 1 else kind for kind, name in zip(kinds, counted, strict=True)]
@@ -53,13 +53,13 @@ LONGEST = 26  # characters of a number and its separator
 
 
 def written_forces(names: Sequence[str], forces: Array) -> bytes:
-    """Forces [N] of these names, shape (T, m), as text."""
+    """Returns forces [N] of these names, shape (T, m), as text."""
     rows = (",".join(map(repr, row)) for row in forces.tolist())
     return "\n".join([",".join(names), *rows, ""]).encode()
 
 
 def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
-    """Reads forces [N], shape (T, m), from text.
+    """Returns the forces [N] of a text, shape (T, m).
 
     Raises:
         InputError: the text has other forces, or another number of samples.

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sim.linear.switched_response import DecisionMismatch, Switched
 
 
-SIGMAS = 6.0  # of noise: thousands of samples stay within it
+SIGMAS = 6.0  # deviations of noise: thousands of samples stay within them
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +91,14 @@ class Prediction:
 
 
 def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> Prediction:
-    """The prediction of one run, from rest.
+    """Returns the prediction of one run, from rest.
 
     Args:
         loop: of the vehicle and its controller, at the timestep of the road's samples.
-        most_states: of a loop, its delayed forces among them, of which eigenvalues are still taken.
+        most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
 
     Raises:
-        InputError: noise or quantisation goes through a larger loop than that, and its spread is not known.
+        InputError: a larger loop has noise or quantisation, whose spread is then not known.
     """
     vehicle, cut = loop.vehicle, loop.open_loop
     small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
@@ -131,7 +131,7 @@ def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
 
 
 def predict_forced(controller: Programmed, road: RoadInput, requested_force: Array) -> Prediction:
-    """Predicts the responses to the forces that a law in Python requested in a run from rest.
+    """Returns the predicted responses to the forces that a law in Python requested in a run from rest.
 
     Args:
         requested_force: requested forces [N], shape (T, m).
@@ -235,7 +235,7 @@ def predict_switched(
 
 
 def _peak(vehicle: Vehicle, physics: Response, signal: str) -> float:
-    """The peak of a signal in physics as long as it goes, or of "velocity", that of all the suspensions."""
+    """Returns the peak of a signal in physics until the run ends; for "velocity", the peak of all suspension velocities."""
     from sim.linear.dampers import stretching
     from sim.linear.switched_response import VELOCITY
 
@@ -246,10 +246,10 @@ def _peak(vehicle: Vehicle, physics: Response, signal: str) -> float:
     return float(np.abs(states @ stretching(vehicle).T).max(initial=0.0))
 
 
-NEAR = 1e-5  # of a peak, at 1 ms; MuJoCo is nearer to its exact response, and further off no decision is a slip of rounding
-ORDER = 4  # of RK4: as which power of the step it is off
-NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # the same with curves: RK4 steps over their knots
-NEAR_GEOMETRY = 1e-2  # where bodies turn, over the whole road: geometry's share of a peak; over less of it in proportion
+NEAR = 1e-5  # of a peak, at 1 ms; MuJoCo is nearer to its exact response, and beyond it rounding explains no decision
+ORDER = 4  # order of RK4's error in the step
+NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # its order with curves, as RK4 steps over their knots
+NEAR_GEOMETRY = 1e-2  # effect of geometry on the whole road, of a peak, if bodies turn; proportional to the height
 
 
 def predict_replayed(controller: Driver, road: RoadInput, physics: Response, requested_force: Array) -> Prediction:
@@ -288,5 +288,5 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Sca
 
 
 def with_scaled_noise(share: float, vehicle: Vehicle) -> Vehicle:
-    """The vehicle with so much of its noise, as over that share of a road."""
+    """Returns the vehicle with this share of its noise, for the same share of a road."""
     return replace(vehicle, implementation=vehicle.implementation.scaled(share))

@@ -13,11 +13,22 @@ from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
-from sim.response.regime import CURVE, FLAT, LAW_OVERFLOW, LIFT_OFF, RAN_AWAY, REGIME_ENDS, broken_by, departures
+from sim.response.regime import (
+    CURVE,
+    DEMAND_CLIPPED,
+    FLAT,
+    LAW_OVERFLOW,
+    LIFT_OFF,
+    RAN_AWAY,
+    REGIME_ENDS,
+    SATURATION,
+    broken_by,
+    departures,
+)
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, has_anti_windup
 from synth.controller.report import (
     BOUND,
     NORM,
@@ -35,7 +46,7 @@ from synth.controller.report import (
 
 
 def energy_object(energy: Energy) -> dict[str, float | bool | None]:
-    """An energy balance as JSON has it [J]; its residual is a share of `turnover`."""
+    """Returns an energy balance for JSON [J]; its residual is a share of `turnover`."""
     numbers = {
         name: finite(value) for name, value in asdict(energy).items() if name not in ("least", "loads") or value is not None
     }
@@ -43,7 +54,7 @@ def energy_object(energy: Energy) -> dict[str, float | bool | None]:
 
 
 def energy_lines(run: Run) -> list[str]:
-    """A run's energy balance in a sentence; none where it is not known."""
+    """Returns a run's energy balance in a sentence; empty if it is not known."""
     energy = run.energy
     if energy is None:
         return []
@@ -59,11 +70,11 @@ def energy_lines(run: Run) -> list[str]:
 
 NO_CLAIM = "no linear claim: a law in Python"
 NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
-NOT_GEOMETRY = 0.01  # of a difference; a smaller part is none that a sentence tells
-MOST_FLIGHTS = 4  # of a run that are told one by one
+NOT_GEOMETRY = 0.01  # share of a difference; a sentence leaves out smaller parts
+MOST_FLIGHTS = 4  # flights of a run that are listed one by one
 
 
-@np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is None
+@np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
 def run_object(run: Run) -> dict[str, Any]:
     """Returns a run as JSON has it: SI units, None for infinite or missing values."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
@@ -114,7 +125,7 @@ def half_step_object(run: Run) -> dict[str, Any] | None:
 
 
 def controller_object(controller: Driver) -> dict[str, Any]:
-    """A controller as JSON has it; of a law in Python there are no linear claims, which are None."""
+    """Returns a controller for JSON; the linear claims of a law in Python are None."""
     if not isinstance(controller, Controller):
         return controller.record | dict.fromkeys(("bound", "norm", "peak_frequency", "stability"))
     certificate = controller.certificate
@@ -127,7 +138,7 @@ def controller_object(controller: Driver) -> dict[str, Any]:
 
 
 def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
-    """A controller and what is known of it."""
+    """Returns lines on a controller and its claims."""
     if not isinstance(controller, Controller):
         heading = [f"controller {controller.name}: measures {', '.join(controller.measured)}", f"  {controller.text}"]
     else:
@@ -184,13 +195,13 @@ def verdict(run: Run) -> str:
 
 
 def summary_lines(runs: Sequence[Run]) -> list[str]:
-    """The verdict on every run, a line each."""
+    """Returns the verdict on every run, a line each."""
     width = max(len(run.controller.name) for run in runs)
     return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
-    """When tyres are off the road: each time, or, where these are many, how often and how long."""
+    """Returns the times at which tyres are off the road, or, if they are many, their number and total duration."""
     if len(lift_off) > MOST_FLIGHTS:
         longest = max(end - start for start, end in lift_off)
         start, end = lift_off[0]
@@ -225,7 +236,10 @@ def verdict_lines(run: Run) -> list[str]:
     elif agreement.lift_off and agreement.blurred:
         lines.append(f"how good the physics is after lift-off is not said: at half the step its {blur} would be another")
     times = agreement.ended
-    lines += [end.verdict.format(when=times[end.name]) for end in REGIME_ENDS if end.verdict and math.isfinite(times[end.name])]
+    said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
+    if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
+        said[SATURATION] = DEMAND_CLIPPED
+    lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
     left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
     if run.vehicle.dampers:
@@ -272,7 +286,7 @@ def verdict_lines(run: Run) -> list[str]:
 
 
 def _no_geometry(agreement: Agreement) -> list[str]:
-    """Returns a sentence on a difference from the linear response that geometry does not make, if any does not."""
+    """Returns a sentence on a difference from the linear response that is not due to geometry, if there is one."""
     rest = {name: each.sampled - each.geometry for name, each in agreement.signals.items() if each.geometry is not None}
     if agreement.agrees or not rest:
         return []
@@ -313,7 +327,7 @@ def _step_lines(run: Run) -> list[str]:
 
 
 def _end(steps: StepAgreement) -> str:
-    """Returns how far single steps are compared."""
+    """Returns the time until which single steps are compared, in words."""
     return f"until {steps.until:.4g} s" if math.isfinite(steps.until) else "throughout"
 
 
@@ -326,13 +340,13 @@ def _reference(run: Run) -> str:
 
 @np.errstate(over="ignore")
 def run_lines(run: Run, passive: Run | Reference | None) -> list[str]:
-    """The table of one run: peak and rms of every signal, physics and sampled, their errors, the change against passive."""
+    """Returns the table of a run: peak and rms of every signal in physics and sampled, errors, and the change against passive."""
     rows: list[tuple[str, ...] | str] = [("signal", "MuJoCo", "sampled", "continuous", "error", "to cont.", "vs passive")]
     if math.isfinite(run.agreement.until):
         rows.append(f"(error and to cont.: until {run.agreement.until:.4g} s; peak and rms: of the whole run)")
     for name, signal in run.agreement.signals.items():
         rows.append(f"{name} [{run.vehicle.kind.signal(name).unit}]")
-        # What symmetry keeps silent, or all of it on a flat road, is rounding in the physics without control.
+        # A signal that symmetry keeps at zero, or any signal on a flat road, is rounding in the physics without control.
         silent = passive is not None and (
             float(passive.physics.peak(name)) < passive.physics.scale(name) or not passive.sampled.peak(name)
         )
@@ -341,14 +355,14 @@ def run_lines(run: Run, passive: Run | Reference | None) -> list[str]:
             reference = float(getattr(passive.physics, kind)(name)) if passive else 0.0
             change = cell(100 * (values[0] / reference - 1), "+.1f", " %") if reference and not silent else "-"
             errors = (cell(signal.sampled, ".1e"), cell(signal.continuous, ".1e")) if kind == "peak" else ("", "")
-            # Where MuJoCo has left numbers behind, what linear analysis goes on to says nothing of a vehicle.
+            # After MuJoCo's numbers overflow, the linear response no longer describes the vehicle.
             numbers = ("-" if math.isfinite(run.diverged) else cell(value, ".6g") for value in values)
             rows.append((f"  {kind}", *numbers, *errors, change))
     return table(rows)
 
 
 def events(run: Run) -> tuple[tuple[float, str], ...]:
-    """Lift-offs, landings, the first bump stop and saturation, and divergence or overflow, in the order of their times [s]."""
+    """Returns lift-offs, landings, the first bump stop and saturation, divergence and overflow, by time [s]."""
     happened = [(start, LIFT_OFF.event) for start, _ in run.agreement.lift_off]
     happened += [(end, "landing") for _, end in run.agreement.lift_off]
     if math.isfinite(run.diverged):
@@ -359,7 +373,7 @@ def events(run: Run) -> tuple[tuple[float, str], ...]:
 
 
 def summary(run: Run) -> str:
-    """Design and verdict as Markdown."""
+    """Returns design and verdict as Markdown."""
     lines = [f"# {run.controller.name}", ""]
     lines += [f"- {line}" for line in [run.controller.text, *_found(run.vehicle, run.controller)]]
     lines += [f"- measures {', '.join(run.controller.measured) or 'nothing'}", "", "## Verdict", ""]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from sim.physics.drivers import RunDriver
 
 
-POINTS = 1000  # of a curve, at most about
+POINTS = 1000  # points of a drawn curve, about
 
 
 class ShownRun(Shown):
@@ -67,7 +67,7 @@ class ShownRun(Shown):
         return super()._repr_html_() + self._peaks() + notebook_figure(self._panel())
 
     def _peaks(self) -> str:
-        """The table of peaks: physics, sampled response, and the error that decides the verdict."""
+        """Returns the table of peaks: physics, sampled response, and the error that decides the verdict."""
         physics, sampled = self.physics, self.prediction.sampled
         kind = self.prediction.vehicle.kind
         rows = [
@@ -81,12 +81,12 @@ class ShownRun(Shown):
         return html_table("peaks", [("signal", "MuJoCo", "sampled", "error"), *rows])
 
     def _panel(self) -> "Panel":
-        """The signal whose weighted peak is largest: MuJoCo, red, over the sampled response, blue; until the run broke off."""
+        """Returns a plot of the signal with the largest weighted peak until the run broke off: MuJoCo red, sampled blue."""
         from models.figures.figure import Curve, Panel
         from models.figures.notebook import BLUE, RED
 
         event, at = self.broke_off or ("", math.inf)
-        until = max(at, float(self.physics.time[2]))  # not nothing
+        until = max(at, float(self.physics.time[2]))  # at least two samples
         physics, sampled = self.physics.until(until), self.prediction.sampled.until(until)
         weights = {name: weight for name, weight in self.prediction.vehicle.performance.items() if weight}
         most = max(weights, key=lambda name: weights[name] * float(np.nan_to_num(sampled.peak(name), posinf=0.0)))
@@ -106,8 +106,8 @@ class ShownRun(Shown):
         return Panel(title, "time [s]", f"{most.replace('_', ' ')} [{unit}]", curves)
 
 
-RK4_REACH = 2.7  # a first-order lag times RK4's largest step is 2.785; rounded down by 1 % and more
-MOST_SAMPLES = 1_000_000  # a run of these takes 0.4 GB and half a minute
+RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
+MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class Run(ShownRun):
 
     @property
     def diverged(self) -> float:
-        """When the physics diverged [s]; infinite where it did not."""
+        """Time at which the physics diverged [s]; infinite if it did not."""
         return self.physics.diverged
 
     @property
@@ -226,7 +226,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
 
 def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
-    """Refuses noise or quantisation of a signal that no controller measures, of these or of the vehicle file."""
+    """Refuses noise or quantisation of a signal that no controller measures, among these and those of the vehicle file."""
     measured = {name for controller in (*controllers, *vehicle.controllers.values()) for name in controller.measured}
     how = vehicle.implementation
     for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
@@ -244,7 +244,7 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
         balanced: False leaves out positions, energy and the change by half the step.
     """
     _check_noise(vehicle, controllers)
-    ahead = not vehicle.dampers  # what those do follows from what physics has made of them
+    ahead = not vehicle.dampers  # else the predictions follow the decisions that dampers make in physics
     met = RoadInput(vehicle, road, time)
     known = [
         predict(LoopModel(vehicle, each, met.timestep), met) if ahead and isinstance(each, Controller) else each
@@ -289,7 +289,7 @@ def compare_runs(
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        requested_force: what their controllers asked for, see `PhysicsRuns`; None if that is not known.
+        requested_force: their controllers' requests, see `PhysicsRuns`; None if they are not known.
     """
     requests = [None] * len(predictions) if requested_force is None else list(requested_force)
     triples = zip(predictions, physics, requests, strict=True)
@@ -321,6 +321,8 @@ def compare_runs(
 def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
+    A run that leaves more energy over than is usual is driven at half the step, too.
+
     Args:
         runs: over the same sample times, of vehicles of the same kind.
         made: the same runs with their states.
@@ -330,12 +332,18 @@ def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
-    if lifted:
-        again, timestep = [runs[i].prediction for i in lifted], runs[0].prediction.timestep
+    doubtful = [i for i, run in enumerate(runs) if run.energy and run.energy.doubtful and not run.agreement.blurred]
+    if halved := sorted({*lifted, *doubtful}):
+        again, timestep = [runs[i].prediction for i in halved], runs[0].prediction.timestep
         halves = np.arange(2 * len(again[0].time) - 1) * (timestep / 2)
-        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep)).response
-        for k, i in enumerate(lifted):
-            runs[i] = replace(runs[i], half_step=_half_step(runs[i], finer.run(k)))
+        finer = _simulated(again, halves, lambda vehicle: _sampled_as_before(vehicle, timestep))
+        for k, i in enumerate(halved):
+            run, balance = runs[i], runs[i].energy
+            if balance is not None and balance.doubtful:
+                met = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves)
+                balance = balance.beside(energy(finer, k, met, until=run.agreement.ended[FLAT.name]))
+            half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
+            runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
 
 
@@ -374,13 +382,13 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:
-    """The vehicle with the sample period that it has at a timestep, to be run at another."""
+    """Returns the vehicle with its sample period at a timestep made explicit, to be run at another timestep."""
     period = vehicle.implementation.sample_period or timestep
     return replace(vehicle, implementation=replace(vehicle.implementation, sample_period=period))
 
 
 def _half_step(run: Run, finer: Response) -> HalfStep:
-    """The physics of a run against that at half the step, from its first lift-off on."""
+    """Returns the comparison of a run's physics with that at half the timestep, from its first lift-off on."""
     lifted = run.physics.time >= run.agreement.lift_off[0][0]
     apart = {
         name: float(np.abs(run.physics[name] - finer[name][::2])[lifted].max()) / (run.physics.scale(name) or 1.0)

@@ -1,10 +1,13 @@
-"""Physics against the vehicle's exact equations, step by step: also where no linear response holds.
+"""Comparison of physics with the exact equations, step by step and signal by signal, also where no linear response applies.
 
-From the signals at one sample follows the state, and from this, by RK4's own arithmetic on the equations of the vehicle file, the
-signals at the next sample. Physics must have these, to rounding: while bodies turn, beyond the lines of curves, at bump stops,
-with tyres in the air and forces at their limits. Every step begins at physics' own state, so no error of one step hides in the
-next, and all steps are computed at once. Forces are those that the controller has asked for, within the limits and behind the lag
-of the vehicle file; where that is not known, as in a log, those of physics within these limits, as are coefficients of dampers.
+The signals at one sample determine the state. RK4 on the equations of the vehicle file then gives the signals at the next sample.
+Physics must have the same signals, to rounding: while bodies turn, beyond the lines of curves, at bump stops, with tyres in the
+air and forces at their limits. Every step begins at physics' own state, so no error of one step hides in the next, and all steps
+are computed at once. Forces are the controller's requests, with the limits and the lag of the vehicle file. If the requests are
+not known, as in a log, the forces of physics are taken, within the same limits, and likewise the coefficients of dampers.
+
+The state and the forces at a sample also determine every other output signal there: accelerations, as the forces and loads of the
+step begin to act, velocities of points of the body, sums of signals, and the forces. Physics must have these, too.
 """
 
 from collections.abc import Mapping
@@ -27,19 +30,19 @@ from sim.response.response import Response
 if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
-EXACT = 1e-10  # of a peak; measured up to 1e-12 per step, and a force that is off by a ten thousandth leaves 1e-8 and more
-SHARES = (0.0, 0.5, 0.5, 1.0)  # of a step, at which RK4 looks at it
+EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 @dataclass(frozen=True)
 class StepAgreement:
-    """Differences of the physics from the vehicle's exact equations over single steps.
+    """Differences of the physics from the vehicle's exact equations over single steps, and at their starts.
 
     Attributes:
-        error: the difference that comes nearest to its allowed value or exceeds it most, over the signal's peak.
-        allowed: of that signal, over its peak.
-        signal: its name.
+        error: the difference with the largest ratio to its allowed value, over the signal's peak.
+        allowed: the allowed value of that signal, over its peak.
+        signal: name of that signal.
         since: start of the first step that differs by more than is allowed [s], or infinity.
         until: steps that begin before this time are compared [s]; infinite for all.
     """
@@ -57,7 +60,7 @@ class StepAgreement:
 
 
 class LinearMotion:
-    """Equations of motion of a vehicle that is linear between the limits of its file, while no tyre leaves the road."""
+    """Equations of motion of a vehicle that is linear except for the limits of its file, while no tyre leaves the road."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Takes the linear model, and how its suspensions pull.
@@ -72,17 +75,19 @@ class LinearMotion:
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
         names = [part.deflection for part in vehicle.kind.suspensions]
         self._rows, self._push = np.zeros((len(names), len(self.names))), np.zeros((len(names), len(self.names)))
+        self._shown = np.zeros((len(names), len(self.model.outputs)))
         for i, part in enumerate(vehicle.kind.suspensions):
             if part.deflection not in needed:
                 continue
             if part.deflection not in self.names or not (part.force or part.stiffness):
                 raise ValueError(f"the effect of forces along {part.deflection} is unknown")
             self._rows[i, self.names.index(part.deflection)] = 1.0
-            self._push[i] = pulls_on(vehicle, [part.deflection])[0][:, 0]
+            push, shown = pulls_on(vehicle, [part.deflection])
+            self._push[i], self._shown[i] = push[:, 0], shown[:, 0]
         self._rates = self._rows @ self.model.A
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """See `Motion`. It is the part of the linear model's state that does not jump with the road."""
+        """See `Motion`. The state is the part of the linear model's state that does not jump with the road."""
         return np.stack([signals[name] for name in self.names], axis=-1) - heights @ self._jump
 
     def usable(self, state: Array) -> Array:
@@ -99,6 +104,13 @@ class LinearMotion:
         still = heights @ self._of_road + inputs @ self.model.B.T + loads @ self.model.Bl.T
         return state @ self.model.A.T + still + pulls(x @ self._rows.T, x @ self._rates.T) @ self._push
 
+    def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
+        """See `Motion`."""
+        model, x = self.model, state + heights @ self._jump
+        values = x @ model.C.T + heights @ model.Cr.T + inputs @ model.D.T + loads @ model.Dl.T
+        values = values + pulls(x @ self._rows.T, x @ self._rates.T) @ self._shown
+        return {name: column for name, column in zip(model.outputs, values.T, strict=True) if name not in model.inputs}
+
 
 def motion_of(vehicle: Vehicle) -> "Motion | None":
     """Returns the exact equations of a vehicle, or None if only its MJCF has them."""
@@ -111,23 +123,41 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
 
 
 def compare_steps(
-    motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float
+    motion: "Motion",
+    road: RoadInput,
+    physics: Response,
+    requested_force: Array | None,
+    until: float,
+    rounding: Mapping[str, float],
 ) -> StepAgreement:
-    """Compares every step of physics that ends before a time [s] with the equations of motion.
+    """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        requested_force: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = physics.until(until)
-    ahead, there, known = _stepped(motion, road, physics, requested_force)
-    if not len(ahead):
+    starts = _starts(motion, road, physics, asked)
+    if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
-    rounding = roundings(road.vehicle, None)
-    scales = np.array([physics.scale(name) or 1.0 for name in motion.names])
+    ahead, there = _stepped(motion, starts)
+    shown = _shown(motion, starts, physics)
+    names = (*motion.names, *shown)
+    held, combined = roundings(road.vehicle, None), road.vehicle.kind.combined
+    # A signal is rounded, and so are those that tell it.
+    rounded = [held[name] for name in motion.names]
+    for name in shown:
+        parts = combined.get(name, {name: 1.0})
+        rounded.append(sum(abs(share) * rounding.get(part, 0.0) for part, share in parts.items()) + rounding.get(name, 0.0))
+    scales = np.array([physics.scale(name) or 1.0 for name in names])
     # What a length of a metre rounds to is a hundred times as much at a height of a hundred metres.
     high = 1.0 + np.abs(road.heights).max(initial=0.0)
-    allowed = EXACT + high * np.array([rounding[name] for name in motion.names]) / scales
-    apart = np.where(known[:, None], np.abs(ahead - there) / scales, 0.0)
+    allowed = EXACT + high * np.array(rounded) / scales
+    further = [shown[name] - physics[name][: len(ahead)] for name in shown]
+    apart = np.abs(
+        np.concatenate([np.where(starts.known[:, None], ahead - there, 0.0), *(row[:, None] for row in further)], axis=1)
+    )
+    apart /= scales
     apart[~np.isfinite(apart)] = np.inf
     excess = apart / allowed
     step, which = np.unravel_index(excess.argmax(), excess.shape)
@@ -136,7 +166,7 @@ def compare_steps(
     return StepAgreement(
         error=float(apart[step, which]),
         allowed=float(allowed[which]),
-        signal=motion.names[which],
+        signal=names[which],
         since=float(physics.time[beyond.argmax()]) if beyond.any() else np.inf,
         until=np.inf if usable else float(physics.time[len(ahead)]),
     )
@@ -145,15 +175,16 @@ def compare_steps(
 def left_over(
     motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float
 ) -> dict[str, Array]:
-    """Returns how the linear vehicle would move if only the differences of single steps pushed it, by output signal.
+    """Returns the response of the linear vehicle to the differences of single steps alone, by output signal.
 
     Args:
         requested_force: as for `compare_steps`.
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, physics.until(until)
-    ahead, there, known = _stepped(motion, road, physics, requested_force)
-    apart = dict(zip(motion.names, np.where(known[:, None], there - ahead, 0.0).T, strict=True))
+    starts = _starts(motion, road, physics, asked)
+    ahead, there = _stepped(motion, starts)
+    apart = dict(zip(motion.names, np.where(starts.known[:, None], there - ahead, 0.0).T, strict=True))
     pushed = np.zeros((len(physics.time), len(model.states)))
     for i, name in enumerate(model.states):
         parts = road.vehicle.kind.combined.get(name, {name: 1.0})
@@ -162,35 +193,99 @@ def left_over(
     return dict(zip(model.outputs, outputs.T, strict=True))
 
 
-def _stepped(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None) -> tuple[Array, Array, Array]:
-    """Returns signals after one step of RK4 from every sample, those of physics there, shapes (K, p), and where both compare."""
+@dataclass(frozen=True, eq=False)
+class _Starts:
+    """Starts of the K steps that are compared.
+
+    Attributes:
+        vehicle: with its limits.
+        timestep: of the steps [s].
+        state: see `Motion`, shape (K, n).
+        heights: of the road [m], those after the last step as well, shape (K + 1, r).
+        midway: where the road is held during the steps, shape (K, r).
+        loads: held during the steps, shape (K, l).
+        there: signals of `Motion.names` at their ends, shape (K, p).
+        stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
+        known: True for each step within which these are known, shape (K,).
+    """
+
+    vehicle: Vehicle
+    timestep: float
+    state: Array
+    heights: Array
+    midway: Array
+    loads: Array
+    there: Array
+    stages: list[Array]
+    known: Array
+
+
+def _starts(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None) -> _Starts:
+    """Returns the starts of all steps, up to the first whose state the equations cannot take."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_loads[: count - 1]
+    names, m = motion.names, len(vehicle.linear_model.inputs)
     if count == 1:
-        return np.zeros((0, len(motion.names))), np.zeros((0, len(motion.names))), np.zeros(0, dtype=bool)
-    state = motion.state({name: physics[name] for name in motion.names}, heights)[:-1]
+        nothing = np.zeros((0, len(names)))
+        return _Starts(vehicle, h, nothing, heights, midway, loads, nothing, [np.zeros((0, m))] * 4, np.zeros(0, dtype=bool))
+    state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    state, heights, midway, loads = state[:end], heights[: end + 1], midway[:end], loads[:end]
-    stages, known = _given(
-        vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), requested_force, h
-    )
-    dampers = np.isin(vehicle.linear_model.inputs, list(vehicle.dampers))
+    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), asked, h)
+    there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
+    return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages, known)
+
+
+def _stepped(motion: "Motion", starts: _Starts) -> tuple[Array, Array]:
+    """Returns signals after one step of RK4 from every start, and those of physics there, shapes (K, p)."""
+    state, h = starts.state, starts.timestep
+    if not len(state):
+        return starts.there, starts.there
     total, at, rate = np.zeros_like(state), state, np.zeros_like(state)
-    for given, share, weight in zip(stages, SHARES, WEIGHTS, strict=True):
+    for given, share, weight in zip(starts.stages, SHARES, WEIGHTS, strict=True):
         at = state + share * h * rate
-        pulls = partial(_pulls, vehicle, np.where(dampers, given, 0.0))
-        rate = motion.rate(at, midway, np.where(dampers, 0.0, given), pulls, loads)
+        forces, beyond = _parted(starts.vehicle, given)
+        rate = motion.rate(at, starts.midway, forces, partial(_pulls, starts.vehicle, beyond), starts.loads)
         total += weight * rate
-    there = np.stack([physics[name][1 : end + 1] for name in motion.names], axis=-1)
-    return motion.read(state + h * total, heights[1:]), there, known
+    return motion.read(state + h * total, starts.heights[1:]), starts.there
+
+
+def _shown(motion: "Motion", starts: _Starts, physics: Response) -> dict[str, Array]:
+    """Returns the vehicle's other signals at the starts by the equations, each of shape (K,)."""
+    vehicle, count, seen = starts.vehicle, len(starts.state), list[Array]()
+    kind, names = vehicle.kind, physics.names
+    forces, beyond = _parted(vehicle, starts.stages[0])
+
+    def pulls(d: Array, v: Array) -> Array:
+        seen.append(v)
+        return _pulls(vehicle, beyond, d, v)
+
+    shown = dict(motion.outputs(starts.state, starts.heights[:-1], forces, pulls, starts.loads))
+    for part, v in zip(kind.suspensions, seen[0].T, strict=True):
+        shown.setdefault(part.velocity.name, v)
+    places = {part.force: i for i, part in enumerate(kind.suspensions)}
+    for j, name in enumerate(vehicle.linear_model.inputs):
+        shown[name] = forces[:, j]
+    for one in vehicle.adjustable:
+        coefficient = beyond[:, vehicle.linear_model.inputs.index(one.force)]
+        shown[one.force] = -coefficient * one.shape(seen[0][:, places[one.force]])
+        shown[one.coefficient] = one.nominal + coefficient
+    for name, parts in kind.combined.items():
+        shown[name] = sum((share * physics[part][:count] for part, share in parts.items()), np.zeros(count))
+    return {name: values for name, values in shown.items() if name in names and name not in motion.names}
+
+
+def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
+    """Returns forces [N] and coefficients of adjustable dampers beyond the nominal ones [N s/m], 0 at each other's inputs."""
+    dampers = np.isin(vehicle.linear_model.inputs, list(vehicle.dampers))
+    return np.where(dampers, 0.0, given), np.where(dampers, given, 0.0)
 
 
 def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h: float) -> tuple[list[Array], Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each.
 
-    Behind them is where they are known, shape (K,): a lagging force that is at its limit at one end of a step alone is not known
-    within it, unless all commands are.
+    It also returns a mask of the steps in which they are known, shape (K,). If commands are unknown, a lagging force that
+    is at its limit at only one end of a step is unknown within it.
     """
     inputs, limits, count = vehicle.linear_model.inputs, vehicle.limits, len(physics.time)
     now, most = np.stack([physics[name] for name in inputs], axis=-1), limits.actuator_force or np.inf
@@ -201,11 +296,10 @@ def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h
         rates[j] = one.damper.bandwidth or 0.0
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     z = rates * h
-    way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the way to its command that RK4 goes in a step
-    if requested_force is not None and limits.actuator_bandwidth is None:
-        now[:, pushing] = requested_force[:count, : len(inputs)][:, pushing]
-    elif requested_force is not None:
-        now[:, pushing] = recursion(np.diag(1 - way[pushing]), way[pushing] * requested_force[:count, : len(inputs)][:, pushing])
+    way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the distance to its command that a lag covers in a step of RK4
+    if asked is not None:
+        demand = asked[:count, : len(inputs)]
+        now = np.where(z > 0, recursion(np.diag(1 - way), way * demand), demand)
     else:
         now = np.where(pushing, np.clip(now, -most, most), now)
     before, change = now[:-1], np.diff(now, axis=0) / np.where(way > 0, way, 1.0)

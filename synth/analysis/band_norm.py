@@ -6,8 +6,8 @@ check the upper level, the imaginary part of every eigenvalue of the Hamiltonian
 Between neighbouring crossings, or a crossing and an edge, the gain lies above the level everywhere or nowhere.
 
 **A norm in a band says nothing of stability**, nor of other frequencies. For a stable loop, the norm is the largest amplification
-of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it: its norm amplifies
-nothing.
+of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it, so its norm is not an
+amplification.
 """
 
 from dataclasses import dataclass

@@ -56,7 +56,7 @@ def certify_tightly(
         for (gamma, margin), share, strength in product(levels, ADDED, everywhere):
             try:
                 X = step * bounding_x(loop, gamma, share * margin, strength, least_seen)
-            except (np.linalg.LinAlgError, ValueError):  # too close to the norm for the Riccati solver
+            except (np.linalg.LinAlgError, ValueError):  # the bound is too close to the norm for the Riccati solver
                 continue
             certificate = replace(plain, proof=prove_bound(plant, G, X, eta_of(gamma)))
             if not certificate.failures:

@@ -16,8 +16,8 @@ Rodman 1990, Interpolation of Rational Matrix Functions, chapter 18; Zames, Fran
 If inputs control some states without cost in z, M - s E is singular at every s. So the pairs are [q; p] = N k, k' (Q - s U) = 0,
 with the pencil of a `SynthesisInequality`, which is regular and has all of them.
 
-On the imaginary axis such conditions bound the norm each by itself, |x_k| / |v_k|: the invariant points of the plant (see
-`invariant_point.py`), and of the transposed one those disturbances that y does not feel at some frequency, or at infinity.
+On the imaginary axis each such condition alone bounds the norm, by |x_k| / |v_k|. For the plant these are the invariant points
+(see `invariant_point.py`); for the transposed plant, the disturbances that do not reach y at some frequency, or at infinity.
 
 A zero in the open half plane is not a float, so it is enclosed. Let (k, s) be near a solution and R near the inverse of the
 derivative there, and let the residual include its rounding. A solution lies within a radius r if |R residual| + |I - R

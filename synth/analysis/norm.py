@@ -14,8 +14,8 @@ Both share the transfer function. The modes of the system, which are cheap to ev
 values are computed without them, from a linear system of equations.
 
 The rounding of the values is bounded, to first order. The bound is large for a huge gain, whose loop A + B G has fast and slow
-poles. Then both routes refine their results with twice the digits, on the loop before it was rounded. So the two routes cannot
-agree by a common error.
+poles. Then both routes refine their results with twice the digits, on the loop before it was rounded. So no rounding error of the
+loop is common to both routes.
 """
 
 from collections.abc import Callable

@@ -8,7 +8,7 @@ plant, in S.
 not observable in z. The columns of F span these directions (`costless_reachable_subspace`).
 No dual solution can weight them, so N is also orthogonal
 to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant (B = C_y',
-D = Dyw') the rows of F' are the states that y and its derivatives give without w (`noise_free_observable_rows`).
+D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`noise_free_observable_rows`).
 
 Along stable states that are unobservable in z, X grows without cost, too.
 
@@ -24,9 +24,10 @@ solutions live on the left deflating subspace of the other zeros,
 
     L Q = Lambda L U,    W = L' W' L,    He(U' W Q) = (L U)' He(W' Lambda) (L U),
 
-and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' in place of U, Q, b, c and X. L and Lambda are no floats, so
-they are enclosed (`AntistablePart`), as zeros are in `interpolation.py`. Zeros on the axis to rounding are left out: that weakens
-the bound, and does not falsify it.
+and W' solves the inequality with I, Lambda, L b, L c and L U X U' L' in place of U, Q, b, c and X. Floats cannot represent L and
+Lambda exactly, so they are enclosed (`AntistablePart`), as zeros are in `interpolation.py`. Zeros on the axis to rounding are
+left
+out: the bound is then weaker, but still true.
 """
 
 import math
@@ -193,7 +194,7 @@ def _emptied(states: Array, inputs: Array) -> Array:
 def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
     """Returns the states that are unobservable in z without control, columns of shape (n, h); none if some of them grow.
 
-    A wrong decision here would weaken the bound, not falsify it.
+    A wrong decision here makes the bound weaker, but not false.
     """
     n = len(plant.A)
     silent = Nullspace(states[n:].T)
@@ -212,7 +213,7 @@ def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
     return V[:, :0] if grows else V
 
 
-@np.errstate(all="ignore")  # what is not finite encloses nothing
+@np.errstate(all="ignore")  # infinities and NaN enclose nothing
 def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
     """Returns the part of the unstable zeros; None if all zeros are unstable, U is not square, or nothing can be enclosed."""
     try:

@@ -51,7 +51,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.save:
         from synth.command.save import check_save
 
-        check_save(vehicle, [name for name in names if _designs(vehicle, name, options)])
+        check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
     designer, parts = Designer(vehicle), Parts()
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:

@@ -15,8 +15,9 @@ AXES_HELP = (
 )
 
 EPILOG = """
-exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. That a loop is stable
-without its computer is no claim where it is stable with it; one that its computer loses claims nothing false, and is named
+exit code: 0 every claim holds, 1 a controller could not be designed or a claim fails, 2 bad input. With a sample period or a
+delay in the vehicle file a loop fails as unstable only if it is unstable with these and without. A loop that is unstable with
+these alone is named, and does not fail
 
 examples:
   python -m synth
@@ -51,8 +52,9 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
         raise InputError(
             "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
         )
-    if options.front is None and options.given & {"csv", "point"}:
-        raise InputError("--csv and --point are of the designs of --front; give its axes with --front, or leave them out")
+    for name in ("csv", "point"):
+        if options.front is None and name in options.given:
+            raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
     return options
 
 

@@ -9,8 +9,9 @@ from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
-from models.vehicle.limits_and_implementation import LONGEST_PERIOD
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
+from synth.controller.report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, Cost, cost
@@ -64,12 +65,12 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
         print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
     else:
-        lines = titled(vehicle.kind.name, vehicle.source)
+        lag, lines = built_words(replace(vehicle, implementation=Implementation())), titled(vehicle.kind.name, vehicle.source)
         for one in asked:
-            lines += ["", *cost_lines(one)]
+            lines += ["", *cost_lines(one, lag)]
         for name, reason in undesigned.items():
             lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
-        lines += ["", *about_lines(asked), *written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
+        lines += ["", *about_lines(asked, lag), *written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
         say([*lines, *(f"DOES NOT HOLD: {text}" for text in failed)])
     return 1 if failed or undesigned else 0
 

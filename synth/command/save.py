@@ -7,6 +7,7 @@ from typing import Any
 
 from models.common.errors import InputError
 from models.common.files import whole_file
+from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
@@ -16,11 +17,11 @@ from synth.controller.report import norm_if_implemented, norm_record
 SUFFIX = "_designed"
 
 
-def check_save(vehicle: Vehicle, names: Sequence[str]) -> None:
+def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     """Checks before the design that controllers of these names can be added.
 
     Raises:
-        InputError: there is nothing to write, or a name is taken.
+        InputError: there is nothing to write, a name is taken, or the file could not be read where it is.
     """
     if not names:
         raise InputError(
@@ -29,6 +30,7 @@ def check_save(vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
+    vehicle.text_for(path)
 
 
 def save(
@@ -46,8 +48,8 @@ def save(
         InputError: there is nothing to write, a name is taken, or the file cannot be written.
     """
     designed = [controller for controller in controllers if controller.designed and controller.measured]
-    check_save(vehicle, [controller.name for controller in designed])
-    text = vehicle.text.rstrip("\n") + "\n"
+    check_save(path, vehicle, [controller.name for controller in designed])
+    text = vehicle.text_for(path).rstrip("\n") + "\n"
     for controller in designed:
         text += "\n" + "\n".join(_entry(vehicle, controller, (sampled_bounds or {}).get(controller.name))) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
@@ -69,7 +71,7 @@ def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound
         *([f"loads = {_toml(dict(controller.hardware.loads))}"] if controller.hardware.loads else []),
         *(["lag = true"] if controller.hardware.bandwidth is not None else []),
         "",
-        f"[controllers.{key}.certificate]    # checked by: python -m synth --check THIS_FILE",
+        f"[controllers.{key}.certificate]    {CHECKED_BY}",
         *(f"{key} = {_toml(value)}" for key, value in record.items()),
     ]
 

@@ -39,7 +39,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     if options.point and not options.save:
         raise InputError("--point says which designs --save writes; give a file with --save, or leave --point out")
     if options.save:
-        check_save(vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
+        check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
     told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:

@@ -194,6 +194,11 @@ class Controller(Checked, Shown):
         return self.law.continuous().fed_back(through).D @ C
 
 
+def has_anti_windup(controller: object) -> bool:
+    """Returns True if it is a controller whose law has anti-windup."""
+    return isinstance(controller, Controller) and controller.law.anti_windup is not None
+
+
 def check_fits(vehicle: Vehicle, *controllers: Driver) -> None:
     """Refuses controllers of another vehicle: with signals or a number of forces that this one does not have.
 

@@ -70,17 +70,16 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     """Returns the norm in words, compared with that of the ideal loop; empty if the norm is None."""
     if norm is None:
         return []
-    built = built_words(vehicle)
     if not norm.stable:
-        return [f"sampled norm infinite: UNSTABLE with {built}"]
+        return [f"sampled norm infinite: UNSTABLE with {built_words(vehicle)}"]
     ideal = controller.certificate.norm.value
     # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
     seen = "frequencies" if norm.by_sweep else "level sets"
-    heard = ", and what is read has its noise" if any(controller.hardware.noise) else ""
+    heard = ", with the noise of its measurements" if any(controller.hardware.noise) else ""
     lines = [
-        f"sampled norm {norm.value:.7g}{more}: {built}, while road and car go on{heard}",
+        f"sampled norm {norm.value:.7g}{more}{heard}",
         f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
@@ -98,7 +97,7 @@ def sampled_lines(vehicle: Vehicle) -> list[str]:
     """Returns the explanation of the column "sampled" in a table of norms, if it has one."""
     if vehicle.implementation.undelayed:
         return []
-    return [f"sampled is the norm of the loop as built, road and car going on between its samples: {built_words(vehicle)}"]
+    return [f"sampled is the norm of the loop as built, with the motion between its samples: {built_words(vehicle)}"]
 
 
 def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
@@ -266,21 +265,20 @@ def judged_lines(controller: Controller) -> list[str]:
     texts = []
     if noise:
         texts.append(
-            f"norm and bounds are of road and noise together: a noise of {noise} counts as much as 1 m/s of w, which is the "
-            "road's velocity, or what its filter shapes it from"
+            f"norm and bounds count noise, too: an rms of {noise} weighs as much as 1 m/s of road velocity, before any filter of "
+            "it"
         )
     if hardware.loads:
         loads = ", ".join(f"{value:g} {load_signal(name).unit} of {name}" for name, value in hardware.loads)
         texts.append(
-            f"norm and bounds are of road and loads together: {loads} count as much as 1 m/s of w each; a norm as implemented, "
-            "and one that sim.sweep measures, knows no loads"
+            f"norm and bounds count loads, too: {loads} each weigh as much as 1 m/s of road velocity, before any filter of it; a "
+            "norm as implemented, and one that sim.sweep measures, knows no loads"
         )
     if controller.law.states and controller.law.sample_period is not None:
-        texts.append("norm, bounds and poles are of its continuous counterpart, whose bilinear transform (Tustin) it is")
+        texts.append("the law is discrete: norm, bounds and poles are of the continuous law whose Tustin transform it is")
     if hardware.bandwidth is not None:
         texts.append(
-            f"norm, bounds and poles are with the actuators' lag, {hardware.bandwidth:g} rad/s; the force that z weighs is the "
-            "one asked for"
+            f"norm, bounds and poles include the actuators' lag, {hardware.bandwidth:g} rad/s; z weighs the commanded force"
         )
     return texts
 

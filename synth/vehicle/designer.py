@@ -4,11 +4,11 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from models.common.checks import at_the_door
+from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.combinations import check_command, goes
@@ -120,6 +120,10 @@ class Designer:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
         self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
+
+    def __repr__(self) -> str:
+        """Returns the kind and the file of its vehicle."""
+        return f"Designer of {self.vehicle.shown[0]}"
 
     def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
@@ -348,15 +352,15 @@ def design(vehicle: Vehicle, name: str) -> Controller:
     return Designer(vehicle).design(name)
 
 
-def design_controllers(vehicle: Vehicle, names: Sequence[str]) -> list[Controller]:
+def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], AT_LEAST_ONE]) -> list[Controller]:
     """Returns controllers of a vehicle by name, each with its certificate. They share the state-feedback step (22).
 
     Args:
         vehicle: whose file asks for them.
-        names: of the file's controllers, `passive` or `state`.
+        names: of the file's controllers, `passive` or `state`. A single one is a list of one.
 
     Raises:
-        InputError: a name is unknown.
+        InputError: a name is unknown, or none is given.
         DesignError: there is no such controller, or none could be proved; the message says why.
 
     Example:
@@ -369,4 +373,4 @@ def design_controllers(vehicle: Vehicle, names: Sequence[str]) -> list[Controlle
         'norm 7.843188, proved to be at most 7.871'
     """
     designer = Designer(vehicle)
-    return [designer.design(name) for name in names]
+    return [designer.design(name) for name in ([names] if isinstance(names, str) else names)]

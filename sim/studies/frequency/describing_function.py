@@ -23,7 +23,7 @@ from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, LOWEST, check, ideal_measurements, settled_gain
-from synth.controller.controller import Driver
+from synth.controller.controller import Driver, has_anti_windup
 
 SINUSOIDS = 20  # of the chirp's lines, from its first to its last
 ENTRIES = 2e7  # numbers in a batch's record
@@ -130,7 +130,7 @@ def describing_function(
         away += runs.ran_away.tolist()
         for i, each in enumerate(some.tolist()):
             run = runs.run(i)
-            ended |= dict.fromkeys(ended_by(vehicle, run))
+            ended |= dict.fromkeys(ended_by(vehicle, run, has_anti_windup(controller)))
             if np.isfinite(runs.diverged[i]):
                 nothing = np.full(len(outputs), np.nan)
                 parts.append((nothing * 1j, nothing, nothing * 1j, np.nan))
@@ -204,7 +204,11 @@ def describing_verdict(one: DescribingFunction) -> str:
         return f"NOTHING MEASURED: every run {'broke off' if one.ran_away.any() else 'diverged'}"
     if one.ended:
         return f"no linear claim; outside the linear regime: {', '.join(one.ended)}"
-    return f"no linear claim: at most {percent(float(np.nanmax(one.outside)))} of a signal's energy is outside its fundamental"
+    share = percent(float(np.nanmax(one.outside)))
+    return (
+        f"no linear claim: in the worst signal {share} of the energy is at other frequencies, which a describing function leaves "
+        "out"
+    )
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:

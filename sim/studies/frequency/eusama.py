@@ -32,7 +32,7 @@ from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
 from sim.studies.frequency.worst_case_gain import PerWheelRoad, whole_periods
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 
 STROKE = 3e-3  # m, the plate's amplitude
 LOWEST, GRID = 0.3, 600  # Hz, frequencies: below it a wheel follows its plate
@@ -138,7 +138,7 @@ def _driven(
     waves = np.zeros((1, len(vehicle.kind.wheels)), dtype=complex)
     waves[0, wheel] = STROKE * tried[0]
     run = simulate([controller], [RoadInput(vehicle, PerWheelRoad.under(vehicle, tried, waves, float(time[-1])), time)]).run(0)
-    ended = ended_by(vehicle, run)
+    ended = ended_by(vehicle, run, has_anti_windup(controller))
     curved = bool(vehicle.fitted)
     if ended or curved:
         measured = max(0.0, 1 - float(run[tyre][-samples:].max()) / static[tyre])

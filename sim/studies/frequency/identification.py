@@ -34,7 +34,7 @@ from sim.physics.simulate import simulate
 from sim.response.regime import ended_by
 from sim.response.response import SILENT, Response
 from sim.runs.run import sample_times
-from synth.controller.controller import Controller, check_fits
+from synth.controller.controller import Controller, check_fits, has_anti_windup
 from synth.controller.open_loop import LoopModel
 
 
@@ -230,7 +230,7 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, times
         lines = fit(vehicle, controller, run, omega, period)
         driven = lines[vehicle.kind.wheels[0].road_velocity]
         measured = np.stack([lines[name] for name in outputs], axis=-1) / driven[:, None]
-        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run)
+        gain, ended = l2_gain(vehicle, run), ended_by(vehicle, run, has_anti_windup(controller))
         order = math.log2(far / near) if vehicle.implementation.ideal else math.nan
         identified.append(Lines(controller, outputs, units, omega, measured, sampled, integrated, continuous, order, gain, ended))
     return identified

@@ -203,13 +203,16 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
         f"  held-road norm of the sampled loop, one road under all wheels: {norm.gain:.7g} at {norm.omega:.5g} rad/s; norm of "
         f"the continuous one, any road under any wheel: {_norm(one):.7g}"
     )
-    lines += [f"  of the continuous one, {text}" for text in judged_lines(lines_of_loop.controller)]
+    lines += [f"  about the continuous norm: {text}" for text in judged_lines(lines_of_loop.controller)]
     gains = "".join(f", {name} {gain:.5g}" for name, gain in one.gains.items() if name != "worst sinusoid")
     worst = one.gains["worst sinusoid"]
     share = f"{100 * worst / norm.gain:.4f} % of the held-road norm"
     lines.append(f"  L2 gains in MuJoCo: worst sinusoid {worst:.7g} ({share}){gains}")
-    if not one.extremes.lti:
-        lines.append("  the controller is slower than the timestep, so its loop has harmonics: this norm is without them")
+    if not one.extremes.lti and lines_of_loop.controller.law.acts:
+        lines.append(
+            "  the force is held over several timesteps, which adds other frequencies to a sinusoid; the held-road norm leaves "
+            "them out"
+        )
     lines += [*_road_lines(one), *load_lines(one.loads)]
     if failed and not one.ended:
         lines += [f"  DOES NOT AGREE: {text}" for text in failed]

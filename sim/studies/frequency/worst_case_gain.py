@@ -53,7 +53,7 @@ from sim.studies.frequency.identification import (
     settled_gain,
 )
 from synth.analysis.specification import SampledNorm
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import road_twist_inputs
 
@@ -227,7 +227,8 @@ def extremes(
     results = []
     for i, controller in enumerate(controllers):
         runs = {name: of_each[i] for name, of_each in responses.items()}
-        ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run))
+        winds_up = has_anti_windup(controller)
+        ended = dict.fromkeys(name for run in (settled[i], *runs.values()) for name in ended_by(vehicle, run, winds_up))
         invariants = _measured(vehicle, controller, runs["invariants"], len(time) // 2, timestep) if special else ()
         gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
         others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
@@ -372,7 +373,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
     gain = math.sqrt(mean_square(vehicle, last)) / size
     twisted = len(road_twist_inputs(vehicle.linear_model)) > 0
-    return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response))
+    return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response, has_anti_windup(controller)))
 
 
 def _turn(angle: float) -> Fraction:

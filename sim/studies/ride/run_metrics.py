@@ -223,7 +223,7 @@ def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughnes
     shown = METRIC if random else METRIC[:-2]
     rows: list[Sequence[str] | str] = [("", *titles(shown))]
     source = ""
-    if roughness:
+    if any(one.iri or one.expected for one in roughness):  # a flat road has none
         roads = [
             (_name(one, roughness), MetricComparison(UNIT, one.iri, one.iri, one.expected, one.spread, False))
             for one in roughness

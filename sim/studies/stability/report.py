@@ -13,6 +13,7 @@ from synth.controller.controller import Controller
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
 NAME, CELL = 24, 12  # columns of a table of margins
+COUNTERPART = "the law is discrete: all numbers are of the continuous law whose Tustin transform it is"
 
 
 def margins_object(
@@ -70,9 +71,11 @@ def margins_lines(
     vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> list[str]:
     """Returns the margins of a loop, predicted and found, in lines for a terminal."""
-    lines = []
+    law = controller.law
+    fixed = law.sample_period if law.states else None
+    lines = [COUNTERPART] if fixed is not None else []
     for name, one in margins.items():
-        lines += ["", *_loop_lines(_called(name, len(margins)), one)]
+        lines += ["", *_loop_lines(_called(name, len(margins)), one, fixed)]
         lines.append(_agreement(one.agrees))
     lines += ["", *_fragile_lines(vehicle, controller, fragile), _agreement(fragile.agrees)]
     if box is None:
@@ -119,8 +122,8 @@ def _called(name: str, count: int) -> str:
     return f"the loop of {name}, the others closed" if name else ("all loops at once" if count > 1 else "the loop")
 
 
-def _loop_lines(title: str, one: LoopMargins) -> list[str]:
-    """A loop's margins as a table."""
+def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
+    """A loop's margins as a table; `fixed` is the sample period of a discrete law [s]."""
     predicted, h = one.predicted, one.timestep
     rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
     if predicted.gain_lower or one.found_gain_lower:
@@ -134,7 +137,10 @@ def _loop_lines(title: str, one: LoopMargins) -> list[str]:
     if math.isfinite(one.delay.unstable):
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
     rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
-    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, ""))
+    own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
+    if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
+        return [*_table(title, rows), f"  sample period: {own}"]
+    rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, own))
     return _table(title, rows)
 
 

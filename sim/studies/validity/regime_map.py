@@ -32,7 +32,7 @@ from sim.physics.run_blocks import runs_at_once
 from sim.physics.simulate import FEWEST, MonitoredBatch
 from sim.response.regime import DAMPER, END_NAMES, REGIME_ENDS, EndDetector, first_end, scaled_reached, utilisation
 from sim.response.response import Response
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
@@ -195,7 +195,7 @@ def _run(
         used, times = _one_by_one(vehicle, controller, bumps, time, loads)
     else:
         met = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
-        used, times = _in_proportion(vehicle, met, heights, column)
+        used, times = _in_proportion(vehicle, met, heights, column, has_anti_windup(controller))
     end = REGIME_ENDS.index(DAMPER)
     if short:
         used[:, end], times[..., end] = 0.0, np.inf
@@ -244,7 +244,7 @@ def _run(
     )
 
 
-def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array) -> tuple[Array, Array]:
+def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Array, anti_windup: bool) -> tuple[Array, Array]:
     """Returns the share of each end that bumps reach, shape (N, E), and the times, from responses to a bump of a metre.
 
     The times are for every bump as it is, and 1 % lower and higher, shape (N, 3, E).
@@ -252,15 +252,18 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     Args:
         heights: of the bumps [m], shape (N,).
         column: index of their runs, shape (N,).
+        anti_windup: True if the law has it.
     """
     hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
     used = np.abs(heights)[:, None] * np.where(
-        heights[:, None] > 0, utilisation(vehicle, unit)[column], utilisation(vehicle, hole)[column]
+        heights[:, None] > 0,
+        utilisation(vehicle, unit, anti_windup)[column],
+        utilisation(vehicle, hole, anti_windup)[column],
     )
     for i in dict.fromkeys(column.tolist()):
         mine = np.flatnonzero(column == i)
         factors = heights[mine, None] * np.array([1, 1 - EDGE, 1 + EDGE])
-        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel()).reshape(len(mine), 3, len(END_NAMES))
+        times[mine] = scaled_reached(vehicle, unit.run(i), factors.ravel(), anti_windup).reshape(len(mine), 3, -1)
     return used, times
 
 
@@ -273,10 +276,11 @@ def _one_by_one(
     met = [RoadInput(vehicle, road, time) for road in near]
     linear = is_linear(vehicle, controller)
     made = sampled_responses(LoopModel(vehicle, controller, met[0].timestep), met) if linear else _switched(controller, met)
-    detector = EndDetector([vehicle] * len(near), time, predicted=True)
+    anti_windup = has_anti_windup(controller)
+    detector = EndDetector([vehicle] * len(near), time, True, [anti_windup] * len(near))
     detector.update(0, np.moveaxis(made.values, 0, 2))
     times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
-    return utilisation(vehicle, replace(made, values=made.values[: len(bumps)])), times
+    return utilisation(vehicle, replace(made, values=made.values[: len(bumps)]), anti_windup), times
 
 
 def _switched(controller: Controller, met: Sequence[RoadInput]) -> Response:

@@ -20,6 +20,7 @@ from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_map import Cells
 from synth.controller.controller import Controller
+from synth.controller.report import built_words
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
@@ -73,6 +74,16 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
     }
 
 
+def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
+    """Returns lines on what linear analysis knows of the computer and the actuators, and what only MuJoCo has."""
+    how = vehicle.implementation
+    if not controller.law.acts or (how.ideal and vehicle.limits.actuator_bandwidth is None):
+        return []
+    linear = built_words(vehicle)
+    lines = [f"linear analysis is of the loop as built: {linear}"] if linear else []
+    return lines + ([f"{how.blur} is in MuJoCo alone, and makes most of the error over small bumps"] if how.blurred else [])
+
+
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     """Returns a map in lines for a terminal."""
     done = cells.done
@@ -81,8 +92,9 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     def share(which: Array) -> str:
         return f"{100 * which[done].mean():5.1f} % of the cells{that}" if done.any() else "-"
 
-    lines = [f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak"]
-    lines.append(f"  {share(cells.first < 0)}: nothing breaks")
+    lines = ["how far MuJoCo is from linear analysis:"]
+    lines.append(f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak")
+    lines += ["", "what breaks first in MuJoCo, or ends the linear regime:", f"  {share(cells.first < 0)}: nothing breaks"]
     lines += [
         f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
     ]

@@ -191,7 +191,7 @@ def _design(
     own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
     cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
-    assumed = ["a cost of the forces that cost next to nothing"] if np.any(cost) else []
+    assumed = ["a cost for forces that z hardly weighs"] if np.any(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
         law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
@@ -199,11 +199,12 @@ def _design(
         unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
         L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
         law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
-        assumed += ["noise on what is measured almost without"] if np.any(unheard) else []
+        assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
     certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
     if certificate.failures:
         raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    remark = f"it needs {' and '.join(assumed)}: {ASSUMED:g} of the plant's own size was assumed" if assumed else ""
+    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
+    remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
     larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
     return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
 

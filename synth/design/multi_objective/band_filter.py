@@ -1,7 +1,8 @@
-"""A band as a weight: a filter that is at least one in it and falls beside it, before w.
+"""Filter before w whose gain is at least one in a band and falls outside: a band as a weight.
 
-A bound on the weighted norm is one on the norm in the band. It is how a bound that is only known to hold for whole norms, as
-that over a box of errors, is proved of a band. What it loses lies at the edges, where the filter takes some room to fall.
+A bound on the norm with this filter is also a bound on the norm in the band. Some bounds are only known for norms over all
+frequencies, such as that over a box of errors; this filter proves them for a band. The bound is looser at the edges, where the
+filter needs some room to fall.
 """
 
 from functools import reduce
@@ -14,13 +15,13 @@ from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.design.multi_objective.problem import MeasuredPlant
 from synth.plant.augmented import System, append, gain, series, transfer_function, with_weights
 
-ORDER = 4  # even: of a wide band an odd one has poles that no section of two can hold
+ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
 RIPPLE = 0.02  # dB above one, in the band
 BESIDE = 30.0  # dB below, beside it
 
 
 def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
-    """The plant whose norm is at least that in the band; the plant itself for all frequencies.
+    """Returns a plant whose norm is at least the norm in the band; for a band of all frequencies, the plant itself.
 
     Args:
         band: from and to [rad/s].
@@ -36,12 +37,12 @@ def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
 
 
 def band_filter(band: Band) -> System:
-    """At least one in the band [rad/s], at most `RIPPLE` above, and below `BESIDE` beside it: an elliptic filter."""
+    """Returns an elliptic filter with a gain from one to `RIPPLE` above in the band [rad/s], and below `BESIDE` outside."""
     from scipy import signal  # half a second
 
     low, high = band
     kind, edges = ("lowpass", high) if low == 0 else ("highpass", low) if np.isinf(high) else ("bandpass", [low, high])
     zpk = signal.ellip(ORDER, RIPPLE, BESIDE, edges, kind, analog=True, output="zpk")
-    z, p, k = cast("tuple[Array, Array, float]", zpk)  # as `output` asks
+    z, p, k = cast("tuple[Array, Array, float]", zpk)  # the form that `output` asks for
     sections = signal.zpk2sos(z, p, k * 10 ** (RIPPLE / 20), analog=True)
     return reduce(series, (transfer_function(section[:3], section[3:]) for section in sections))

@@ -1,7 +1,7 @@
 """The landscape of the norm in a band of frequencies, of a loop whose sensors and actuators may be off.
 
-As `synth.design.descent.landscape`, but of the norm only what lies in the band counts, the ends of the band with it. The loop has
-to be stable all the same: the norm in a band says nothing of that.
+It is like `synth.design.descent.landscape`, but only gains within the band count, its ends included. The loop must still be
+stable, which a norm in a band does not imply.
 """
 
 from functools import partial
@@ -23,8 +23,8 @@ class BandLandscape(Landscape):
     """The landscape of one plant in one band.
 
     Attributes:
-        band: from and to [rad/s], of a discrete plant those of the continuous one that it is mapped to.
-        own: how many of its states are no filter's.
+        band: from and to [rad/s]; for a discrete plant, of the continuous plant that it is mapped to.
+        own: number of its states without those of filters.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class BandLandscape(Landscape):
         return self.band != EVERYWHERE
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
-        """The largest gain in the band and where [rad/s]; infinite where the loop is unstable."""
+        """Returns the largest gain in the band and its frequency [rad/s]; infinite if the loop is unstable."""
         if not self.narrow:
             return super().norm(x, above)
         loop, (low, high) = self._closed(x), self.band
@@ -80,9 +80,9 @@ class BandLandscape(Landscape):
         return best, at
 
     def summits(self, x: Array, level: float) -> Array:
-        """Frequencies [rad/s] in the band of the local maxima of the gain that exceed a level, shape (P,), ascending.
+        """Returns the frequencies [rad/s] of local maxima of the gain in the band above a level, shape (P,), ascending.
 
-        An end of the band is one where the gain falls away from it into the band.
+        An end of the band counts as a maximum if the gain falls from there into the band.
         """
         if not self.narrow:
             return super().summits(x, level)
@@ -106,16 +106,16 @@ class BandLandscape(Landscape):
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
     def decays(self, x: Array) -> tuple[Array, Array]:
-        """The real parts of all poles that a gain moves [rad/s], one of each pair, shape (P,), and slopes, shape (P, m q).
+        """Returns the real parts of the poles that a gain moves [rad/s], one per pair, shape (P,), and slopes, shape (P, m q).
 
-        Poles of filters, whose states are the last and drive nothing or are driven by nothing of the loop, are none of these.
+        Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
         """
         A, ports, own = self.loop(x)[0][: self.own, : self.own], self.ports(x), slice(self.own)
         poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
         kept = np.imag(poles) >= 0
         left, right = left[:, kept].conj().T, right[:, kept].T
         along = np.sum(left * right, axis=1)
-        along = np.where(along == 0, np.finfo(float).tiny, along)  # where two poles meet there is no slope, but a steep one
+        along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
         driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
         return np.real(poles[kept]), slopes.reshape(len(slopes), -1)

@@ -1,4 +1,4 @@
-"""The door of the engine: from a problem of goals to a gain, or to the reason why no gain meets them."""
+"""Entry of multi-objective design: from a problem of goals to a gain, or to the reason why no gain meets them."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class MultiObjectiveDesign:
 
     Attributes:
         gain: K, shape (m, q).
-        goal: the largest norm, or ratio, that was found.
+        goal: the largest norm, or ratio to an individual optimum, that was found.
         rejected_improvement: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
         errors: the active errors, beside no errors.
         problem: the solved problem.

@@ -1,4 +1,4 @@
-"""Objectives and bounds as functions of the gain: their values, and smooth functions that support them from below.
+"""Objectives and bounds as functions of the gain: their values, and smooth functions that bound them from below.
 
 A point x is a gain in the coordinates of a `Landscape`, the same for all terms of a problem.
 """
@@ -14,18 +14,18 @@ from models.common.arrays import Array
 from synth.design.descent.landscape import Cuts
 from synth.design.multi_objective.band_norm import BandLandscape
 
-NEAR = 0.3  # of the rate: poles this close to the slowest one are looked at, too
+NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """F smooth functions that touch or support a term at a point.
+    """F smooth functions that bound a term from below near a point.
 
     Attributes:
-        values: there, shape (F,).
-        slopes: shape (F, N).
-        touching: which of them are its local maxima there, so that their curvature counts, shape (F,).
-        cuts: what the term knows them by.
+        values: at the point, shape (F,).
+        slopes: at the point, shape (F, N).
+        touching: True for functions that are local maxima of the term at the point, whose curvature counts, shape (F,).
+        cuts: the term's own identification of the functions.
     """
 
     values: Array
@@ -38,8 +38,8 @@ class Objective(ABC):
     """A function of the gain.
 
     Attributes:
-        unit: the value that counts as one: a bound, or the best that is known.
-        name: of what is bounded, in words.
+        unit: the value that counts as one: a bound, or the best known value.
+        name: of the bounded quantity, in words.
     """
 
     unit: float
@@ -47,22 +47,22 @@ class Objective(ABC):
 
     @abstractmethod
     def value(self, x: Array, above: float = np.inf) -> float:
-        """In its unit; a lower bound, once it is known to exceed `above`. Infinite where the loop is unstable."""
+        """Returns the value in its unit, or a lower bound once that exceeds `above`; infinite if the loop is unstable."""
 
     @abstractmethod
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Functions that come within a share `depth` of its value at a point."""
+        """Returns the functions that come within a share `depth` of the term's value at a point."""
 
     @abstractmethod
     def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """The same functions at another point."""
+        """Returns the same functions at another point."""
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
-        """Weighted sum of the second derivatives of the functions that touch, shape (N, N); zero where they are not known.
+        """Returns the weighted sum of second derivatives of the touching functions, shape (N, N); unknown ones count as zero.
 
         Args:
             x: where the support was made.
-            weights: of all its functions, shape (F,).
+            weights: of all functions of the support, shape (F,).
         """
         return np.zeros((len(x), len(x)))
 
@@ -74,17 +74,17 @@ class NormObjective(Objective):
         self.landscape, self.unit, self.name = landscape, unit, name
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """The norm in the band."""
+        """Returns the norm in the band."""
         return self.landscape.norm(x, above * self.unit)[0] / self.unit
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """Cuts at all its summits within a share of the highest."""
+        """Returns the gains at all local maxima within a share of the highest one."""
         height = value * self.unit
         omega = self.landscape.summits(x, height * (1 - depth))
         return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
 
     def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """The same cuts elsewhere, where they no longer touch."""
+        """Returns the gains at the same frequencies for another point, where they need not be maxima."""
         return self._made(x, support.cuts, touching=False)
 
     def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
@@ -100,7 +100,7 @@ class NormObjective(Objective):
 
 
 class Decay(Objective):
-    """The largest real part of a pole, as 2 + re(pole) / rate: as of every term 1 is the bound, where it is -rate."""
+    """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
         self.landscape, self.rate, self.unit, self.name = landscape, rate, 1.0, f"a decay of {rate:g} rad/s"
@@ -112,11 +112,11 @@ class Decay(Objective):
         return 2 + float(self.landscape.decays(x)[0].max()) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """The real parts of all poles near the border."""
+        """Returns the real parts of all poles near the bound."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
     def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """Poles move: those of the other point."""
+        """Returns the real parts of the poles at the other point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
     def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
@@ -133,8 +133,8 @@ class BoundedSignal:
     Attributes:
         c: shape (n,).
         g: shape (m,).
-        at_most: its largest magnitude for the energy that is asked about.
-        root: of that energy, the integral of |w|^2.
+        at_most: its largest allowed magnitude for the given energy.
+        root: square root of that energy, the integral of |w|^2.
         name: of the bound, in words.
     """
 
@@ -146,27 +146,27 @@ class BoundedSignal:
 
 
 class EnergyPeak(Objective):
-    """root (c P c')^1/2 with A P + P A' + Bw Bw' = 0, by the bound on it."""
+    """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         """Args:
         landscape: of the plant.
-        signal: what is bounded.
+        signal: the bounded signal.
         unit: the bound.
         """
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """Infinite where the loop is unstable."""
+        """Returns the value; infinite if the loop is unstable."""
         return self._solved(x)[0]
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """The function itself, which is smooth."""
+        """Returns the function itself, which is smooth."""
         return self._made(x, touching=True)
 
     def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """Nothing else."""
+        """Returns the function itself at the other point."""
         return self._made(x, touching=False)
 
     def _made(self, x: Array, touching: bool) -> Linearisation:
@@ -174,7 +174,7 @@ class EnergyPeak(Objective):
         return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
-        """Value and slope, shape (m q,)."""
+        """Returns value and slope, shape (m q,)."""
         land = self.landscape
         A, _ = land.loop(x)
         Bw, _ = land.disturbed(x)
@@ -187,7 +187,7 @@ class EnergyPeak(Objective):
         square = float(c @ P @ c)
         if not square > 0:
             return 0.0, np.zeros(len(x))
-        # Half the slope of c P c': through the dynamics, through the signal, and through the noise of what is measured.
+        # Half the slope of c P c': by the dynamics, by the signal, and by measurement noise.
         ports = land.ports(x)
         moved = ports.B.T @ Q
         half = moved @ P @ ports.Cy.T + np.outer(self.signal.g @ ports.after, ports.Cy @ P @ c) + moved @ Bw @ ports.Dyw.T

@@ -1,4 +1,4 @@
-"""The largest magnitude of a signal over a road: how its peaks move with the gain, what it reaches, and what it never exceeds."""
+"""The largest magnitude of a signal over a road: its peaks and their slopes, the value it reaches, and a proved bound."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from synth.design.multi_objective.road_response import (
     step_for,
 )
 
-STEP = 0.1  # rad of the fastest pole without control; a cubic then misses a peak by less than 1e-6 of it
-CYCLES = 2  # of the slowest oscillation without control, after the road: how long is looked for peaks
+STEP = 0.1  # time step, rad of the fastest pole without control; a cubic then misses a peak by less than 1e-6 of it
+CYCLES = 2  # periods of the slowest oscillation without control, after the road, that are searched for peaks
 MOST = 20_000  # steps
-SPARE = 1 + 1e-5  # how much tighter a bound is drawn at first, for what is not known of a signal between two times
+SPARE = 1 + 1e-5  # factor by which a bound is tightened at first, for the unknown signal between two times
 
 
 class RoadPeak(Objective):
-    """The largest magnitude of a signal over a road, by the bound on it."""
+    """The largest magnitude of a signal over a road, relative to its bound."""
 
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
@@ -49,7 +49,7 @@ class RoadPeak(Objective):
         self.last: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
 
     def value(self, x: Array, above: float = np.inf) -> float:
-        """The largest |y| over the road and some cycles after it."""
+        """Returns the largest |y| over the road and some cycles after it."""
         _, y, slopes, ends = self._signal(x)
         if not np.all(np.isfinite(y)):
             return np.inf
@@ -57,7 +57,7 @@ class RoadPeak(Objective):
         return max(highest, float(np.abs(ends).max(initial=0.0))) / self.unit
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
-        """The signal at the times of its peaks, each with its sign."""
+        """Returns the signal at the times of its peaks, each with its sign."""
         _, y, slopes, ends = self._signal(x)
         touching, floor = [], (1 - max(depth, 0.2)) * value * self.unit
         for sign in (1, -1):
@@ -66,20 +66,20 @@ class RoadPeak(Objective):
             top = np.flatnonzero((heights >= floor) & (heights >= around[:-2]))
             top = top[heights[top] > around[top + 2]]
             touching += [(sign, float(where[k]), float(heights[k])) for k in top]
-        if len(ends) and np.abs(ends).max() >= floor:  # the highest at a kink
+        if len(ends) and np.abs(ends).max() >= floor:  # the highest peak is at a kink
             i = int(np.abs(ends).argmax())
             piece = self.response.pieces[i]
             touching.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
         return self._made(x, touching, touching=True)
 
     def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
-        """The signal at the same times."""
+        """Returns the signal at the same times."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in support.cuts]
         return self._made(x, again, touching=False)
 
     def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Linearisation:
-        """The functions, with their slopes: the integral of what a change of the gain does to the signal at a time."""
+        """Returns the functions and their slopes, which integrate the effect of a change of the gain on the signal at a time."""
         slopes = np.zeros((len(peaks), *self.scale.shape))
         for row, (sign, at, _) in zip(slopes, peaks, strict=True):
             k = min(int(at), len(self.response.time) - 2)
@@ -95,7 +95,9 @@ class RoadPeak(Objective):
         K = self._gain(x)
         after = driven.after(K)
         measured = states[: k + 1] @ (driven.Cy + driven.Dyu @ after @ K @ driven.Cy).T
-        seen = homogeneous_response(A.T, c, h, k + 1)[::-1]  # of it by a state at each time before, shape (k + 1, n)
+        seen = homogeneous_response(A.T, c, h, k + 1)[
+            ::-1
+        ]  # derivative of the signal by the state at each earlier time, shape (k + 1, n)
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
         return after.T @ (((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k]))
@@ -104,7 +106,7 @@ class RoadPeak(Objective):
         return x.reshape(self.scale.shape) * self.scale
 
     def _signal(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """States, the signal and its slope over time, and the signal beside kinks; the last ones are remembered."""
+        """Returns states, the signal and its slope over time, and the signal beside kinks; the last result is cached."""
         key = x.tobytes()
         if self.last is None or self.last[0] != key:
             A, c = self.driven.loop(self._gain(x))
@@ -119,9 +121,9 @@ class Peak:
     """The largest magnitude of a signal over a road.
 
     Attributes:
-        value: it reaches.
-        time: after the road's start [s].
-        proved: it never exceeds; infinite where that is not known.
+        value: the largest magnitude that it reaches.
+        time: of that value, after the road's start [s].
+        proved: a magnitude that it never exceeds; infinite if none is known.
     """
 
     value: float
@@ -130,11 +132,11 @@ class Peak:
 
 
 def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
-    """The largest |y| from the road's start on, for ever; infinite where the loop is unstable.
+    """Returns the largest |y| at any time from the road's start on; infinite if the loop is unstable.
 
-    Between two times a signal is within h^2 / 8 max |y''| of the line through both ends, and beside a kink of the road, where the
-    times are a millionth of a step apart, within the change from one to the next. The free motion after the road is looked at
-    until what follows is known to be less.
+    Between two times a signal is within h^2 / 8 max |y''| of the line through both ends. Beside a kink of the road the times are
+    a millionth of a step apart, and the signal is within its change from one to the next. The free motion after the road is
+    computed until a bound shows that all later motion is smaller.
 
     Args:
         driven: the plant on its road, and the signal.
@@ -187,8 +189,8 @@ def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
 
 
 def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
-    """The free motion from the last time on: its own peak, if that is larger than what is known, and what it never exceeds."""
-    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # as it stays
+    """Returns the peak of the free motion after the last time, if it exceeds the known one, and a bound on that motion."""
+    z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # the road's height from then on
     rest = np.linalg.solve(A, -(A @ driven.Bw + driven.Br) @ z)
     level = float(c @ rest + (c @ driven.Bw + driven.f) @ z)
     balanced, scale = balance(A)

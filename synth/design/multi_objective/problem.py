@@ -1,4 +1,4 @@
-"""A problem of goals in the plant's language: plants, errors, norms, bounds and a structure; and its terms for some errors."""
+"""Problems of goals for plants: errors, norms, bounds and a structure; and the terms of a problem for some errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,10 +22,10 @@ from synth.plant.generalized import GeneralizedPlant
 
 @dataclass(frozen=True, eq=False)
 class NormSpecification(Checked):
-    """A norm in a band, of at most so much.
+    """Norm in a band, minimised or bounded.
 
     Attributes:
-        which: of a member's `posed`, by index.
+        which: index of the plant among a member's `posed`.
         band: from and to [rad/s].
         at_most: the bound; infinite for what is minimised.
         name: in words.
@@ -46,7 +46,7 @@ class NormSpecification(Checked):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant(Checked):
-    """A plant with one z, and what is measured of it.
+    """Plant with one z, and its measurements.
 
     Attributes:
         plant: n states, m inputs.
@@ -85,7 +85,7 @@ class MeasuredPlant(Checked):
 
     @property
     def without_weighting(self) -> "MeasuredPlant":
-        """The loops whose stability a gain decides: without the filters, whose states are the last."""
+        """The plant without its filters, whose states are the last: a gain decides the stability of this part alone."""
         plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
         alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
         return MeasuredPlant(alone, self.Cy[:, own], self.Dyw, self.through)
@@ -120,11 +120,11 @@ class GainErrors(Checked):
 
     @property
     def key(self) -> bytes:
-        """Alike for errors that are alike."""
+        """Key that is equal for equal errors."""
         return self.sensors.tobytes() + self.forces.tobytes()
 
     def on(self, posed: MeasuredPlant) -> MeasuredPlant:
-        """A plant with these errors, and what is measured."""
+        """Returns a plant with these errors, and its measurements."""
         u, y, plant = 1 + self.forces, 1 + self.sensors, posed.plant
         if np.all(u == 1) and np.all(y == 1):
             return posed
@@ -196,8 +196,8 @@ class MultiObjectiveProblem(Checked):
         m, q = self.shape
         return GainErrors(np.zeros(q), np.zeros(m))
 
-    def corners(self, most: int) -> list[GainErrors]:
-        """The vertices of the box of errors, or none of them where there are more."""
+    def vertices(self, most: int) -> list[GainErrors]:
+        """Returns the vertices of the box of errors; empty if there are too many."""
         m, q = self.shape
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
         free = np.flatnonzero(sides)
@@ -211,7 +211,7 @@ class MultiObjectiveProblem(Checked):
         return vertices
 
     def alone(self, i: int) -> "MultiObjectiveProblem":
-        """The same for one member by itself."""
+        """Returns the same problem for one member alone."""
         return replace(self, members=(self.members[i],), bests=None)
 
     def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
@@ -224,8 +224,8 @@ class MultiObjectiveProblem(Checked):
         return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
-TIGHTER = 1e-7  # relative: bounds are kept by so much, for rounding
-AND_FOR_ERRORS = 0.02  # and a decay with errors by so much: on the border itself nothing is proved of a whole box
+TIGHTER = 1e-7  # relative: margin by which bounds are kept, for rounding
+AND_FOR_ERRORS = 0.02  # relative margin of a decay with errors: at the bound itself nothing can be proved for a whole box
 
 
 def objectives_of(
@@ -259,5 +259,5 @@ def objectives_of(
 
 
 def decay(problem: MultiObjectiveProblem, landscape: BandLandscape, rate: float) -> Decay:
-    """The bound on the slowest pole of a loop."""
+    """Returns the bound on the slowest pole of a loop."""
     return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))

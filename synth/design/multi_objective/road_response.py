@@ -1,9 +1,9 @@
 """The exact response of a loop to a road, and the largest value of a signal over it.
 
-With the road's heights z under the wheels, and w = z', x = xi + Bw z makes x' = A x + Bw w + Br z to xi' = A xi + (A Bw + Br) z:
-no velocity, which a kink of the road makes jump and a vertical edge infinite, is left in it. Between equidistant times the
-convolution is a quadrature of order 16; a step with a kink falls into pieces that get smaller towards it, from either side. A
-peak between two times is that of the cubic through both ends and their slopes.
+With the road's heights z under the wheels, and w = z', the substitution x = xi + Bw z turns x' = A x + Bw w + Br z into
+xi' = A xi + (A Bw + Br) z. The road's velocity, which jumps at a kink and is infinite at a vertical edge, no longer occurs.
+Between equidistant times the convolution is a quadrature of order 16. A step with a kink is split into pieces that get smaller
+towards the kink, from either side. A peak between two times is that of the cubic through both ends and their slopes.
 """
 
 from collections.abc import Callable
@@ -31,9 +31,9 @@ class RoadExcitation:
 
     Attributes:
         heights: times [s] of shape (T,) -> heights [m], shape (T, r).
-        rates: times [s] -> their derivatives [m/s], shape (T, r); at a kink any.
+        rates: times [s] -> derivatives of the heights [m/s], shape (T, r); arbitrary at a kink.
         kinks: times [s] at which a derivative jumps, ascending.
-        end: after it the heights stay as they are [s].
+        end: time after which the heights are constant [s].
     """
 
     heights: Callable[[Array], Array]
@@ -83,10 +83,10 @@ class QuadratureInterval:
     """Part of a step.
 
     Attributes:
-        step: which.
-        start, length: of it [s].
+        step: index of the step.
+        start, length: of the interval [s].
         nodes: heights at the nodes of the quadrature, shape (NODES, r).
-        at_kink: whether one of its ends is a kink.
+        at_kink: True if one of its ends is a kink.
     """
 
     step: int
@@ -127,7 +127,7 @@ class RoadResponse:
         self.z_ends = drive.heights(ends) if len(ends) else np.zeros((0, self.z.shape[1]))
 
     def _split(self, k: int) -> list[QuadratureInterval]:
-        """The pieces of a step with kinks."""
+        """Returns the pieces of a step with kinks."""
         start, end = float(self.time[k]), float(self.time[k]) + self.h
         kinks = self.driven.drive.kinks
         kinks = np.clip(kinks[(kinks >= start - NEXT * self.h) & (kinks <= end + NEXT * self.h)], start, end)
@@ -143,13 +143,13 @@ class RoadResponse:
         return intervals
 
     def _nodes(self, starts: Array, lengths: Array) -> Array:
-        """Heights at the nodes of steps, shape (T, NODES, r)."""
+        """Returns the heights at the nodes of steps, shape (T, NODES, r)."""
         times = starts[:, None] + lengths[:, None] * self.s
         return self.driven.drive.heights(times.ravel()).reshape(len(starts), NODES, -1)
 
     def motion(self, A: Array) -> tuple[Array, Array]:
-        """xi at all times, shape (T, n), and at the ends of all pieces, shape (P, n), for a loop matrix."""
-        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # numpy's are real where all poles are
+        """Returns xi of a loop with this matrix at all times, shape (T, n), and at the ends of all pieces, shape (P, n)."""
+        values, vectors = (np.asarray(part, complex) for part in np.linalg.eig(A))  # real if all poles are
         E = A @ self.driven.Bw + self.driven.Br
         try:
             inverse = np.linalg.inv(vectors)
@@ -167,7 +167,7 @@ class RoadResponse:
         decays = np.exp(lengths[:, None] * values)
         nodes = np.array([piece.nodes for piece in self.pieces]).reshape(len(lengths), *self.at_nodes.shape[1:])
         of_road = self._modal(values, driven, nodes, lengths)
-        for i, piece in enumerate(self.pieces):  # from rest at the begin of its step, the step's own motion comes later
+        for i, piece in enumerate(self.pieces):  # from rest at the beginning of its step; the motion from before is added later
             if piece.step != into:
                 into, state = piece.step, np.zeros(len(A), complex)
             ends[i] = forcing[piece.step] = state = decays[i] * state + of_road[i]
@@ -184,7 +184,7 @@ class RoadResponse:
         return ((nodes @ driven.T) * kernel).sum(axis=1)
 
     def _step_by_step(self, A: Array, E: Array) -> tuple[Array, Array]:
-        """The same where the modes lose too many digits."""
+        """Returns the same step by step, if the modes lose too many digits."""
 
         def kernels(length: float) -> Array:
             return np.stack([w * length * linalg.expm(A * length * (1 - s)) @ E for s, w in zip(self.s, self.w, strict=True)])
@@ -204,7 +204,7 @@ class RoadResponse:
         return states, ends
 
     def signal(self, A: Array, c: Array, motion: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-        """The signal of a loop and its slope at all times, shapes (T,), and the signal at the ends of all pieces, shape (P,)."""
+        """Returns a loop's signal and slope at all times, shapes (T,), and the signal at the ends of all pieces, shape (P,)."""
         states, ends = motion
         driven = self.driven
         direct = c @ driven.Bw + driven.f
@@ -212,9 +212,9 @@ class RoadResponse:
         return states @ c + self.z @ direct, slopes, ends @ c + self.z_ends @ direct
 
     def between(self, values: Array, slopes: Array) -> tuple[Array, Array]:
-        """The maxima of the cubics from each time to the next, and where: shapes (T-1,), the second in steps from time 0.
+        """Returns the maxima of the cubics between neighbouring times and their positions, in steps from time 0, shapes (T-1,).
 
-        In a step with a kink only its ends count.
+        In a step with a kink only the ends count.
 
         Args:
             values: of a signal at all times, shape (T,).
@@ -223,7 +223,7 @@ class RoadResponse:
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
             root = np.sqrt(np.maximum(c2 * c2 - 3 * c3 * c1, 0.0))
-            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in the forms in which nothing cancels
+            stationary = (-c1 / (c2 - root), (-c2 - root) / (3 * c3))  # in forms without cancellation
         best, where = values[:-1].copy(), np.zeros(len(c1))
         smooth = np.ones(len(c1), dtype=bool)
         smooth[[piece.step for piece in self.pieces]] = False
@@ -234,24 +234,24 @@ class RoadResponse:
         return best, where + np.arange(len(c1))
 
     def at(self, values: Array, slopes: Array, steps: float) -> float:
-        """The cubic between times, some steps from time 0."""
+        """Returns the cubic at positions between times, in steps from time 0."""
         k = min(int(steps), len(values) - 2)
         s, (c1, c2, c3) = steps - k, self._cubics(values[k : k + 2], slopes[k : k + 2])
         return float(values[k] + s * (c1[0] + s * (c2[0] + s * c3[0])))
 
     def _cubics(self, values: Array, slopes: Array) -> tuple[Array, Array, Array]:
-        """c with y = values + c1 s + c2 s^2 + c3 s^3, s from 0 to 1, between each time and the next."""
+        """Returns c1, c2, c3 of y = values + c1 s + c2 s^2 + c3 s^3, s from 0 to 1 between neighbouring times."""
         rise, p, q = np.diff(values), slopes[:-1] * self.h, slopes[1:] * self.h
         return p, 3 * rise - 2 * p - q, p + q - 2 * rise
 
 
 def _finite(rates: Array) -> Array:
-    """Rates, zero where a road stands upright: there no cubic is asked."""
+    """Returns rates, with zero at a vertical edge of the road, where no cubic is used."""
     return np.where(np.isfinite(rates), rates, 0.0)
 
 
 def step_for(rate: float, share: float, end: float) -> float:
-    """The step for the fastest motion and the road: a share of a radian, and down to an eighth of that where a road is short.
+    """Returns the step for the fastest motion and the road: a share of a radian, down to an eighth of that for a short road.
 
     Args:
         rate: of the motion [rad/s].
@@ -263,7 +263,7 @@ def step_for(rate: float, share: float, end: float) -> float:
 
 
 def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
-    """exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
+    """Returns exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:
         responses = np.concatenate([responses, responses @ power.T])

@@ -1,11 +1,12 @@
 """The gain of the least goal within its bounds, from many starts.
 
-- Starts that make no loop unstable are ranked, and a few of the best go down some rounds; the best of these goes to its end.
-- Without a bound on the gain it grows by stages, as in `synth.design.descent.refine`, as long as that is worth it.
-- Of the errors those count that were met: all vertices of the box where they are few, else the worst ones, found as the design
-  goes on. Whether the box holds no worse ones is the certificate's to say.
-- Every start that is gone on from, and every end, is asked whether errors make it unstable. Where no decay is asked for, the
-  slowest pole keeps a tenth of what the best start's has with errors.
+- Starts that make no loop unstable are ranked. A few of the best descend for some rounds, and the best of these descends to its
+  end.
+- Without a bound on the gain, the gain grows by stages, as in `synth.design.descent.refine`, as long as that is worth it.
+- The active errors are all vertices of the box if these are few, or else the worst errors found so far. Only the certificate
+  shows that the box has no worse ones.
+- Every start of a descent, and every end, is checked for errors that make it unstable. If no decay is required, the slowest pole
+  keeps a tenth of the decay that the best start has with errors.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,12 +26,12 @@ from synth.design.multi_objective.sqp import KEPT, Evaluation, MinimaxProblem, d
 from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.plant.numerics import DesignError
 
-STABLE = -1e-4  # of the fastest pole: far enough left to start from
+STABLE = -1e-4  # largest real part at which stabilisation ends, as a share of the fastest pole
 STABILISING_ROUNDS = 100
 
 
 def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: Array) -> Array:
-    """A point further down the largest real part of a pole of any of the loops.
+    """Returns a point at which the largest real part of a pole of any of the loops is smaller.
 
     Args:
         landscapes: of the plants, with the same points.
@@ -50,23 +51,23 @@ def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: A
     return moved
 
 
-LARGEST_GAIN = 1e5  # times what counts as one, where nothing bounds the gain: to keep other bounds
-DEAREST = 32.0  # times that, or the start's gain where that is larger: to lower a goal
-MOST_VERTICES = 4  # of the box of errors, that all count from the first
+LARGEST_GAIN = 1e5  # largest unbounded gain, in units of a point, while other bounds are exceeded
+DEAREST = 32.0  # times that, or times a larger gain of the start: limit while a goal is lowered
+MOST_VERTICES = 4  # of a box of errors that are all active from the beginning
 ENTERED = 5  # starts that go down some rounds
 GLANCE, ROUNDS = 15, 80  # rounds
 STAGES = 20  # twofold growths of the gain
-WORTH = 1e-3  # of the goal, relative: what a growing gain must buy
-TURNS = 12  # of descents with more errors
-MET = 1e-6  # relative: errors that make it worse by less are none
-SLOWER = 0.1  # of the decay of the best start: where none is asked for, no slower than that
+WORTH = 1e-3  # relative decrease of the goal that justifies a larger gain
+TURNS = 12  # limit of descents, each with more active errors
+MET = 1e-6  # relative: errors with a smaller effect are ignored
+SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
 UNSTABLE = (
     "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
     "more signals and entries of the gain"
 )
-RANK = 30.0  # what a start's excess over a bound weighs
+RANK = 30.0  # weight of a start's excess over a bound
 
-Told = Callable[[float, bool], None]  # the goal now, and whether within all bounds
+Told = Callable[[float, bool], None]  # called with the goal, and True if all bounds are kept
 
 
 class MinimaxSearch:
@@ -74,9 +75,9 @@ class MinimaxSearch:
 
     def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
         self.problem, self.full = problem, problem.nominal()
-        self.on_progress = on_progress
+        self.on_progress = told
         self.incumbent: tuple[Array, Evaluation] | None = None
-        self.safe_point: Array | None = None  # the last point that was asked for its errors, and is stable with all that were met
+        self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
         self.worst = WorstCaseErrors(problem)
         self.stable_starts: list[Array] = []
         self.rate = problem.decay or 0.0  # rad/s
@@ -85,7 +86,7 @@ class MinimaxSearch:
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
-        """The whole search: where it ended, and what it refused, as `MultiObjectiveDesign` has it."""
+        """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
         x, evaluation = self.best(starts, otherwise)
         refused = None
         for _ in range(TURNS):
@@ -102,7 +103,7 @@ class MinimaxSearch:
             x, evaluation = self.restore_feasibility(x)
         if not evaluation.within:
             raise DesignError(self.explain_infeasibility(x))
-        if self.worst.unstable(self.full.gain(x)):  # new ones again, turn after turn
+        if self.worst.unstable(self.full.gain(x)):  # finds further ones, turn after turn
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
@@ -114,13 +115,13 @@ class MinimaxSearch:
         return None
 
     def evaluate(self, x: Array) -> Evaluation:
-        """The evaluation of a point, which is remembered if it is the best within all bounds."""
+        """Returns the evaluation of a point, and stores the point if it is the best within all bounds."""
         evaluation = self.minimax.evaluate(x)
         self.update_incumbent(x, evaluation)
         return evaluation
 
     def update_incumbent(self, x: Array, evaluation: Evaluation) -> None:
-        """Takes a point for the least, if it is the best within all bounds."""
+        """Stores a point if it is the best within all bounds."""
         if (
             evaluation.within
             and np.isfinite(evaluation.goal)
@@ -129,30 +130,30 @@ class MinimaxSearch:
             self.incumbent = x, evaluation
 
     def norms(self) -> list[NormObjective]:
-        """The minimised norms of all loops."""
+        """Returns the minimised norms of all loops."""
         return [term for term in self.minimax.goals if isinstance(term, NormObjective)]
 
     def moved(self, x: Array, evaluation: Evaluation) -> None:
-        """Takes note of a new point."""
+        """Stores and reports a new point."""
         self.update_incumbent(x, evaluation)
         self.on_progress(evaluation.goal, evaluation.within)
 
     def limit(self, gain: float | None) -> Array:
-        """The largest entries of a point."""
+        """Returns the largest allowed entries of a point."""
         if gain is None:
             return np.full(self.full.scale.size, LARGEST_GAIN)
         return self.full.point(np.full(self.full.shape, gain))
 
     def minimax_problem(self, errors: Sequence[GainErrors]) -> MinimaxProblem:
-        """All terms, for some errors."""
+        """Returns the problem with all terms, for some errors."""
         return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
-        """Directions that the structure allows, in which all count alike, shape (N, free)."""
+        """Returns the directions that the structure allows, scaled to equal weight, shape (N, free)."""
         return directions(self.full, x, self.free)
 
     def best(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation]:
-        """The best of the starts, some rounds further down."""
+        """Returns the best of the starts after some rounds of descent."""
         points = self.points(starts)
         points += [0.5 * x for x in points] + [np.zeros(self.full.scale.size)]
         given = {x.tobytes() for x in points}
@@ -160,10 +161,10 @@ class MinimaxSearch:
         ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
         if not self.rate:
-            usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may be the best by being slow
+            usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may rank best by being slow
             self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
             self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
-            self.incumbent = None  # it may be slower
+            self.incumbent = None  # the stored point may decay more slowly
         self.safe_point = ranked[0]
         return min((self.brief_descent(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
@@ -187,7 +188,7 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def points(self, gains: Iterable[Array]) -> list[Array]:
-        """The points of gains, as far as structure and limit allow them."""
+        """Returns the points of gains, reduced to what structure and limit allow."""
         limit, mask = self.minimax.limit, self.problem.structure
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
@@ -202,12 +203,12 @@ class MinimaxSearch:
             self.minimax.limit = whole
 
     def cost(self, x: Array, evaluation: Evaluation) -> float:
-        """Lower is better: a gain twice as large has to be worth it, where nothing bounds it."""
+        """Returns a cost, lower is better: twice the gain has to pay for itself if the gain is unbounded."""
         growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + WORTH * growth)
 
     def restore_feasibility(self, x: Array) -> tuple[Array, Evaluation]:
-        """A point within all bounds, or as near to that as the search comes."""
+        """Returns a point within all bounds, or the nearest to that which the search finds."""
         minimax = self.minimax
         minimax.limit = self.limit(self.problem.gain)
         bounds = MinimaxProblem(minimax.bounds, [], minimax.limit)
@@ -234,7 +235,7 @@ class MinimaxSearch:
         raise DesignError(UNSTABLE)
 
     def rank(self, evaluation: Evaluation) -> float:
-        """Lower is better."""
+        """Returns the rank of a start, lower is better."""
         return evaluation.goal * (1 + RANK * max(evaluation.excess, 0.0))
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
@@ -248,16 +249,16 @@ class MinimaxSearch:
         return [x for _, x in kept]
 
     def stabilised(self, x: Array) -> Array:
-        """A point further down the largest real part of a pole of any loop."""
+        """Returns a point at which the largest real part of a pole of any loop is smaller."""
         moved = downhill_to_stability([term.landscape for term in self.norms()], x, self.free)
         return np.clip(moved, -self.minimax.limit, self.minimax.limit)
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
-        """A descent."""
+        """Performs a descent and returns its result."""
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
-        """A descent to its end: at once where the gain is bounded, else in stages of growth, as long as each is worth it."""
+        """Descends to the end: at once if the gain is bounded, else by stages of growth, as long as each pays for itself."""
         if self.problem.gain is not None:
             return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
@@ -276,7 +277,7 @@ class MinimaxSearch:
         return x, evaluation, None
 
     def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
-        """Descents, each in coordinates of its own, until one gains nothing."""
+        """Repeats descents, each in coordinates of its own, until one brings nothing."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
             if not self.rank(there) < self.rank(evaluation) * (1 - 1e-6):

@@ -1,11 +1,12 @@
 """Descent on a minimax problem within its bounds: sequential quadratic programming with an exact penalty.
 
-While bounds are exceeded, a share of the excess is added (an exact penalty). At a factor larger than what a bound costs, the
-least of the sum is the least of the goals within the bounds. A sum of two maxima is the maximum over pairs, so that the model
-of a step is the one of `synth.design.descent.minimax`.
+While bounds are exceeded, a multiple of the excess is added to the goal (an exact penalty). If the factor exceeds the
+multipliers of the bounds, the minimum of the sum is the minimum of the goal within the bounds. A sum of two maxima is the maximum
+over pairs, so the model of a step is that of `synth.design.descent.minimax`.
 
-The way down is `synth.design.descent.minimax.along_edges`, over the terms of a problem instead of one norm. A step minimises
-the largest of the functions that support the terms, linearised, plus their curvature. What a failed step met joins the model.
+The descent is `synth.design.descent.minimax.along_edges`, over the terms of a problem instead of one norm. A step minimises the
+largest of the linearised functions that bound the terms from below, plus their curvature. The functions found at the end of a
+failed step join the model.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ from synth.design.descent.minimax import convex, lowest_point
 from synth.design.multi_objective.objectives import Linearisation, Objective
 from synth.plant.numerics import up_to_rounding
 
-KEPT = 1e-9  # relative: what is passed by less is kept, as bounds are drawn tighter than that
+KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class LocalModel:
     """Supports of all terms that may count near a point.
 
     Attributes:
-        goals: of the goals, each with the index of its term.
-        bounds: of the bounds, likewise.
+        goals: supports of the goals, each with the index of its term.
+        bounds: supports of the bounds, likewise.
     """
 
     goals: tuple[tuple[int, Linearisation], ...]
@@ -82,8 +83,8 @@ class MinimaxProblem:
         """Returns the merit of a point.
 
         Args:
-            above: the search ends early where goal (1 + penalty excess) is known to exceed this.
-            penalty: see above.
+            above: the evaluation ends early if goal (1 + penalty excess) is known to exceed this.
+            penalty: factor of the excess.
         """
         goal, excess = 0.0, -1.0
         for term in self.goals:
@@ -91,14 +92,14 @@ class MinimaxProblem:
             if goal > above:
                 return Evaluation(goal, excess)
         for term in self.bounds:
-            most = above / goal - 1 if goal > 0 else np.inf  # of penalty times excess
+            most = above / goal - 1 if goal > 0 else np.inf  # limit of penalty times excess
             excess = max(excess, self.value(term, x, 1 + most / penalty if penalty > 0 else np.inf) - 1)
             if penalty * excess > most:
                 break
         return Evaluation(goal, excess)
 
     def passed(self, x: Array) -> dict[str, float]:
-        """The bounds that a point passes, by name, and by how much, relative, the worst first."""
+        """Returns the bounds that a point exceeds, by name, with the relative excess, the worst first."""
         excess: dict[str, float] = {}
         for term in sorted(self.bounds, key=lambda term: -term.value(x)):
             excess.setdefault(term.name, term.value(x) - 1)
@@ -118,7 +119,7 @@ class MinimaxProblem:
         return LocalModel(tuple(goals), tuple(bounds))
 
     def reevaluate(self, x: Array, model: LocalModel) -> LocalModel:
-        """The same functions at another point."""
+        """Returns the same functions at another point."""
         return LocalModel(
             tuple((i, self.goals[i].reevaluate(x, support)) for i, support in model.goals),
             tuple((i, self.bounds[i].reevaluate(x, support)) for i, support in model.bounds),
@@ -126,14 +127,14 @@ class MinimaxProblem:
 
 
 def stacked(supports: Sequence[tuple[int, Linearisation]], count: int) -> tuple[Array, Array]:
-    """Values, shape (F,), and slopes, shape (F, N), of supports one after another."""
+    """Returns the joined values, shape (F,), and slopes, shape (F, N), of supports."""
     if not supports:
         return np.zeros(0), np.zeros((0, count))
     return np.concatenate([each.values for _, each in supports]), np.concatenate([each.slopes for _, each in supports])
 
 
 FIRST, LARGEST = 4.0, 1e6  # penalties: relative rise of the goals per relative excess over a bound
-FLAT = 1e-7  # relative fall over so many rounds that is none
+FLAT = 1e-7  # relative decrease over so many rounds that counts as none
 OVER = 10
 MOST_PAIRS = 400
 
@@ -151,13 +152,13 @@ def descend(
 
     Args:
         M: coordinates in which all directions have equal weight, shape (N, N).
-        rounds: at most.
+        rounds: largest number of iterations.
         on_progress: called with every new point.
-        enough: of the goal; it ends there.
-        settled: the relative fall that a step promises at which it ends there, too; else it looks closer first.
+        enough: value of the goal at which the descent ends.
+        settled: promised relative decrease below which the descent ends at once, not after another refinement of the model.
     """
     walk = _Walk(minimax, x, M, settled)
-    with up_to_rounding():  # of a loop on the border of stability
+    with up_to_rounding():  # for a loop on the border of stability
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
@@ -171,7 +172,7 @@ class _Walk:
     def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float) -> None:
         self.minimax, self.x, self.M, self.settled = minimax, x, M, settled
         self.evaluation = minimax.evaluate(x)
-        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t is of the size of a step
+        if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t has the size of a step
             (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
@@ -180,13 +181,13 @@ class _Walk:
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
-        """The goal with the penalty."""
+        """Returns the goal with the penalty."""
         return evaluation.goal * (1 + self.penalty * max(evaluation.excess, 0.0))
 
     def lowest(self, goals: tuple[Array, Array], bounds: tuple[Array, Array]) -> tuple[Array, Array, Array, float]:
-        """The step of the model, the weights of its goals and bounds, and the fall that it promises."""
+        """Returns the step that minimises the model, the weights of goals and bounds, and the promised decrease."""
         (v, s), (c, w) = goals, bounds
-        values = np.append(0.0, self.penalty * c)  # no bound, or one of them
+        values = np.append(0.0, self.penalty * c)  # no bound, or one of the bounds
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
@@ -201,7 +202,7 @@ class _Walk:
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
     def linear(self, model: LocalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """The model's functions in the walk's coordinates, relative."""
+        """Returns the model's functions in the descent's coordinates, relative."""
         n, goal = len(self.x), self.evaluation.goal
         (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
         return (v / goal - 1, s @ self.M / goal), (c - 1, w @ self.M)
@@ -223,7 +224,7 @@ class _Walk:
             self.hessian = convex(M.T @ curvature @ M, self.damping)
         t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         while of_bounds.sum() > 0.8 * self.penalty and self.penalty < LARGEST and np.max(bounds[0] + bounds[1] @ t) > 1e-9:
-            self.penalty *= 4  # the step ends beyond a bound that another one keeps
+            self.penalty *= 4  # the step exceeds a bound that a step with a larger penalty keeps
             t, of_goals, of_bounds, fall = self.lowest(goals, bounds)
         if fall < self.settled:
             return False
@@ -238,7 +239,7 @@ class _Walk:
             if self.merit(there) <= allowed:
                 break
             if np.isfinite(there.goal) and not corrected:
-                # The edges are curved: where they stand beyond the step is modelled from there (a second-order correction).
+                # The edges are curved, so their functions are modelled anew at the end of the step (a second-order correction).
                 corrected = True
                 whole = minimax.evaluate(x + move)
                 if np.isfinite(whole.goal):
@@ -268,11 +269,11 @@ class _Walk:
         return True
 
     def at(self, x: Array, allowed: float) -> Evaluation:
-        """The evaluation of a point, as far as it matters."""
+        """Returns the evaluation of a point, which ends early if its result can no longer matter."""
         return self.minimax.evaluate(x, allowed, self.penalty)
 
     def shifted(self, model: LocalModel, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Functions that were made at the end of a step t, seen from its start."""
+        """Returns functions made at the end of a step t, expressed from its start."""
         (v, s), (c, w) = self.linear(model)
         return (v - s @ t, s), (c - w @ t, w)
 

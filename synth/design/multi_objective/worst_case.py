@@ -1,4 +1,4 @@
-"""The errors that make a loop worst, looked for: of a norm from vertex to vertex of their box, of the slowest pole in all of it.
+"""Search for the worst errors of a loop: for a norm from vertex to vertex of their box, for the slowest pole in the whole box.
 
 A loop with errors is the loop without them under the gain that acts, (1 + forces) K (1 + sensors).
 """
@@ -12,10 +12,10 @@ from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import Band, BandLandscape
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
-TURNS = 4  # through all errors
-NOT_STABLE = 1e6  # what a bound counts as that an unstable loop passes
-CORNERS = 8  # errors up to which the slowest pole is looked for at all vertices; of more at as many
-INSIDE = 64  # points inside
+TURNS = 4  # passes through all errors
+NOT_STABLE = 1e6  # value that stands for a bound's excess by an unstable loop
+CORNERS = 8  # number of errors up to which all vertices are tried for the slowest pole; with more errors, as many vertices
+INSIDE = 64  # points tried inside the box
 SEED = 20261122
 
 
@@ -47,7 +47,7 @@ class WorstCaseErrors:
                 yield self.of_decay(i, rate, K)
 
     def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
-        """The largest norm of a member in a unit, from vertex to vertex, one error at a time."""
+        """Returns the largest norm of a member in a unit, found from vertex to vertex, one error at a time."""
         landscape = self.landscape(i, norm.which, norm.band)
 
         def at(signs: Array) -> float:
@@ -73,7 +73,7 @@ class WorstCaseErrors:
         return best, self._errors(worst)
 
     def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, GainErrors]:
-        """The slowest pole of a member as `Decay` has it."""
+        """Returns the slowest pole of a member, in the form of `Decay`."""
         real, errors = self.slowest(i, K)
         return min(2 + real / rate, NOT_STABLE), errors
 
@@ -85,9 +85,9 @@ class WorstCaseErrors:
         return [errors for real, errors in slowest_of if not real < 0]
 
     def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
-        """The largest real part of a pole of a member that a gain moves [rad/s], at vertices and inside, and the errors.
+        """Returns the largest real part of a pole that a gain moves [rad/s], at vertices and inside, and the errors.
 
-        Infinite where a loop has no answer. Of a discrete plant poles are those of the continuous one that it is mapped to.
+        It is infinite if a loop has no solution. Poles of a discrete plant are those of its continuous image.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
         tried = np.zeros((2**CORNERS if count > CORNERS else 2**count, len(self.sides)))
@@ -95,7 +95,7 @@ class WorstCaseErrors:
             tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
         else:
             tried[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
-        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first without errors
+        inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first point is without errors
         inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
         tried = np.concatenate([tried, inside])
         best, worst = -np.inf, tried[0]
@@ -105,13 +105,13 @@ class WorstCaseErrors:
             if not values[k] > best:
                 return best, self._errors(worst)
             best, worst = float(values[k]), tried[k]
-            tried = np.repeat(worst[None], 2 * count, axis=0)  # one error at its one or its other end
+            tried = np.repeat(worst[None], 2 * count, axis=0)  # each error at its lower or upper end
             tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
             if not count:
                 return best, self._errors(worst)
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
-        """Largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""
+        """Returns the largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""
         landscape = self.landscape(i, self.problem.minimise.which, self.problem.minimise.band)
         points = (self._acting(K, signs) / landscape.scale).reshape(len(signs), -1)
         own = slice(landscape.own)
@@ -121,7 +121,7 @@ class WorstCaseErrors:
         return slowest
 
     def _acting(self, K: Array, signs: Array) -> Array:
-        """(1 + forces) K (1 + sensors) for errors in units of their box, shapes (..., m, q) and (..., q + m)."""
+        """Returns (1 + forces) K (1 + sensors), shape (..., m, q), for errors in units of their box, shape (..., q + m)."""
         factors, q = 1 + signs * self.sides, self.problem.shape[1]
         return factors[..., q:, None] * K * factors[..., None, :q]
 

@@ -21,8 +21,12 @@ LITTLE = 1e-2  # relative: the slowest rate that costs no more is spoken of
 SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 
 
-def cost_lines(one: Cost) -> list[str]:
-    """A controller at all rates, a line each."""
+def cost_lines(one: Cost, lag: str = "") -> list[str]:
+    """A controller at all rates, a line each.
+
+    Args:
+        lag: of the actuators, in words; empty without.
+    """
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
     designs = _has_designs(one)
@@ -31,7 +35,9 @@ def cost_lines(one: Cost) -> list[str]:
         norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
         cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
         rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
-    return [f"controller {one.controller.name}: in continuous time {ideal}{bound}", *table(rows), *_undesigned_lines(one)]
+    loop = f"in continuous time{', with ' if lag else ''}{lag}"
+    first = wrapped(f"controller {one.controller.name}: {loop}{':' if lag else ''} {ideal}{bound}", hang=4)
+    return [*first, *table(rows), *_undesigned_lines(one)]
 
 
 def _has_designs(one: Cost) -> bool:
@@ -48,12 +54,14 @@ def _undesigned_lines(one: Cost) -> list[str]:
     return [line for why, rates in missing.items() for line in wrapped(f"  not designed for {_named(rates)}: {why}")]
 
 
-def about_lines(costs: Sequence[Cost]) -> list[str]:
-    """Returns the explanation of the columns."""
+def about_lines(costs: Sequence[Cost], lag: str = "") -> list[str]:
+    """Returns the explanation of the columns; `lag` is that of the actuators in words, empty without."""
     designs = any(_has_designs(one) for one in costs)
     more = "; designed: anew, for the loop of that rate" if designs else ""
     loses = "loses: by how much the norm lies above that in continuous time"
-    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}", hang=2)]
+    plain = any(one.controller.hardware.bandwidth is None for one in costs)
+    table_is = "; the design table of `python -m synth` has norms without that lag" if lag and plain else ""
+    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}{table_is}", hang=2)]
 
 
 def late(one: Cost) -> str:
