@@ -142,11 +142,11 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     controller, time, end = designed(vehicle, "kept"), sample_times(vehicle, 0.5, 1e-3), END_NAMES.index(SATURATION.name)
     road = RoadInput(vehicle, BUMP, time)
     made = simulate([controller], [road])
-    demand, force = made.asked[0, :, 0], made.response["control_force"][0]
+    demand, force = made.requested_force[0, :, 0], made.response["control_force"][0]
     clipped, full = (time[(np.abs(signal) >= 50.0).argmax()] for signal in (demand, force))
     assert 0 < clipped < full - 5e-3
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
-    assert run.holds
+    assert run.passed
     assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
     assert any("asked for more than its force" in line for line in verdict_lines(run))
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)

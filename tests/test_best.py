@@ -196,7 +196,7 @@ def test_a_near_tie_is_named():
     best, tied, worse = (Candidate(name, None) for name in ("pdd", "acc", "soft"))
     near = _near("peak_travel", best, {worse: 0.0701, best: 0.07, tied: 0.07 * (1 + 3e-6)})  # in mm: 70.1, 70.0, 70.0
     assert near == {"acc": pytest.approx(3e-6, rel=1e-6)}  # rounding of 1 + 3e-6
-    said = Choice("car", Request("peak_travel", {}), best, {}, {"peak_travel": 0.07}, 3, 3, near).line
+    said = Choice("car", Request("peak_travel", {}, {}), best, {}, {"peak_travel": 0.07}, 3, 3, near).line
     assert said == "car: the best peak_travel has pdd: peak_travel 0.07; of 3; and acc within 0.0003 %"
 
 

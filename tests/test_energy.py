@@ -12,6 +12,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.physics.energy import Energy
 from sim.response.response import Response
+from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import design
 from tests.analysed import energy, simulate
 from tests.commands import prose
@@ -128,6 +129,37 @@ def test_hidden_forces_show(tmp_path, paper, designer, fault):
     )
     assert clean.balances
     assert not found.balances
+
+
+LIGHT = """type = "quarter_car"
+[parameters]
+sprung_mass = 229.0
+unsprung_mass = 7.1
+suspension_stiffness = 2350.0
+suspension_damping = 7.5
+tyre_stiffness = 430e3
+[performance]
+sprung_acceleration = 1.0
+"""
+
+
+@pytest.mark.parametrize(("length", "height"), [(0.5, 0.05), (0.3, 0.003)], ids=["in the air", "on the road"])
+def test_a_light_wheel_balances_in_view_of_half_the_step(tmp_path, length, height):
+    """A wheel that is fast for the step leaves more over than others do, and less at half the step: that is no fault.
+
+    A force that floats the body leaves as much at half the step, and is found as before.
+    """
+    light, road = parse_vehicle(LIGHT, source="mine"), Bump(height, length=length, speed=10.0)
+    controller, time = design(light, "passive"), sample_times(light, 0.5, 1e-3)
+    vehicles = (light, hidden(tmp_path, light, FAULTS["a body that floats"]))
+    clean, found = (run_controllers(vehicle, [controller], road, time)[0] for vehicle in vehicles)
+    alone = energy(light, run(light, controller, road, 1e-3, 0.5), 0, road)
+    assert clean.energy is not None
+    assert found.energy is not None
+    assert not alone.balances
+    assert clean.energy == dataclasses.replace(alone, allowed=clean.energy.allowed)
+    assert clean.holds
+    assert not found.energy.balances
 
 
 def test_wrong_steps_forces_and_dampers_show(paper, designer):

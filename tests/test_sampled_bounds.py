@@ -142,7 +142,7 @@ def test_two_routes_meet_with_noise(seed):
     """Of any loop with noise, what an actual disturbance reaches is the norm, and no other angle's gain is above it."""
     rng = np.random.default_rng(seed)
     loop = any_loop(rng)
-    loop = replace(loop, noise=rng.standard_normal((len(loop.gain) + len(loop.memory), 2)))
+    loop = replace(loop, noise=rng.standard_normal((len(loop.K) + len(loop.A_register), 2)))
     norm = sampled_norm(loop)
     assert norm.value >= sampled_norm(replace(loop, noise=None)).value * (1 - PROVED)
     if norm.inside:

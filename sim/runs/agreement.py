@@ -162,7 +162,7 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
     steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended), rounding)
+        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended), rounding)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     if prediction.loop is not None and prediction.radius > 1:

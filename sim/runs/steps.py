@@ -133,11 +133,11 @@ def compare_steps(
     """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        requested_force: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
         rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = physics.until(until)
-    starts = _starts(motion, road, physics, asked)
+    starts = _starts(motion, road, physics, requested_force)
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     ahead, there = _stepped(motion, starts)
@@ -182,7 +182,7 @@ def left_over(
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, physics.until(until)
-    starts = _starts(motion, road, physics, asked)
+    starts = _starts(motion, road, physics, requested_force)
     ahead, there = _stepped(motion, starts)
     apart = dict(zip(motion.names, np.where(starts.known[:, None], there - ahead, 0.0).T, strict=True))
     pushed = np.zeros((len(physics.time), len(model.states)))
@@ -231,7 +231,8 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, requested_forc
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), asked, h)
+    ran = Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1])
+    stages, known = _given(vehicle, ran, requested_force, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
     return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages, known)
 
@@ -297,8 +298,8 @@ def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     z = rates * h
     way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the distance to its command that a lag covers in a step of RK4
-    if asked is not None:
-        demand = asked[:count, : len(inputs)]
+    if requested_force is not None:
+        demand = requested_force[:count, : len(inputs)]
         now = np.where(z > 0, recursion(np.diag(1 - way), way * demand), demand)
     else:
         now = np.where(pushing, np.clip(now, -most, most), now)

@@ -276,7 +276,7 @@ class SampledLoop(Checked):
     @property
     def heard(self) -> tuple[Array, Array]:
         """From the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j); j may be 0."""
-        m, k = len(self.gain), len(self.memory)
+        m, k = len(self.K), len(self.A_register)
         noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
         return noise[:m], noise[m:]
 
@@ -284,7 +284,7 @@ class SampledLoop(Checked):
         """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
         asked, kept = self.heard
         forces = [np.zeros_like(asked) if piece.late else asked for piece in self.pieces]
-        memory = kept + self.from_force @ forces[-1]
+        memory = kept + self.B_register @ forces[-1]
         waiting = np.zeros((max(self.late - 1, 0) * len(asked), asked.shape[1]))
         start = np.vstack([np.zeros((len(self.plant.A), asked.shape[1])), *forces])
         return start, np.vstack([memory, waiting, asked] if self.late else [memory])
@@ -301,7 +301,7 @@ class SampledLoop(Checked):
         (asked, kept), turned = self.heard, np.exp(1j * angles)
         forces = [asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
         still = np.zeros((len(angles), len(self.plant.A), asked.shape[1]))
-        return np.concatenate([still, *forces], axis=1), kept + self.from_force @ forces[-1]
+        return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
         """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].

@@ -95,9 +95,8 @@ class RoadPeak(Objective):
         K = self._gain(x)
         after = driven.after(K)
         measured = states[: k + 1] @ (driven.Cy + driven.Dyu @ after @ K @ driven.Cy).T
-        seen = homogeneous_response(A.T, c, h, k + 1)[
-            ::-1
-        ]  # derivative of the signal by the state at each earlier time, shape (k + 1, n)
+        # Derivative of the signal by the state at each earlier time, shape (k + 1, n).
+        seen = homogeneous_response(A.T, c, h, k + 1)[::-1]
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
         return after.T @ (((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k]))

@@ -196,7 +196,7 @@ class MultiObjectiveProblem(Checked):
         m, q = self.shape
         return GainErrors(np.zeros(q), np.zeros(m))
 
-    def vertices(self, most: int) -> list[GainErrors]:
+    def corners(self, most: int) -> list[GainErrors]:
         """Returns the vertices of the box of errors; empty if there are too many."""
         m, q = self.shape
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])

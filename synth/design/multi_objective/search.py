@@ -75,7 +75,7 @@ class MinimaxSearch:
 
     def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
         self.problem, self.full = problem, problem.nominal()
-        self.on_progress = told
+        self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
         self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
         self.worst = WorstCaseErrors(problem)
