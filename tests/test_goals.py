@@ -756,7 +756,7 @@ def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
 
 
 LATER = {  # where Ctrl-C comes, and what is said of the controller that was at work then, None where it is not there
-    "synth.vehicle.multi_objective.searched": None,
+    "synth.vehicle.multi_objective.run_search": None,
     "synth.vehicle.multi_objective.with_bests": None,
     "synth.vehicle.multi_objective.Verification.promises": "interrupted: of its promises none is proved",
     "synth.vehicle.multi_objective.price": "interrupted: what its structure costs is not known",
@@ -812,7 +812,7 @@ def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
     def stopped(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("synth.vehicle.multi_objective.searched", stopped)
+    monkeypatch.setattr("synth.vehicle.multi_objective.run_search", stopped)
     with pytest.raises(KeyboardInterrupt):
         main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)])
     assert capsys.readouterr().out == ""

@@ -160,7 +160,7 @@ def test_conditionally_stable_loop():
 def test_search_does_not_believe_its_expectation(monkeypatch):
     """Physics decides: the search ends at its own answer, wherever it was told to look first, or not at all."""
     monkeypatch.setattr(
-        "sim.studies.stability.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
+        "sim.studies.stability.bisection.grows", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
     )
     for expected in (3.0, 17.0, 18.0, 200.0, math.inf):
         search = Bisection(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
@@ -180,7 +180,7 @@ def test_what_is_expected_takes_two_runs(monkeypatch, step, edge):
         asked.extend(trials)
         return [Growth(amount > edge) for amount in trials]
 
-    monkeypatch.setattr("sim.studies.stability.bisection.grow", told)
+    monkeypatch.setattr("sim.studies.stability.bisection.grows", told)
     search = Bisection(lambda amount: amount, edge, most=100.0, step=step)  # type: ignore[arg-type]
     run_searches([search], 1.0)
     assert sorted(asked) == [search.stable, search.unstable]

@@ -34,7 +34,7 @@ RATES = ("10", "100")  # ms; II is lost before the last where forces are late
 @pytest.fixture(autouse=True)
 def found_once(monkeypatch):
     """One loop is lost in many tests: what is found is shared by those that only tell it."""
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: made(lost_anew, *arguments))
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "smallest_unstable_period", lambda *arguments: made(lost_anew, *arguments))
 
 
 def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
@@ -44,7 +44,7 @@ def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
 @pytest.fixture
 def never_lost(found_once, monkeypatch):
     """Where a loop is lost is not asked: that takes longer than all the rest."""
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: math.inf)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "smallest_unstable_period", lambda *arguments: math.inf)
 
 
 @pytest.fixture

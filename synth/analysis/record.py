@@ -14,11 +14,11 @@ from models.common.errors import InputError, listing, quoted
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
-from synth.analysis.sampled_loop import SampledDataProblem
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
     from synth.analysis.interpolation import Zeros
+    from synth.analysis.sampled_loop import SampledDataProblem
 
 
 SAMPLED_NORM = "sampled_norm"  # of the sampled loop; checked if the implementation is known
@@ -102,7 +102,7 @@ def read_proof(
     return (X, eta, lower_bound) if X is not None and eta is not None else (None, None, lower_bound)
 
 
-def read_sampled_bound(record: Mapping[str, Any], problem: SampledDataProblem) -> SampledBound:
+def read_sampled_bound(record: Mapping[str, Any], problem: "SampledDataProblem") -> SampledBound:
     """Returns the claimed lower bound of a sampled loop with what its proof proves; see `bound_record`.
 
     Raises:

@@ -17,14 +17,12 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller, certify_law, on_readings, verify_record
-from synth.controller.implementation_norm import false_sampled_bound, held_problem
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
 from synth.lmi.central_path import CentralPoint
 from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
-from synth.lmi.sampled_bound import find_sampled_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
@@ -170,6 +168,9 @@ class Designer:
     def _sampled_bound(self, entry: ControllerEntry) -> SampledBound | None:
         key = entry.measured, entry.hardware.noise
         if key not in self._sampled_bounds:
+            from synth.controller.implementation_norm import held_problem
+            from synth.lmi.sampled_bound import find_sampled_bound
+
             near = self.lower_bound(entry.measured, entry.hardware).gamma or 1.0
             self._sampled_bounds[key] = find_sampled_bound(held_problem(self.vehicle, entry), near)
         return self._sampled_bounds[key]
@@ -255,8 +256,13 @@ class Designer:
         if entry.goals is not None:
             from synth.vehicle.multi_objective import verify_specifications
 
-            controller = replace(controller, promises=verify_specifications(self.vehicle, entry, entry.goals, law, self.search))
-        wrong += false_sampled_bound(self.vehicle, entry)
+            controller = replace(
+                controller, specifications=verify_specifications(self.vehicle, entry, entry.goals, law, self.search)
+            )
+        if entry.certificate:
+            from synth.controller.implementation_norm import false_sampled_bound
+
+            wrong += false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
         return replace(controller, false_claims=remaining_false_claims(self.vehicle, controller, wrong))
 

@@ -44,7 +44,9 @@ def sampled_design(
     return replace(
         made,
         redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
-        instead=f"not by the two steps but by descent on the sampled norm, for {designed.instead}" if designed.instead else "",
+        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
+        if designed.instead
+        else "",
     )
 
 
