@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += ["", *standing_lines(standings, "MuJoCo, all of the run")]
         say([*lines, *log_lines(logs, options.brief), "", *summary_lines(runs)])
     view(options, logs)
-    return 0 if all(run.holds for run in runs) else 1
+    return 0 if all(run.passed for run in runs) else 1
 
 
 def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:

@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         window = f"MuJoCo, from {time[first]:.4g} s on"
         say([*lines, "", *standing_lines(standings, window), *log_lines(logs, options.brief), "", *summary_lines(runs)])
     view(options, logs)
-    return 0 if all(run.holds for run in runs) else 1
+    return 0 if all(run.passed for run in runs) else 1
 
 
 if __name__ == "__main__":

@@ -135,8 +135,8 @@ def _which_loop(vehicle: "Vehicle") -> str:
         return lines
     how = vehicle.implementation
     loop = f"the loop has {'no actuator lag' if vehicle.limits.actuator_bandwidth is None else 'the lag of its actuators'}"
-    totals = "" if how.prompt else "delay and sample period below are totals, which include the file's own"
-    blur = f"{how.blur} is left out" if how.blurred else ""
+    totals = "" if how.undelayed else "delay and sample period below are totals, which include the file's own"
+    blur = f"{how.noise_text} is left out" if how.has_measurement_noise else ""
     follow = "margins hold only while the adjustable dampers of [actuators] give the commanded force" if vehicle.dampers else ""
     return "; ".join(filter(None, (loop, totals, blur, follow, "norms of other vehicles are of the ideal loop", lines)))
 

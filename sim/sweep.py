@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
-from sim.command.road_options import left_out, left_out_lines
+from sim.command.road_options import left_out_lines, omitted_controllers
 from sim.command.sweep_options import parser, requested_names, worst_road, worst_times
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 *log_lines(logs),
                 "",
                 *summary_lines(sweeps),
-                *left_out_lines(left_out(vehicle, options.controller, names)),
+                *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
             ]
         )
     return 0 if all(map(holds, sweeps)) else 1

@@ -5,10 +5,11 @@ Public names, imported when they are first used; all units are SI:
 - of a vehicle: `design_controllers`, `Designer`, `Controller`
 - any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
 - static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`; for goals
-  `design_for_goals` of a `GoalProblem` with `NormGoal`, `Member`, `Posed`, `Errors`
+  `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`,
+  `MeasuredPlant`, `GainErrors`
 - controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
-  `sampled_norm` of a `SampledLoop`, whose period has a `Piece` or two
+  `sampled_norm` of a `SampledLoop`, whose period has a `HoldInterval` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
 - no controller is ever empty: `DesignError`, `InfeasibleError` say why
 
@@ -33,15 +34,21 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.analysis.band_norm import norm_in_band
     from synth.analysis.certificate import certify
     from synth.analysis.norm import hinf_norm
-    from synth.analysis.sampled_loop import Piece, SampledLoop
+    from synth.analysis.sampled_loop import HoldInterval, SampledLoop
     from synth.analysis.sampled_norm import sampled_norm
     from synth.controller.controller import Controller
     from synth.design.descent.refine import refine
     from synth.design.full_order.full_order import full_order_design
     from synth.design.full_order.quadratic import h2_design, lqg_design, lqr_design
     from synth.design.multi_model import slack_design
-    from synth.design.multi_objective.design import design_for_goals
-    from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+    from synth.design.multi_objective.design import multi_objective_design
+    from synth.design.multi_objective.problem import (
+        FamilyMember,
+        GainErrors,
+        MeasuredPlant,
+        MultiObjectiveProblem,
+        NormSpecification,
+    )
     from synth.design.static import static_output_feedback
     from synth.design.two_step import two_step_design
     from synth.design.uncertainty.worst_case import worst_norm
@@ -57,7 +64,7 @@ else:
             "synth.analysis.band_norm": "norm_in_band",
             "synth.analysis.certificate": "certify",
             "synth.analysis.norm": "hinf_norm",
-            "synth.analysis.sampled_loop": "Piece SampledLoop",
+            "synth.analysis.sampled_loop": "HoldInterval SampledLoop",
             "synth.analysis.sampled_norm": "sampled_norm",
             "synth.controller.controller": "Controller",
             "synth.design.descent.refine": "refine",

@@ -25,7 +25,7 @@ from sim.response.response import Response
 from sim.runs import prediction
 from sim.runs.prediction import Prediction
 from synth.controller.controller import Controller
-from synth.controller.open_loop import ImplementedLoop, LoopModel
+from synth.controller.open_loop import LoopModel, SampledClosedLoop
 
 Exponential = Callable[[Array], Array]
 AnyController = Controller | Programmed | SemiActive
@@ -40,7 +40,7 @@ def sampled_radius(vehicle: Vehicle, controller: Controller, timestep: float) ->
     return LoopModel(vehicle, controller, timestep).radius
 
 
-def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> ImplementedLoop:
+def implemented_loop(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledClosedLoop:
     return LoopModel(vehicle, controller, timestep).closed_loop
 
 

@@ -173,5 +173,5 @@ def test_curves_are_logged_as_they_are():
     for what, one in (("spring", "deflection"), ("damper", "velocity")):
         np.testing.assert_array_equal(found[f"{what}_force"], found[f"{what}_force_curve"])
         np.testing.assert_array_equal(found[f"{what}_{one}"], run.physics[f"suspension_{one}"])
-    assert pulled(vehicle.straight, run.physics) is None
-    assert diagrams(vehicle.straight) == []
+    assert pulled(vehicle.linearised, run.physics) is None
+    assert diagrams(vehicle.linearised) == []

@@ -60,7 +60,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert max(free.physics.peak(name) for name in states) > 1e8
     assert max(kept.physics.peak(name) for name in states) < 100
     assert np.abs(kept.physics["missing_force"]).max() < 2000
-    assert kept.holds, "\n".join(verdict_lines(kept))
+    assert kept.passed, "\n".join(verdict_lines(kept))
     said = "anti-windup: where forces are clipped its states follow those that are given, at 20 1/s or faster"
     assert f"  {said}" in controller_lines(vehicle, kept.controller)
     assert not any("winds up" in line for line in controller_lines(vehicle, kept.controller))
@@ -73,7 +73,7 @@ def test_the_exact_switched_response_has_it(how):
     """Where forces are clipped most of the time, physics agrees with the exact switched response, in the law's states, too."""
     vehicle = replace(parse_vehicle(SEMI_ACTIVE, source="mine"), implementation=Implementation(**how))
     (run,) = runs_of(vehicle, ["kept"], Bump(height=0.02, length=4.0, speed=12.0), 1.5)
-    assert run.holds
+    assert run.passed
     assert math.isinf(run.agreement.until)
     assert np.mean(np.abs(run.physics["missing_force"]) > 1e-3) > 0.5
     for i in range(1, 5):  # RK4's own error, a few millionths of a peak, times how much a state makes of a wheel's acceleration
@@ -142,11 +142,11 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
     controller, time, end = designed(vehicle, "kept"), sample_times(vehicle, 0.5, 1e-3), END_NAMES.index(SATURATION.name)
     road = RoadInput(vehicle, BUMP, time)
     made = simulate([controller], [road])
-    demand, force = made.asked[0, :, 0], made.response["control_force"][0]
+    demand, force = made.requested_force[0, :, 0], made.response["control_force"][0]
     clipped, full = (time[(np.abs(signal) >= 50.0).argmax()] for signal in (demand, force))
     assert 0 < clipped < full - 5e-3
     (run,) = runs_of(vehicle, ["kept"], BUMP, 0.5)
-    assert run.holds
+    assert run.passed
     assert run.agreement.ended[SATURATION.name] == run.agreement.until == clipped
     assert any("asked for more than its force" in line for line in verdict_lines(run))
     (free,) = runs_of(vehicle, ["free"], BUMP, 0.5)

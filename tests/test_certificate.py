@@ -10,10 +10,10 @@ from sim.runs.report import controller_lines
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, certify
 from synth.command.table import Row, detail_lines, row_object
-from synth.design.two_step import furthest, state_path, two_step_design
+from synth.design.two_step import last_certified_gain, state_path, two_step_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
-from synth.vehicle.designer import given
+from synth.vehicle.designer import certify_given
 
 NAMES = ["state", "I", "II"]
 
@@ -51,8 +51,8 @@ def test_design_that_cannot_be_certified_is_an_error(designer):
     """A gain that nothing proves is an error; a bound that its X does not prove is never given, but one that another X does."""
     point = designer.state_feedback
     with pytest.raises(DesignError, match="its certificate fails: unstable"):
-        furthest(designer.plant, np.eye(4), [dataclasses.replace(point, K=-10 * point.K)])
-    found = furthest(designer.plant, np.eye(4), [dataclasses.replace(point, eta=2 * point.eta)]).certificate
+        last_certified_gain(designer.plant, np.eye(4), [dataclasses.replace(point, K=-10 * point.K)])
+    found = last_certified_gain(designer.plant, np.eye(4), [dataclasses.replace(point, eta=2 * point.eta)]).certificate
     assert found.bound is not None
     assert found.norm.value < found.bound < 1.001 * found.norm.value
 
@@ -105,7 +105,7 @@ def test_design_of_what_hardly_moves(seed):
         Dw=0.5 * rng.standard_normal((2, 1)),
     )
     path, both = state_path(plant), np.eye(2)
-    design = furthest(plant, both, path)
+    design = last_certified_gain(plant, both, path)
     proofs = [each for each in (certify(plant, point.K, point.X, point.eta) for point in path) if not each.failures]
     slowest = min(each.speed_up for each in proofs)
     assert slowest > FASTEST
@@ -118,7 +118,7 @@ def test_design_of_what_hardly_moves(seed):
 
 def test_speed_is_printed(paper):
     """A gain beyond any actuator is said so on the terminal of both commands and in the JSON."""
-    controller = given(paper, "stiff", ["sprung_velocity"], static_law(np.array([[-1e7]])))
+    controller = certify_given(paper, "stiff", ["sprung_velocity"], static_law(np.array([[-1e7]])))
     (remark,) = controller.certificate.remarks
     assert f"  {remark}" in detail_lines(Row("stiff", controller, (), ()), paper)
     assert f"  {remark}" in controller_lines(paper, controller)

@@ -113,7 +113,7 @@ def test_friction_is_smooth_to_the_error_it_says():
 def test_mujoco_pulls_as_the_tables_say(kind):
     """At any deflection and speed, what MuJoCo's suspensions pull with beyond their line is what the tables have beyond it."""
     vehicle = with_curves(kind, **(BOTH if kind == "quarter_car" else AXLES))
-    model, straight = build_model(vehicle, 1e-3), build_model(vehicle.straight, 1e-3)
+    model, straight = build_model(vehicle, 1e-3), build_model(vehicle.linearised, 1e-3)
     rng = np.random.default_rng(0)
     for _ in range(20):
         found = []
@@ -459,9 +459,9 @@ def test_claims_say_that_they_are_of_the_line_at_rest():
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
     (line,) = ideal_lines(vehicle, [design(vehicle, "passive")])
     assert line == "bound, norm and poles are of the lines of [curves] at rest: suspension_damping 1750 (elsewhere 666.7 to 1750)"
-    assert ideal_lines(vehicle.straight, [design(vehicle, "passive")]) == []
+    assert ideal_lines(vehicle.linearised, [design(vehicle, "passive")]) == []
     assert _which_loop(vehicle).endswith("at rest, and there alone: suspension_damping 1750 (elsewhere 666.7 to 1750)")
-    assert _which_loop(vehicle.straight) == ""
+    assert _which_loop(vehicle.linearised) == ""
 
 
 def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():

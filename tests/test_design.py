@@ -9,7 +9,7 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from synth.analysis.stability import obstacles
+from synth.analysis.stability import stabilisability_failures
 from synth.controller.report import notes
 from synth.design.fallback import two_steps_or_descent
 from synth.design.static import static_output_feedback
@@ -252,13 +252,13 @@ def test_input_that_costs_nothing_has_a_bound():
 def test_no_mode_is_accused_wrongly(designer):
     """The paper's car has no such mode, with any single measurement."""
     for row in np.eye(4):
-        assert obstacles(designer.plant, row[None]) == []
+        assert stabilisability_failures(designer.plant, row[None]) == []
 
 
 def test_second_problem_without_solution_is_said():
     """x'' = x + u with x' measured is reached and seen, and yet no static gain stabilises it, which is said."""
     plant = plant_of([[0, 1], [1, 0]], [[0], [1]])
-    assert obstacles(plant, np.array([[0.0, 1.0]])) == []
+    assert stabilisability_failures(plant, np.array([[0.0, 1.0]])) == []
     with pytest.raises(
         InfeasibleError, match=r"no gain from what is measured stabilises the plant, whose mode at 1 1/s does not decay"
     ):

@@ -158,7 +158,7 @@ def test_a_light_wheel_balances_in_view_of_half_the_step(tmp_path, length, heigh
     assert found.energy is not None
     assert not alone.balances
     assert clean.energy == dataclasses.replace(alone, allowed=clean.energy.allowed)
-    assert clean.holds
+    assert clean.passed
     assert not found.energy.balances
 
 

@@ -49,7 +49,7 @@ def test_at_the_limit_the_two_steps_are_gone(designer, monkeypatch):
     monkeypatch.setattr(design, "MOST", 15)
     monkeypatch.setattr(central, "MOST", 15)
     controller = Designer(designer.vehicle).design("I")
-    assert controller.instead == ""
+    assert controller.fallback_method == ""
     np.testing.assert_array_equal(controller.gain, designer.design("I").gain)
     assert central.unknowns(designer.plant) == central.Basis.of(designer.plant, 0).size == 15
     assert central.unknowns(designer.plant, 2) == central.Basis.of(designer.plant, 2).size
@@ -62,7 +62,7 @@ def test_too_large_for_a_path(designer, monkeypatch):
         state_path(designer.plant)
     with pytest.raises(TooLargeError, match="controller 'state': the LMI problem has 15 unknowns"):
         Designer(designer.vehicle).design("state")
-    assert "the central path is followed with at most 14" in Designer(designer.vehicle).design("I").instead
+    assert "the central path is followed with at most 14" in Designer(designer.vehicle).design("I").fallback_method
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,9 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
     found = Designer(designer.vehicle).design("II")
     assert found.certificate.bound is None
     assert found.certificate.failures == ()
-    assert "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.instead
+    assert (
+        "rounding leaves no proof of a bound, the norm is what two routes agree on, for the LMI problem" in found.fallback_method
+    )
 
 
 def test_what_has_no_solution_is_not_searched_for():

@@ -86,7 +86,7 @@ def test_what_is_wrong_at_large_motions_alone_is_found(kind, part):
     clean, wrong = (
         judged(vehicle, road, name, fault) for fault in (None, stronger(part, {"curves": 0.025, "stops": 0.02}[part]))
     )
-    assert clean.holds
+    assert clean.passed
     assert clean.agreement.steps is not None
     assert clean.agreement.steps.error < 1e-12  # rounding
     assert changed(wrong, clean) > 1e-5
@@ -99,7 +99,7 @@ def found(clean: Run, vehicle: Vehicle, fault: Fault | None = None) -> bool:
     """True if a step of the vehicle with a fault is not that of the clean run's equations; the rest of a verdict is dearer."""
     with built_with(fault or (lambda spec: None)):
         made = simulate([clean.controller], [RoadInput(vehicle, clean.road, clean.physics.time)])
-    return not compare(clean.prediction, made.run(0), made.asked[0]).step_by_step
+    return not compare(clean.prediction, made.run(0), made.requested_force[0]).step_by_step
 
 
 def clipped(vehicle: Vehicle, clean: Run, signal: str) -> Fault:
@@ -180,7 +180,7 @@ def test_numbers_count(kind, regime):
     """
     vehicle, road, name = driven(kind, regime)
     clean, missed = judged(vehicle, road, name), []
-    assert clean.holds
+    assert clean.passed
     cases: list[tuple[object, Vehicle, Fault | None]] = [
         *((place, vehicle, scaled(place, 0.02)) for place in numbers(kind, regime)),
         *((parameter, miswritten(vehicle, parameter, 0.02), None) for parameter in vehicle.parameters),
@@ -189,7 +189,7 @@ def test_numbers_count(kind, regime):
         with contextlib.suppress(InputError):  # it is refused
             if not found(clean, other, fault):
                 run = judged(other, road, name, fault)
-                if run.holds and changed(run, clean) > UNHEARD:
+                if run.passed and changed(run, clean) > UNHEARD:
                     missed.append(what)
     assert not missed
 
@@ -203,4 +203,4 @@ def test_random_vehicles_raise_no_alarm(kind, regime):
     for other in random_vehicles(vehicle, 8, 0.3):
         run = judged(other, road, "passive")
         assert run.agreement.steps is not None
-        assert run.holds or run.broke_off is not None, (other.parameters, verdict_lines(run))
+        assert run.passed or run.broke_off is not None, (other.parameters, verdict_lines(run))

@@ -323,9 +323,9 @@ def test_where_one_file_cannot_get_its_name_none_keeps_it(tmp_path, monkeypatch,
 def test_what_is_being_finished_is_not_interrupted():
     """One Ctrl-C comes too late for it, a second one is heeded, and afterwards it is as before."""
     before = signal.getsignal(signal.SIGINT)
-    with interrupt.finishing():
+    with interrupt.uninterrupted():
         signal.raise_signal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), interrupt.finishing():  # noqa: PT012 - the block is what is interrupted
+    with pytest.raises(KeyboardInterrupt), interrupt.uninterrupted():  # noqa: PT012 - the block is what is interrupted
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before

@@ -157,7 +157,7 @@ def test_designs_with_filters(lines):
         assert not certificate.failures
         assert certificate.lower_bound is not None
         assert certificate.lower_bound <= certificate.norm.value * (1 + 1e-9)  # rounding of the norm
-        assert ("states that nothing measures" in controller.case) == (name == "state")
+        assert ("states that nothing measures" in controller.degeneracy) == (name == "state")
         omega = np.append(OMEGA, certificate.norm.peak_frequency)
         z = vehicle.weights(omega) * (
             continuous_frequency_response(vehicle, controller, omega)[..., 0] * vehicle.road_shape(omega)[:, None]
@@ -263,15 +263,15 @@ def test_what_synths_readme_says_of_the_two_steps():
     vehicle = parse_vehicle(file_with(WK))
     for name, lost in {"state": 10.30526, "I": 20.97388}.items():
         found = designed(vehicle, name)
-        said = re.search(r"they come to (\d+\.\d+)", found.instead)
+        said = re.search(r"they come to (\d+\.\d+)", found.fallback_method)
         assert said is not None
         assert float(said[1]) == pytest.approx(lost, rel=3e-6)  # the path ends so near its limit
-        assert "feeds back the states of filters" in found.instead
+        assert "feeds back the states of filters" in found.fallback_method
         assert found.certificate.gap is not None
         assert found.certificate.gap < 1e-4
         assert found.certificate.own.worst.real < -0.1  # a filter's slowest pole is not it
         assert len(found.certificate.own.poles) == 4
-    assert not Designer(read_vehicle("quarter_car")).design("I").instead
+    assert not Designer(read_vehicle("quarter_car")).design("I").fallback_method
 
 
 def test_filters_poles_are_not_too_fast():

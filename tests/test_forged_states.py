@@ -19,7 +19,7 @@ from synth.command.check import check
 from synth.command.save import save
 from synth.controller.controller import Controller
 from synth.plant.augmented import on_larger_plant
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from tests.rewriting import contents, written
 
 ACCELERATIONS = {
@@ -41,7 +41,7 @@ def law_of(vehicle: Vehicle, states: int, period: float | None = None) -> Linear
 def proved(vehicle: Vehicle, law: LinearLaw, name: str = "mine") -> Controller:
     """A law on what is measured, with a bound that is proved."""
     measured = ACCELERATIONS[vehicle.kind.name]
-    controller = given(vehicle, name, measured, law)
+    controller = certify_given(vehicle, name, measured, law)
     designer = Designer(vehicle)
     loop = on_larger_plant(designer.plant, vehicle.linear_model.rows(measured)[0], controller.law_on_states(vehicle))
     certificate = certify_tightly(*loop, controller.certificate.below, designer.plant)
@@ -140,7 +140,7 @@ def test_an_unstable_loop_claims_nothing(paper):
     controller = proved(paper, law)
     for wild in (law.scaled(-1e4), dataclasses.replace(law, A=-np.array(law.A))):
         assert any("unstable" in said for said in failures(paper, controller, wild, to_record(controller.certificate)))
-        assert not given(paper, "wild", controller.measured, wild).certificate.stable
+        assert not certify_given(paper, "wild", controller.measured, wild).certificate.stable
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
-from models.vehicle.controllers import Hardware
+from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.analysis.uncertainty_box import ScaledGain
@@ -28,45 +28,54 @@ def _gain(vehicle: Vehicle, controller: str):
     designer = Designer(vehicle)
     one = designer.design(controller)
     posed = designer.problem(one.measured)
-    return scaled_gain(posed.plant, posed.Cy, one.law, posed.Dyw, posed.through)
+    return scaled_gain(posed.plant, posed.Cy, one.law, posed.Dyw, posed.feedthrough)
 
 
 def test_printed_controller_i_dies_where_it_cancels_the_spring():
     """Its deflection gain, 21.03 % too large, cancels the spring of 13100 N/m, whatever the other reading does."""
     found = fragility(_gain(read_vehicle("quarter_car"), "I_printed"))
-    assert found.stable.found == pytest.approx(13100 / 10824 - 1, rel=1e-8)  # eigenvalues near 0 have half the digits
-    assert 0.998 * found.stable.found < found.stable.proved < found.stable.found  # asked for: a thousandth; it is proved there
-    assert found.stable.readings[0] == found.stable.found
+    assert found.stable.smallest_violation == pytest.approx(
+        13100 / 10824 - 1, rel=1e-8
+    )  # eigenvalues near 0 have half the digits
+    assert (
+        0.998 * found.stable.smallest_violation < found.stable.proved_margin < found.stable.smallest_violation
+    )  # asked for: a thousandth; it is proved there
+    assert found.stable.readings[0] == found.stable.smallest_violation
     assert found.norm == pytest.approx(7.843188, abs=5e-7)  # by SLICOT
-    assert found.within[0.01].proved <= found.within[0.01].found < found.within[0.1].found < found.stable.found
+    assert (
+        found.within[0.01].proved_margin
+        <= found.within[0.01].smallest_violation
+        < found.within[0.1].smallest_violation
+        < found.stable.smallest_violation
+    )
 
 
 def test_the_skyhook_bears_a_reading_that_is_missing():
     """II only damps: without its force the car is stable, too, so no error up to 100 % makes it unstable, and that is proved."""
     found = fragility(_gain(read_vehicle("quarter_car"), "II_printed"))
-    assert np.isinf(found.stable.found)
-    assert found.stable.proved == 1.0
+    assert np.isinf(found.stable.smallest_violation)
+    assert found.stable.proved_margin == 1.0
     assert found.stable.readings == pytest.approx([-1.0])  # no control force is the worst of all
-    assert found.within[0.1].found < 1
+    assert found.within[0.1].smallest_violation < 1
 
 
 def test_a_force_that_is_measured_is_one_more_reading(paper):
     """A law told its own force, u = -4000 v + 0.1 u, has the norm of u = -4444 v; missing, that reading costs a tenth of it."""
     (posed, one), (_, plain) = (
-        (problem(paper, measured, Hardware()), static_law(np.array([gain])))
+        (problem(paper, measured, DesignConditions()), static_law(np.array([gain])))
         for measured, gain in ((("sprung_velocity", "control_force"), [-4000.0, 0.1]), (("sprung_velocity",), [-4000.0 / 0.9]))
     )
-    gain = scaled_gain(posed.plant, posed.Cy, one, posed.Dyw, posed.through)
-    alone = scaled_gain(posed.plant, posed.Cy[:1], plain, None, posed.through[:1])
+    gain = scaled_gain(posed.plant, posed.Cy, one, posed.Dyw, posed.feedthrough)
+    alone = scaled_gain(posed.plant, posed.Cy[:1], plain, None, posed.feedthrough[:1])
     found, plainly = fragility(gain), fragility(alone)
     assert found.norm == pytest.approx(plainly.norm, rel=1e-9)
-    assert np.isinf(found.stable.found)
-    assert found.stable.proved == plainly.stable.proved == 1.0
+    assert np.isinf(found.stable.smallest_violation)
+    assert found.stable.proved_margin == plainly.stable.proved_margin == 1.0
     silent = np.vstack([posed.Cy, 0 * posed.Cy[:1]])
     with pytest.raises(
         InputError, match=r"row 2 of \[Cy Dyu\] is zero: that signal says nothing of the state or force; leave it out"
     ):
-        scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.through, [[0.0]]]))
+        scaled_gain(posed.plant, silent, static_law(np.ones((1, 3))), None, np.vstack([posed.feedthrough, [[0.0]]]))
 
 
 @pytest.mark.attack
@@ -74,8 +83,8 @@ def test_steps_that_rounding_takes_out_of_the_feasible_set():
     """An H2 law that knows no noise bears 0.055 % of errors: X is conditioned by 1e9 there, and a proof is found."""
     entry = '[controllers.h2]\nmeasured = ["suspension_deflection", "sprung_acceleration"]\ndesign = "h2"\n'
     found = fragility(_gain(parse_vehicle(read_vehicle("quarter_car").text + entry), "h2"))
-    assert found.stable.found == pytest.approx(5.486e-4, rel=1e-3)
-    assert 0.9 * found.stable.found < found.stable.proved < found.stable.found  # measured 0.95
+    assert found.stable.smallest_violation == pytest.approx(5.486e-4, rel=1e-3)
+    assert 0.9 * found.stable.smallest_violation < found.stable.proved_margin < found.stable.smallest_violation  # measured 0.95
 
 
 def _random(seed: int):
@@ -106,12 +115,15 @@ def test_against_brute_force(seed):
     forces = gain.forces if gain.forces > 1 else 0
     for level, borne in ((np.inf, found.stable), *((found.norm * (1 + share), found.within[share]) for share in SHARES)):
         errors = np.concatenate([borne.readings, borne.forces])
-        assert borne.proved <= borne.found
-        assert np.abs(errors).max() == pytest.approx(min(borne.found, 1.0), rel=1e-12)  # summed and taken apart
-        if np.isfinite(borne.found):
+        assert borne.proved_margin <= borne.smallest_violation
+        assert np.abs(errors).max() == pytest.approx(min(borne.smallest_violation, 1.0), rel=1e-12)  # summed and taken apart
+        if np.isfinite(borne.smallest_violation):
             assert norm_at(gain, 1 + (1 + NEAR) * errors) > level or np.isinf(level)
             assert np.isinf(norm_at(gain, 1 + (1 + NEAR) * errors)) or np.isfinite(level)
-        for amount in (borne.proved, min(borne.found, 1.0) * (1 - 2e-3)):  # it is looked inside a box a thousandth smaller
+        for amount in (
+            borne.proved_margin,
+            min(borne.smallest_violation, 1.0) * (1 - 2e-3),
+        ):  # it is looked inside a box a thousandth smaller
             sides = [np.linspace(-amount, amount, 9 if forces else STEPS)] * 2
             grid = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
             errors = np.hstack([grid, generator.uniform(-amount, amount, (len(grid), len(gain.K))) * (forces > 0)])
@@ -143,7 +155,7 @@ def test_errors_inside_a_box_may_do_most():
     one, level = found.within[0.1], 1.1 * found.norm
     assert np.abs(one.readings[0]) < 0.5 * np.abs(one.readings[1])  # no corner
     assert norm_at(gain, 1 + np.array([*(1 + NEAR) * one.readings, 0.0])) > level
-    side = np.linspace(-1, 1, STEPS) * one.found * (1 - 2e-3)  # it is looked inside a box a thousandth smaller
+    side = np.linspace(-1, 1, STEPS) * one.smallest_violation * (1 - 2e-3)  # it is looked inside a box a thousandth smaller
     errors = np.stack([*np.meshgrid(side, side), np.zeros((STEPS, STEPS))], axis=-1).reshape(-1, 3)
     assert _brute(gain, 1 + errors)[1] <= level
 
@@ -179,11 +191,11 @@ def test_more_errors_than_corners_are_looked_at():
     )
     many = replace(many, plant=replace(many.plant, A=many.plant.A - 0.5 * np.eye(len(many.plant.A))))
     found = fragility(many)
-    assert found.stable.proved == 0.0
-    assert 0 < found.within[0.01].found <= found.within[0.1].found
+    assert found.stable.proved_margin == 0.0
+    assert 0 < found.within[0.01].smallest_violation <= found.within[0.1].smallest_violation
     text = proved_text(found)
     assert text.startswith("that it is stable with errors is not proved; the norm within 1 % of errors is not proved")
-    assert f"and not at {100 * found.within[0.01].found:.4g} %" in text
+    assert f"and not at {100 * found.within[0.01].smallest_violation:.4g} %" in text
 
 
 def test_rounding():

@@ -31,7 +31,7 @@ from synth.command.trade_off import others_of
 from synth.controller.problem import problem
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import weighing
-from synth.vehicle.trade_off.axes import Axis, axes_of, norm_on
+from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
@@ -65,7 +65,7 @@ def quick(monkeypatch):
 FEW_RATIOS = range(-1, 2)
 
 
-def quick_front(vehicle: Vehicle, name: str, axes: tuple[Axis, ...], others: tuple[str, ...]) -> Front:
+def quick_front(vehicle: Vehicle, name: str, axes: tuple[FrontAxis, ...], others: tuple[str, ...]) -> Front:
     """What `quick` commands design."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synth.vehicle.trade_off.lower_bound, "RATIOS", FEW_RATIOS)
@@ -83,7 +83,7 @@ def values_at(vehicle: Vehicle, asked: str, K: np.ndarray, measured: tuple[str, 
     norms = []
     for axis in axes_of(vehicle, asked):
         plant = problem(weighing(vehicle, axis.norm), measured, entry_of(vehicle, "I").hardware)
-        loop = plant.plant.closed_loop(plant.closed(static_law(K))[1])
+        loop = plant.plant.closed_loop(plant.closed_loop(static_law(K))[1])
         low, high = (2 * np.pi * edge for edge in axis.norm.band)
         within = np.unique(np.clip(omega, low, high))
         norms.append(float(largest_singular_values(transfer_matrix(loop.A, loop.Bw, loop.C, loop.Dw, within)).max()))
@@ -243,8 +243,8 @@ def test_bounds_of_the_section_are_kept():
     front = found("band:travel", 4, "comfort", vehicle)
     assert len(front.points) > 2
     for point in front.points:
-        assert not point.controller.broken
-        assert [promise.at_most for promise in point.controller.promises[1:]] == [8.63, -1.19]
+        assert not point.controller.unmet_specifications
+        assert [promise.at_most for promise in point.controller.specifications[1:]] == [8.63, -1.19]
         assert point.controller.certificate.norm.value <= 8.63
     assert "comfort" not in {one.controller.name for one in front.others}  # designs for goals take seconds
 

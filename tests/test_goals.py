@@ -25,15 +25,15 @@ from synth.command.table import Row
 from synth.controller.controller import InterruptedDesign
 from synth.design.multi_objective.band_filter import band_filter
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.design import GoalDesign, Interrupted, design_for_goals
+from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.objectives import EnergyPeak
-from synth.design.multi_objective.peak import RoadPeak, largest_over_road
-from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.design.multi_objective.peak import RoadPeak, peak_over_road
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
-from synth.vehicle.designer import Designer, given
-from synth.vehicle.multi_objective import goal_problem, searched
+from synth.vehicle.designer import Designer, certify_given
+from synth.vehicle.multi_objective import goal_problem, run_search
 from tests import shared
 from tests.analysed import continuous_response
 from tests.commands import main_of, refused
@@ -61,8 +61,8 @@ def designed(section: str, name: str = "quarter_car"):
     """The controller, and what is known of its promises by their names: what is proved, or the value where that is exact."""
     controller = shared.designed(vehicle_with(section, name), "goal")
     assert controller.certificate.failures == ()
-    assert controller.broken == ()
-    return controller, {each.what: each.value if each.proved is None else each.proved for each in controller.promises}
+    assert controller.unmet_specifications == ()
+    return controller, {each.what: each.value if each.proved is None else each.proved for each in controller.specifications}
 
 
 @pytest.mark.parametrize(("measured", "best"), [(THREE, 0.782), (TWO, 2.034)])
@@ -101,7 +101,7 @@ def test_a_tolerance(measured, best):
     norms = [
         hinf_norm(plant.closed_loop(controller.gain * (1 + rng.uniform(-0.2, 0.2, len(names))) @ Cy)).value for _ in range(100)
     ]
-    found = next(promise.value for promise in controller.promises if "errors" in promise.what)
+    found = next(promise.value for promise in controller.specifications if "errors" in promise.what)
     assert max(norms) <= found * (1 + 1e-9) <= proved
 
 
@@ -323,13 +323,13 @@ def test_the_slope_of_a_peak_over_a_road():
     assert entry.goals is not None
     asked = goal_problem(vehicle, entry, entry.goals)
     landscape = asked.nominal()
-    term = RoadPeak(asked.members[0].driven[0], landscape.scale, 0.1)
+    term = RoadPeak(asked.members[0].driven_by[0], landscape.scale, 0.1)
     x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
     support = term.support(x, term.value(x), 0.01)
     slope = support.slopes[support.values.argmax()]
     differences = [(term.value(x + e) - term.value(x - e)) / 2e-5 for e in 1e-5 * np.eye(3)]
     assert slope == pytest.approx(differences, rel=1e-3)  # the integral's step is a tenth of a radian
-    assert term.value(x) == pytest.approx(10 * largest_over_road(term.driven, landscape.gain(x)).value, rel=1e-5)
+    assert term.value(x) == pytest.approx(10 * peak_over_road(term.driven, landscape.gain(x)).value, rel=1e-5)
 
 
 def test_the_filter_of_a_band_is_at_least_one_there():
@@ -361,7 +361,7 @@ def test_goals_leave_plain_designs_alone(paper):
     controller, promises = designed(f"measured = {TWO}\nminimise = {{}}")
     plain = Designer(paper).design("I")
     assert promises["norm"] <= plain.certificate.norm.value
-    again = given(paper, "again", controller.measured, static_law(controller.gain))
+    again = certify_given(paper, "again", controller.measured, static_law(controller.gain))
     assert again.certificate.norm.value == controller.certificate.norm.value
 
 
@@ -440,21 +440,21 @@ def test_a_discrete_plant_has_goals_too():
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
     draw = rng.standard_normal
     plant = GeneralizedPlant(A, draw((4, 1)), draw((4, 1)), draw((2, 4)), np.array([[0.0], [0.1]]), np.zeros((2, 1)), dt=0.1)
-    posed = Posed(plant, draw((2, 4)))
-    everywhere = NormGoal(at_most=2 * hinf_norm(plant).value)
-    problem = GoalProblem(
-        (Member((posed, posed)),),
-        NormGoal(band=(2.0, 12.0)),
-        Errors(np.zeros(2), np.zeros(1)),
+    posed = MeasuredPlant(plant, draw((2, 4)))
+    everywhere = NormSpecification(at_most=2 * hinf_norm(plant).value)
+    problem = MultiObjectiveProblem(
+        (FamilyMember((posed, posed)),),
+        NormSpecification(band=(2.0, 12.0)),
+        GainErrors(np.zeros(2), np.zeros(1)),
         np.ones((1, 2), dtype=bool),
         (replace(everywhere, which=1),),
     )
-    design = design_for_goals(problem, [np.zeros((1, 2))])
+    design = multi_objective_design(problem, [np.zeros((1, 2))])
     reached = norm_in_band(plant.closed_loop(design.gain @ posed.Cy), 2.0, 12.0).value
     assert design.goal == pytest.approx(reached, rel=1e-7)
     assert reached <= norm_in_band(plant, 2.0, 12.0).value
     with pytest.raises(InputError, match="no decay"):
-        design_for_goals(replace(problem, decay=1.0), [])
+        multi_objective_design(replace(problem, decay=1.0), [])
 
 
 DRIVEN = {
@@ -481,9 +481,9 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
     vehicle = vehicle_with(f"measured = {TWO}\nbounds = [{bound}]")
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    driven = goal_problem(vehicle, entry, entry.goals).members[0].driven[0]
+    driven = goal_problem(vehicle, entry, entry.goals).members[0].driven_by[0]
     K = np.array([[10824.0, -2071.0]])
-    peak, (A, c) = largest_over_road(driven, K), driven.loop(K)
+    peak, (A, c) = peak_over_road(driven, K), driven.loop(K)
     E, highest, x = A @ driven.Bw + driven.Br, 0.0, np.zeros(4)
     edges = [0.0, *driven.drive.kinks, driven.drive.end + 2.0]
     for start, end in itertools.pairwise(np.unique(edges)):
@@ -519,7 +519,7 @@ def test_a_decay_is_of_the_poles_that_a_gain_moves():
     slow = "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.3] }"
     vehicle = parse_vehicle(text.replace("sprung_acceleration = 1.0", slow))
     controller = Designer(vehicle).design("goal")
-    slowest = next(promise for promise in controller.promises if promise.what == "slowest pole")
+    slowest = next(promise for promise in controller.specifications if promise.what == "slowest pole")
     assert slowest.holds
     assert slowest.value <= -0.5
 
@@ -538,7 +538,7 @@ def test_a_band_with_errors(paper):
     section = f'measured = {TWO}\nminimise = {{ signals = ["sprung_acceleration"], band = [0.5, 10.0] }}\n'
     vehicle = vehicle_with(section + "bounds = [{ gain = 2e4 }]\ntolerance = { sprung_velocity = 0.2 }")
     controller = Designer(vehicle).design("goal")
-    without, with_errors = controller.promises[:2]
+    without, with_errors = controller.specifications[:2]
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
     posed = goal_problem(vehicle, entry, entry.goals).members[0].posed[0]
@@ -567,7 +567,7 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
     tolerance = "{ sprung_velocity = 0.1 }"
     section = f"measured = {ONE}\n{BAND}\nbounds = [{{ norm = 8.6 }}, {{ decay = 1.0 }}]\ntolerance = {tolerance}"
     controller = Designer(vehicle_with(section)).design("goal")
-    with_errors = {promise.what: promise for promise in controller.promises}
+    with_errors = {promise.what: promise for promise in controller.specifications}
     assert with_errors["norm, with errors"].holds
     slowest = with_errors["slowest pole, with errors"]
     assert slowest.value <= -1.0
@@ -589,7 +589,7 @@ def test_the_picture_of_a_band(tmp_path, capsys):
     for at in (0, 700, -1):
         assert response.y[at] == pytest.approx(gain_at(loop, HZ * response.x[at]), rel=1e-9)
     inside = (response.x >= 4) & (response.x <= 8)
-    assert response.y[inside].max() <= level.y[0] == controller.promises[0].proved
+    assert response.y[inside].max() <= level.y[0] == controller.specifications[0].proved
     assert response.y.max() > 5 * level.y[0]  # what lies beside the band is not hidden
     path = tmp_path / "car.toml"
     path.write_text(f"{vehicle.text}gain = {controller.gain.tolist()}\n")  # which is designed already
@@ -611,9 +611,9 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(InterruptedDesign) as stopped:
-        Designer(vehicle).design("goal", told=told)
-    assert stopped.value.controller.broken == ()
-    assert stopped.value.controller.promises[0].value <= min(heard) * (1 + 1e-9)
+        Designer(vehicle).design("goal", on_progress=told)
+    assert stopped.value.controller.unmet_specifications == ()
+    assert stopped.value.controller.specifications[0].value <= min(heard) * (1 + 1e-9)
 
     path, design = tmp_path / "car.toml", Designer.design
     path.write_text(vehicle.text)
@@ -638,9 +638,9 @@ def test_an_energy_peak_beside_a_filter():
     )
     assert filtered.filters
     one, other = (Designer(vehicle).design("goal") for vehicle in (plain, filtered))
-    assert other.promises[1].what == "largest tyre_deflection for roads of 0.01 m2/s"
-    assert [each.value for each in other.promises] == pytest.approx(
-        [each.value for each in one.promises], rel=1e-3
+    assert other.specifications[1].what == "largest tyre_deflection for roads of 0.01 m2/s"
+    assert [each.value for each in other.specifications] == pytest.approx(
+        [each.value for each in one.specifications], rel=1e-3
     )  # other starts
 
 
@@ -656,25 +656,30 @@ def test_a_peak_of_a_loop_whose_poles_are_all_real(signal):
         controller = Designer(vehicle).design("goal")
     assert all(pole.imag == 0 for pole in controller.certificate.poles)
     response = continuous_response(vehicle, controller, Bump(), np.linspace(0.0, 4.0, 8001))
-    peak = next(each for each in controller.promises if "over bump" in each.what)
+    peak = next(each for each in controller.specifications if "over bump" in each.what)
     assert peak.value == pytest.approx(np.abs(response[signal]).max(), rel=1e-5)  # its times are 0.5 ms apart
 
 
-def boxed(seed: int) -> GoalProblem:
+def boxed(seed: int) -> MultiObjectiveProblem:
     """A random plant whose sensors and actuators are off: only a norm in a band counts, and no bound speaks of poles."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((2, 2)) * 2
     A = A - np.eye(2) * (np.linalg.eigvals(A).real.max() - 0.2)
     B, Bw, C = rng.standard_normal((2, 2)), rng.standard_normal((2, 1)), np.eye(3, 2) * [[1.0, 0.0]]
     plant = GeneralizedPlant(A, B, Bw, C, np.array([[0, 0], [0.1, 0], [0, 0.1]]), np.zeros((3, 1)))
-    posed, errors = Posed(plant, rng.standard_normal((3, 2))), Errors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01]))
-    return GoalProblem((Member((posed,)),), NormGoal(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6)
+    posed, errors = (
+        MeasuredPlant(plant, rng.standard_normal((3, 2))),
+        GainErrors(np.array([0.06, 0.115, 0.026]), np.array([0.03, 0.01])),
+    )
+    return MultiObjectiveProblem(
+        (FamilyMember((posed,)),), NormSpecification(band=(1.0, 2.0)), errors, np.ones((2, 3), dtype=bool), gain=3.6
+    )
 
 
 def stable_in_its_box(seed: int) -> bool:
     """Whether a design is stable at all corners of its box and inside, by its loops as they read; proved, and so said, if so."""
     asked, rng = boxed(seed), np.random.default_rng(seed)
-    design = design_for_goals(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))])
+    design = multi_objective_design(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))])
     posed, sides = asked.members[0].posed[0], np.concatenate([asked.tolerance.sensors, asked.tolerance.forces])
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
     slowest = -np.inf
@@ -705,10 +710,10 @@ def test_no_design_is_unstable_in_its_box(seed):
 def test_a_design_says_of_what_stability_is_not_proved():
     """Of a gain that some errors make unstable it is said, by the member."""
     asked = boxed(3)
-    found = GoalDesign(np.zeros((2, 3)), 1.0, None, (), asked)  # the plant itself is unstable
+    found = MultiObjectiveDesign(np.zeros((2, 3)), 1.0, None, (), asked)  # the plant itself is unstable
     assert found.unproved == (0,)
     stable = replace(asked.members[0].posed[0].plant, A=-np.eye(2))
-    members = (Member((replace(asked.members[0].posed[0], plant=stable),)), asked.members[0])
+    members = (FamilyMember((replace(asked.members[0].posed[0], plant=stable),)), asked.members[0])
     assert replace(found, problem=replace(asked, members=members)).unproved == (1,)
 
 
@@ -719,7 +724,7 @@ def test_errors_with_a_band_keep_a_decay(paper):
     vehicle = vehicle_with(text)
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    design = searched(goal_problem(vehicle, entry, entry.goals))
+    design = run_search(goal_problem(vehicle, entry, entry.goals))
     posed = Designer(paper).problem(json.loads(TWO))
     two_steps = Designer(paper).design("I").gain
 
@@ -741,15 +746,15 @@ def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt) as stopped:
-            design_for_goals(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))], told)
-        if isinstance(stopped.value, Interrupted):
+            multi_objective_design(asked, [np.zeros((2, 3)), *(rng.standard_normal((2, 3)) for _ in range(3))], told)
+        if isinstance(stopped.value, InterruptedSearch):
             kept += 1
-            assert stopped.value.best.unproved == ()
+            assert stopped.value.incumbent.unproved == ()
     assert kept
 
 
 LATER = {  # where Ctrl-C comes, and what is said of the controller that was at work then, None where it is not there
-    "synth.vehicle.multi_objective.searched": None,
+    "synth.vehicle.multi_objective.run_search": None,
     "synth.vehicle.multi_objective.with_bests": None,
     "synth.vehicle.multi_objective.Verification.promises": "interrupted: of its promises none is proved",
     "synth.vehicle.multi_objective.price": "interrupted: what its structure costs is not known",
@@ -805,7 +810,7 @@ def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
     def stopped(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("synth.vehicle.multi_objective.searched", stopped)
+    monkeypatch.setattr("synth.vehicle.multi_objective.run_search", stopped)
     with pytest.raises(KeyboardInterrupt):
         main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)])
     assert capsys.readouterr().out == ""

@@ -73,16 +73,16 @@ def test_said_by_a_campaign(vehicles, tmp_path, capsys):
 def test_of_a_design_too(designer, capsys):
     """It is the design's own promises that are said."""
     controller = designer.design("II")
-    say_false_claims([replace(controller, promises=(Specification("norm", 6.0, at_most=7.0),))])
+    say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, at_most=7.0),))])
     assert capsys.readouterr().err == ""
-    say_false_claims([replace(controller, promises=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
+    say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, proved=8.0, at_most=7.0),))])
     assert "controller 'II' does not keep the goals" in capsys.readouterr().err
 
 
 def test_nothing_is_searched_for_to_drive(vehicles, monkeypatch, capsys):
     """A given gain's ratio to the best of each vehicle, which takes designs, is for `synth` to say, not for what drives it."""
     asked = []
-    monkeypatch.setattr("synth.vehicle.multi_objective.with_bests", lambda problem: asked.append(problem) or problem)
+    monkeypatch.setattr("synth.vehicle.multi_objective.with_individual_optima", lambda problem: asked.append(problem) or problem)
     driven = ["--vehicle", str(vehicles["regret"]), "--controller", "b"]
     bump.main([*driven, "--no-logs", "--duration", "0.1"])
     envelope.main([*driven, *MAP])

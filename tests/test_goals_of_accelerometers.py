@@ -9,7 +9,7 @@ from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.design.multi_objective.objectives import Decay, EnergyPeak
 from synth.design.multi_objective.peak import RoadPeak
-from synth.design.multi_objective.problem import terms_with
+from synth.design.multi_objective.problem import objectives_of
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem
 
@@ -46,7 +46,7 @@ def test_promises_hold_with_errors():
     """No loop of Newton's equations exceeds what is promised of all errors; the worst meets it, and the two steps do worse."""
     tolerance = f"tolerance = {{ suspension_deflection = {OFF}, sprung_acceleration = {OFF} }}"
     designed = Designer(car(f"{READ}{tolerance}\n")).design("mine")
-    norm, worst = designed.promises
+    norm, worst = designed.specifications
     assert largest(designed.law.D) == pytest.approx(norm.value, rel=1e-5)  # a grid's own error
     corners = list(itertools.product((-OFF, OFF), repeat=2))
     met = [largest(designed.law.D, *off) for off in (*corners, (0.03, -0.02))]
@@ -62,7 +62,7 @@ def test_the_force_may_be_told():
     designed = Designer(car(f"{WITH_FORCE}minimise = {{}}\n")).design("mine")
     assert designed.certificate.norm.value < Designer(car(READ)).design("mine").certificate.norm.value
     k_d, k_a, k_f = designed.law.D[0]
-    assert largest(np.array([[k_d, k_a]]) / (1 - k_f)) == pytest.approx(designed.promises[0].value, rel=1e-5)
+    assert largest(np.array([[k_d, k_a]]) / (1 - k_f)) == pytest.approx(designed.specifications[0].value, rel=1e-5)
 
 
 @pytest.mark.parametrize("read", [READ, WITH_FORCE])
@@ -73,7 +73,7 @@ def test_slopes_are_those_of_the_values(read):
     assert entry.goals is not None
     asked = goal_problem(vehicle, entry, entry.goals)
     full = asked.nominal()
-    goals, bounds = terms_with(asked, full, [asked.none], 0.01)
+    goals, bounds = objectives_of(asked, full, [asked.no_errors], 0.01)
     x = full.point(np.array([[9000.0, 130.0, 0.2][: len(entry.measured)]]))
     kinds = set()
     for term in (*goals, *bounds):

@@ -18,7 +18,7 @@ from synth.controller.open_loop import continuous, sampled
 from synth.controller.problem import generalized_plant, plant_states, problem
 from synth.controller.report import judged_lines
 from synth.plant.augmented import on_larger_plant
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from synth.vehicle.state_space import closed_loop, weighted_loop
 from tests.active_suspension import PRINTED, active_suspension
 from tests.commands import attacks
@@ -211,7 +211,7 @@ def test_lag_is_a_state_that_can_be_measured():
     posed = problem(vehicle, vehicle.controllers["one"].measured, vehicle.controllers["one"].hardware)
     assert plant_states(vehicle, 80.0)[-1] == "lagged_control_force"
     np.testing.assert_array_equal(posed.Cy[-1], [0, 0, 0, 0, 1])
-    assert not posed.through.any()
+    assert not posed.feedthrough.any()
     told, untold = (Designer(one).refine("one").controller for one in (vehicle, built("lag = true")))
     assert told.gain.shape == (1, 3)
     assert told.certificate.norm.value <= untold.certificate.norm.value * (1 + 1e-3)  # what refinement holds not worth it
@@ -221,8 +221,8 @@ def test_a_law_keeps_what_it_knows():
     """A law that is given through Python is judged with the noise and lag that it is given with."""
     vehicle = built("noise = true", "lag = true", "gain = [[9000.0, -2500.0]]")
     there, entry = Designer(vehicle).design("one"), vehicle.controllers["one"]
-    assert given(vehicle, "two", entry.measured, there.law, entry.hardware).certificate.norm == there.certificate.norm
-    assert given(vehicle, "two", entry.measured, there.law).certificate.norm.value < there.certificate.norm.value
+    assert certify_given(vehicle, "two", entry.measured, there.law, entry.hardware).certificate.norm == there.certificate.norm
+    assert certify_given(vehicle, "two", entry.measured, there.law).certificate.norm.value < there.certificate.norm.value
 
 
 REFUSED = {

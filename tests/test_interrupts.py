@@ -164,9 +164,9 @@ run_command(main)
 
 GOES_ON = """
 import signal
-from models.common.interrupt import code, finishing, raise_from_now_on
+from models.common.interrupt import code, finishing, enable_interrupts
 
-raise_from_now_on()
+enable_interrupts()
 with finishing():
     signal.raise_signal(signal.SIGINT)
     print("named")

@@ -20,7 +20,7 @@ from sim.margins import main
 from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.report.designs import gain_table
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.stability.growth_test import Trial, grow
+from sim.studies.stability.growth_test import Trial, grows
 from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
 from sim.studies.stability.stability_margins import (
     crossovers,
@@ -171,7 +171,7 @@ def test_growth_that_creeps_is_seen():
     one = replace(controller(vehicle, "velocity"), measured=("suspension_deflection",), law=law)
     assert gain_crossings(loop_transfer(vehicle, one, [0])) == [pytest.approx(3, rel=1e-9)]
     trials = [Trial(vehicle, replace(one, law=law.scaled(3 * share))) for share in (0.98, 1.02)]
-    found = grow(trials, 2e-3)
+    found = grows(trials, 2e-3)
     assert [each.grows for each in found] == [False, True]
     for each, trial in zip(found, trials, strict=True):
         slowest = np.linalg.eigvals(trial.controller.loop(vehicle).A).real.max()
@@ -185,8 +185,8 @@ def test_growth_of_a_run_does_not_depend_on_its_company():
     one, company = controller(vehicle, "velocity", 3), [controller(vehicle, *other) for other in others]
     static = replace(one, law=static_law(one.law.D))
     trials = [Trial(vehicle, each) for each in (one, static)]
-    alone = [grow([trial], 2e-3)[0].rate for trial in trials]
-    beside = [each.rate for each in grow([*trials, *(Trial(vehicle, each) for each in company)], 2e-3)[:2]]
+    alone = [grows([trial], 2e-3)[0].rate for trial in trials]
+    beside = [each.rate for each in grows([*trials, *(Trial(vehicle, each) for each in company)], 2e-3)[:2]]
     assert beside == alone
 
 
@@ -208,7 +208,7 @@ def test_a_vehicle_with_an_accelerometer_ships():
     assert found.certificate.norm.value == pytest.approx(Designer(vehicle).design("I").certificate.norm.value, rel=1e-3)
     assert found.certificate.stability.worst.real < -1  # as fast as I, and three times as fast as without control
     (run,) = run_controllers(vehicle, [found], Bump(), sample_times(vehicle, 2.0, 1e-3))
-    assert run.holds
+    assert run.passed
     assert max(one.sampled for one in run.agreement.signals.values()) < 1e-6
 
 

@@ -23,7 +23,7 @@ from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.fragility import find_fragility, with_errors
-from sim.studies.stability.growth_test import BUMP, Growth, Trial, grow
+from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
@@ -160,7 +160,7 @@ def test_conditionally_stable_loop():
 def test_search_does_not_believe_its_expectation(monkeypatch):
     """Physics decides: the search ends at its own answer, wherever it was told to look first, or not at all."""
     monkeypatch.setattr(
-        "sim.studies.stability.bisection.grow", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
+        "sim.studies.stability.bisection.grows", lambda trials, timestep, progress: [Growth(amount > 17.5) for amount in trials]
     )
     for expected in (3.0, 17.0, 18.0, 200.0, math.inf):
         search = Bisection(lambda amount: amount, expected, most=100.0, step=1.0)  # type: ignore[arg-type]
@@ -180,7 +180,7 @@ def test_what_is_expected_takes_two_runs(monkeypatch, step, edge):
         asked.extend(trials)
         return [Growth(amount > edge) for amount in trials]
 
-    monkeypatch.setattr("sim.studies.stability.bisection.grow", told)
+    monkeypatch.setattr("sim.studies.stability.bisection.grows", told)
     search = Bisection(lambda amount: amount, edge, most=100.0, step=step)  # type: ignore[arg-type]
     run_searches([search], 1.0)
     assert sorted(asked) == [search.stable, search.unstable]
@@ -235,7 +235,7 @@ def test_a_faint_mode_that_creeps():
     off = [dataclasses.replace(controller, law=controller.law.read_as(1 + size * signs)) for size in (0.110, 0.112)]
     rates = [math.log(LoopModel(vehicle, one, timestep).radius) / timestep for one in off]
     assert -0.02 < rates[0] < 0 < rates[1] < 0.02  # the other modes decay by 5 1/s
-    assert [one.grows for one in grow([Trial(vehicle, one) for one in off], timestep)] == [False, True]
+    assert [one.grows for one in grows([Trial(vehicle, one) for one in off], timestep)] == [False, True]
 
 
 THROWN = """
@@ -354,7 +354,7 @@ def test_points_of_the_picture_are_the_slowest_pole(paper, designer, amount):
     one = searches(paper, controller, [0], timestep)
     for search, unit in ((one.gain.search, one.gain.sampled[0]), (one.delay, one.predicted.delay)):
         trial = search.trial(amount * unit if search is one.gain.search else round(amount * unit / timestep) * timestep)
-        (growth,) = grow([trial], timestep)
+        (growth,) = grows([trial], timestep)
         rate = math.log(sampled_radius(trial.vehicle, trial.controller, timestep)) / timestep
         assert growth.rate == pytest.approx(rate, rel=1e-3)  # what is left unexplained is below 1e-4 of the samples
 
@@ -367,9 +367,9 @@ def test_what_becomes_of_a_run_does_not_depend_on_company(paper, designer):
         for search in (one.gain.search, one.delay, one.sample_period):
             trials += [search.trial(amount) for amount in search.next()[:3]]
     assert len({trial.vehicle.implementation.ideal for trial in trials}) == 2
-    alone = [grow([trial], timestep)[0] for trial in trials]
+    alone = [grows([trial], timestep)[0] for trial in trials]
     assert len({round(one.rate, 6) for one in alone}) == len(trials)  # they are different runs
-    assert grow(trials, timestep) == alone
+    assert grows(trials, timestep) == alone
 
 
 @pytest.mark.parametrize(("kind", "name"), [("quarter_car", "I"), ("full_car", "II")])
@@ -399,7 +399,7 @@ def test_a_loop_that_is_not_the_runs_confirms_nothing(kind, monkeypatch):
     trials, told = of_every_kind(vehicle, designed(vehicle, "I"), timestep), []
     for what in (late_loop, lambda *asked: None, contrary):
         monkeypatch.setattr("sim.studies.stability.growth_test.late_loop", what)
-        told.append([one.grows for one in grow(trials, timestep)])
+        told.append([one.grows for one in grows(trials, timestep)])
     assert {*told[0]} == {True, False}
     assert told[0] == told[1] == told[2]
 
@@ -424,7 +424,7 @@ def test_a_run_is_ended_by_its_loop(paper, designer, monkeypatch):
 
     monkeypatch.setattr("sim.studies.stability.growth_test._confirmed", timed)
     for trial in trials:
-        grow([trial], timestep)
+        grows([trial], timestep)
     assert len(taken) == len(trials)
     assert {*taken[:-1]} <= {2.0, 4.0}
     assert taken[-1] == 8.0
@@ -612,7 +612,7 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # what errors cost of the norm is not asked
     vehicle = parse_vehicle(f'{paper.text}\n[controllers.strong]\nmeasured = ["sprung_velocity"]\ngain = [[-1e5]]\n')
     slow, strong = dataclasses.replace(vehicle, limits=Limits(actuator_bandwidth=60.0)), design(vehicle, "strong")
-    assert find_fragility(vehicle, strong, 8e-3).predicted.stable.found == math.inf
+    assert find_fragility(vehicle, strong, 8e-3).predicted.stable.smallest_violation == math.inf
     found = find_fragility(slow, strong, 1e-3)
     (factor,) = (at for at in gain_crossings(loop_transfer(slow, strong, [0])) if at > 1)
     assert found.edge.own == pytest.approx(factor - 1, rel=1e-6)  # the gain margin, by another way

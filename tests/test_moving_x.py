@@ -15,7 +15,7 @@ from synth.design.uncertainty.parameter_dependent_lyapunov import (
     stable_with_errors,
 )
 from synth.design.uncertainty.problem import box_of, scaled_gain
-from synth.design.uncertainty.worst_case import Heights, climb, norm_at
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_maximum, norm_at
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.commands import attacks
@@ -47,7 +47,7 @@ def _random(seed: int) -> tuple[ScaledGain, Box, np.random.Generator]:
 def _slowest(gain: ScaledGain, box: Box, generator: np.random.Generator) -> float:
     """The largest real part of a pole over the fastest rate, at the corners and at 300 points between them."""
     inside = box.low + (box.high - box.low) * generator.random((300, len(box.low)))
-    poles = np.linalg.eigvals(gain.loops(np.concatenate([box.corners, inside])).A)
+    poles = np.linalg.eigvals(gain.loops(np.concatenate([box.vertices, inside])).A)
     return float(poles.real.max() / np.abs(poles).max())
 
 
@@ -109,7 +109,7 @@ def test_rounding_counts(left, proved):
 def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.random.Generator) -> float:
     """The largest gain in a band, at 60 frequencies, at the corners of a box and at 80 points in it."""
     inside = box.low + (box.high - box.low) * generator.random((80, len(box.low)))
-    loops, largest = gain.loops(np.concatenate([box.corners, inside])), 0.0
+    loops, largest = gain.loops(np.concatenate([box.vertices, inside])), 0.0
     for omega in np.linspace(low, high, 60):
         through = np.linalg.solve(1j * omega * np.eye(loops.A.shape[-1]) - loops.A, loops.Bw)
         largest = max(largest, float(np.linalg.norm(loops.C @ through + loops.Dw, 2, axis=(-2, -1)).max()))
@@ -172,8 +172,8 @@ def test_random_norms_with_errors(seed):
     A, B, Bw = (pace * part / units[:, None] for part in (A * units, B, Bw))
     gain = scaled_gain(GeneralizedPlant(A, B, Bw, C * units, D, Dw), Cy * units, K, Dyw)
     box = box_of(gain, 0.1, 0.05)
-    heights = Heights(gain)
-    climb(heights, box)
+    heights = WorstCaseNormFunction(gain)
+    local_maximum(heights, box)
     bound = bound_throughout(gain, box, heights.highest)
     assert heights.highest < bound or np.isinf(heights.highest)
     inside = box.low + (box.high - box.low) * generator.random((100, len(box.low)))

@@ -11,7 +11,7 @@ from models.vehicle.vehicle import read_vehicle
 from sim.campaign.verify import SAME_GAIN, _same_law
 from synth.__main__ import main
 from synth.command.check import UNPROVED, proved
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from tests.test_forged_states import law_of
 
 
@@ -41,7 +41,7 @@ def test_a_given_law_has_a_close_bound_when_asked(vehicle, name, capsys):
 def test_the_proof_is_one(period):
     """Of a random law, continuous or discrete, on an accelerometer, the X that is found satisfies (20) for its own loop."""
     paper = read_vehicle("quarter_car")
-    one = given(paper, "mine", ("suspension_deflection", "sprung_acceleration"), law_of(paper, 3, period))
+    one = certify_given(paper, "mine", ("suspension_deflection", "sprung_acceleration"), law_of(paper, 3, period))
     found, said = proved(Designer(paper), one)
     assert said
     assert found.certificate.proof is not None
@@ -65,7 +65,7 @@ def test_what_is_designed_or_unstable_is_as_it_was():
     designed = designer.design("I")
     assert proved(designer, designed) == (designed, ())
     assert proved(designer, designer.design("passive"))[1] == ()
-    wild = given(paper, "wild", ("sprung_velocity",), static_law(np.array([[9000.0]])))
+    wild = certify_given(paper, "wild", ("sprung_velocity",), static_law(np.array([[9000.0]])))
     assert proved(designer, wild) == (wild, ())
 
 
@@ -74,7 +74,7 @@ def test_what_cannot_be_proved_is_said(monkeypatch):
     import synth.command.check as prove
 
     paper = read_vehicle("quarter_car")
-    one = given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
+    one = certify_given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
     monkeypatch.setattr(prove, "certify_tightly", lambda *_: one.certificate)
     assert proved(Designer(paper), one) == (one, (UNPROVED,))
 

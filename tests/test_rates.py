@@ -11,7 +11,7 @@ import pytest
 import synth.vehicle.sample_rate.cost
 import synth.vehicle.sample_rate.report
 from models.common.errors import InputError
-from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, samples_late
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, delay_text
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.stability.loop_transfer import loop_transfer
 from sim.studies.stability.stability_margins import largest_sample_period
@@ -22,7 +22,7 @@ from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
-from synth.vehicle.sample_rate.cost import Cost, cost, lost_from, norm_at
+from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
 from tests.commands import attacks, prose
@@ -34,17 +34,19 @@ RATES = ("10", "100")  # ms; II is lost before the last where forces are late
 @pytest.fixture(autouse=True)
 def found_once(monkeypatch):
     """One loop is lost in many tests: what is found is shared by those that only tell it."""
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: made(lost_anew, *arguments))
+    monkeypatch.setattr(
+        synth.vehicle.sample_rate.cost, "smallest_unstable_period", lambda *arguments: made(lost_anew, *arguments)
+    )
 
 
 def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
-    return lost_from(vehicle, controller, delay)
+    return smallest_unstable_period(vehicle, controller, delay)
 
 
 @pytest.fixture
 def never_lost(found_once, monkeypatch):
     """Where a loop is lost is not asked: that takes longer than all the rest."""
-    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "lost_from", lambda *arguments: math.inf)
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "smallest_unstable_period", lambda *arguments: math.inf)
 
 
 @pytest.fixture
@@ -102,7 +104,7 @@ def test_no_rate_keeps_what_no_computer_runs():
     vehicle = parse_vehicle(
         read_vehicle("quarter_car").text + '\n[controllers.mad]\nmeasured = ["sprung_velocity"]\ngain = [[2e4]]\n'
     )
-    assert lost_from(vehicle, design(vehicle, "mad"), 0) == 0
+    assert smallest_unstable_period(vehicle, design(vehicle, "mad"), 0) == 0
 
 
 @pytest.mark.parametrize("car", ["quarter_car", "half_car"])
@@ -113,7 +115,7 @@ def test_every_norm_is_that_of_the_loop_as_built(car, never_lost):
     found = cost(vehicle, controller, [1e-3, 2e-2])
     assert found.delay == 2
     for at in found.rates:
-        for norm, delay in ((at.prompt, 0), (at.late, 2)):
+        for norm, delay in ((at.undelayed_norm, 0), (at.late, 2)):
             own = norm_as_implemented(replace(vehicle, implementation=Implementation(at.period, delay)), controller)
             assert norm.value == pytest.approx(own.value, rel=2e-8)  # each lies within 1.1e-8 of its levels
 
@@ -129,11 +131,11 @@ def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
     found = cost(vehicle, design(vehicle, name), [1e-5, 2e-5])
     said = f"controller {name}: in continuous time, with lag: norm {found.ideal:.7g}"
     assert prose(" ".join(cost_lines(found, "lag"))).startswith(said)
-    off = [found.loss(at.prompt) for at in found.rates]
+    off = [found.loss(at.undelayed_norm) for at in found.rates]
     assert 0 < abs(off[0]) < 6e-4  # rad, what 63 rad/s turns by in 10 us
     assert off[1] / off[0] == pytest.approx(2, rel=1e-2)  # the first power of the period
     assert found.lower_bound is not None
-    assert found.lower_bound <= min(at.prompt.value for at in found.rates)
+    assert found.lower_bound <= min(at.undelayed_norm.value for at in found.rates)
 
 
 @pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "50"), marks=pytest.mark.attack)], ids=" ".join)
@@ -174,7 +176,7 @@ def test_designed_for_the_rate(never_lost):
         (at,) = cost(vehicle, design(vehicle, name), [1e-2], [1e-2]).rates
         assert at.designed is not None
         assert at.designed.value <= most
-        assert at.designed.value < at.prompt.value
+        assert at.designed.value < at.undelayed_norm.value
     given = cost(vehicle, design(vehicle, "I_printed"), [1e-2], [1e-2])
     assert given.rates[0].designed is None  # its gain is given, and not designed
 
@@ -187,7 +189,9 @@ def test_what_is_designed_for_a_rate_is_never_worse(car):
     for name in ("I", "II"):
         for at in cost(vehicle, design(vehicle, name), periods, periods).rates:
             assert at.designed is not None
-            assert at.designed.value <= at.prompt.value * (1 + 2e-7)  # how near counts as reached, and the rounding of two norms
+            assert at.designed.value <= at.undelayed_norm.value * (
+                1 + 2e-7
+            )  # how near counts as reached, and the rounding of two norms
 
 
 def test_why_none_is_designed(monkeypatch, capsys):
@@ -215,9 +219,9 @@ def test_why_none_is_designed(monkeypatch, capsys):
 def test_one_sample_as_it_is_printed():
     """A delay that is printed as 1 is of one sample, not of samples."""
     vehicle = replace(read_vehicle("quarter_car"), implementation=Implementation(delay=0.999999999999))
-    assert vehicle.implementation.words == ("forces that act 1 sample late",)
-    assert samples_late(2) == "2 samples late"
-    assert samples_late(0.5) == "0.5 samples late"
+    assert vehicle.implementation.phrases == ("forces that act 1 sample late",)
+    assert delay_text(2) == "2 samples late"
+    assert delay_text(0.5) == "0.5 samples late"
 
 
 def test_sentence(capsys, norms_once):

@@ -16,7 +16,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from tests.analysed import continuous_response, most_quantised, noise_rms, sampled_radius, sampled_response, simulate
 
 
@@ -156,7 +156,7 @@ def stationary(vehicle, controller, step):
 def test_rms_from_rest_is_the_covariance_step_by_step(paper, gain):
     """At every timestep it is that of the covariance, whether the loop decays or grows."""
     vehicle = with_reality(paper, None, Implementation(noise={"sprung_velocity": 0.01}))
-    controller = given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
+    controller = certify_given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
     found = noise_rms(vehicle, controller, 2e-3, 400)
     model = vehicle.linear_model
     augmented = np.zeros((5, 5))
@@ -179,7 +179,7 @@ def test_the_worst_rounding_is_the_sum_of_what_every_sample_does(paper, how):
     """What quantisation does at most is half a resolution times the sum of |h|, where noise of that size makes the sum of h^2."""
     quantised = with_reality(paper, None, dataclasses.replace(how, quantisation={"sprung_velocity": 0.002}))
     noisy = with_reality(paper, None, dataclasses.replace(how, noise={"sprung_velocity": 0.001}))
-    controller = given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
+    controller = certify_given(paper, "mine", ("sprung_velocity",), static_law(np.array([[-9000.0]])))
     steps = round((how.sample_period or 2e-3) / 2e-3)
     most = most_quantised(quantised, controller, 2e-3, 200)[::steps]
     rms = noise_rms(noisy, controller, 2e-3, 200)[::steps]
@@ -192,7 +192,7 @@ def test_the_worst_rounding_is_the_sum_of_what_every_sample_does(paper, how):
 def test_no_rounding_moves_a_signal_further_than_is_said(paper, gain, resolution):
     """A quantised loop stays within the bound of the one that is not, with a dead zone that no white noise has, and unstable."""
     vehicle = with_reality(paper, None, Implementation(quantisation={"sprung_velocity": resolution}))
-    controller = given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
+    controller = certify_given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
     for run in run_controllers(vehicle, [controller], Bump(height=0.02), sample_times(vehicle, 2.0, 1e-3)):
         off = {name: one.sampled / one.allowed for name, one in run.agreement.signals.items()}
         assert run.agreement.agrees
@@ -299,7 +299,7 @@ def test_delay_fits_the_timestep(paper, designer, h):
 def test_a_fraction_in_words(paper):
     """A delay is said as it is given: whole numbers as such."""
     found = [
-        parse_vehicle(f"{paper.text}\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n").implementation.words[1]
+        parse_vehicle(f"{paper.text}\n[implementation]\nsample_period = 0.01\ndelay = {delay}\n").implementation.phrases[1]
         for delay in ("1", "2.0", "0.5", "1.25")
     ]
     assert found == [f"forces that act {late} late" for late in ("1 sample", "2 samples", "0.5 samples", "1.25 samples")]

@@ -465,7 +465,7 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     assert worst(over_the_bump(scope, [run])) == "holds"
     assert run.energy is not None
     lost = dataclasses.replace(run, energy=dataclasses.replace(run.energy, residual=2e-3))
-    assert (run.holds, lost.holds, lost.agreement.agrees) == (True, False, True)
+    assert (run.passed, lost.passed, lost.agreement.agrees) == (True, False, True)
     said = over_the_bump(scope, [lost])
     assert worst(said) == "fails"
     assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."

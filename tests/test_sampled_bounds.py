@@ -8,7 +8,7 @@ import pytest
 
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.analysis.norm import hinf_norm
-from synth.analysis.sampled_loop import Piece, SampledDataProblem
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
 from synth.design.full_order.sampled_data import WITHIN, law_gain, sampled_full_order
@@ -128,7 +128,7 @@ def test_example_of_a_manual(period, of_example):
     """For the plant of MATLAB's sdhinfnorm, [1; 1] p [1 1], p = 30 / (s (s + 30)), a law is better than the example's -k."""
     A, B, C = np.array([[0.0, 1.0], [0.0, -30.0]]), np.array([[0.0], [30.0]]), np.array([[1.0, 0.0]])
     plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
-    problem = SampledDataProblem(plant, C, np.zeros((1, 1)), (Piece(period, 0),))
+    problem = SampledDataProblem(plant, C, np.zeros((1, 1)), (HoldInterval(period, 0),))
     bound = find_sampled_bound(problem, of_example)
     assert bound is not None
     assert bound.holds
@@ -142,7 +142,7 @@ def test_two_routes_meet_with_noise(seed):
     """Of any loop with noise, what an actual disturbance reaches is the norm, and no other angle's gain is above it."""
     rng = np.random.default_rng(seed)
     loop = any_loop(rng)
-    loop = replace(loop, noise=rng.standard_normal((len(loop.gain) + len(loop.memory), 2)))
+    loop = replace(loop, noise=rng.standard_normal((len(loop.K) + len(loop.A_register), 2)))
     norm = sampled_norm(loop)
     assert norm.value >= sampled_norm(replace(loop, noise=None)).value * (1 - PROVED)
     if norm.inside:

@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from models.laws.linear import static_law
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import hinf_norm
-from synth.analysis.sampled_loop import Piece, SampledDataProblem
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
 from synth.design.sampled_data import held_design, norm_of, two_steps
@@ -21,7 +21,7 @@ from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError, TooLargeError
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from tests.commands import in_the_suite, main_of, refused
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
@@ -60,7 +60,7 @@ def test_in_the_time_of_sixty_plain_solves(paper):
     plain = (time.process_time() - start) / 10
     start = time.process_time()
     for rows in ROWS.values():
-        held_design(SampledDataProblem(plant, rows, np.zeros((len(rows), 1)), (Piece(0.01, 0),)), 7.8)
+        held_design(SampledDataProblem(plant, rows, np.zeros((len(rows), 1)), (HoldInterval(0.01, 0),)), 7.8)
     assert time.process_time() - start < 60 * plain
 
 
@@ -70,7 +70,7 @@ def test_the_second_step_by_another_solver(paper, name):
     plant, Cy = Designer(paper).plant, ROWS[name]
     units = np.diag([0.77, 0.045, 0.9, 2.9])  # of the states; Clarabel gives up in SI units
     plant = plant.in_coordinates(units).with_inputs(1e4 * np.eye(1))
-    problem = SampledDataProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (Piece(0.01, 0),))
+    problem = SampledDataProblem(plant, Cy @ units, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),))
     gain, level = two_steps(problem, 7.8, None)
     _, alone = two_steps(replace(problem, Cy=EYE, through=np.zeros((4, 1))), 7.8, None)
     at_best, held = problem.at(alone), problem.at(level)
@@ -104,8 +104,8 @@ def test_no_unit_decides(paper, name):
     states, force = np.diag([3.0, 0.2, 7.0, 50.0]), 1234.0
     scaled = plant.in_coordinates(states).with_inputs(force * np.eye(1))
     slower = replace(scaled, A=scaled.A / rate, B=scaled.B / rate, Bw=scaled.Bw / rate)
-    one = SampledDataProblem(plant, Cy, np.zeros((len(Cy), 1)), (Piece(0.01, 0),))
-    other = SampledDataProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (Piece(0.01 * rate, 0),))
+    one = SampledDataProblem(plant, Cy, np.zeros((len(Cy), 1)), (HoldInterval(0.01, 0),))
+    other = SampledDataProblem(slower, Cy @ states, np.zeros((len(Cy), 1)), (HoldInterval(0.01 * rate, 0),))
     # Time in tenths of seconds: w and z in the new unit of it have a gain that is sqrt and sqrt of it, so the same.
     # The last descent gains less than 1e-5, and the two steps stay where descents gain less than 5e-5.
     assert held_design(other, 8.5).norm == pytest.approx(held_design(one, 7.8).norm, rel=6e-5)
@@ -258,13 +258,13 @@ def test_what_no_gain_stabilises():
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(InfeasibleError, match=r"no input reaches|no gain|no measurement|problem \(25\)") as caught:
-        held_design(SampledDataProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (Piece(0.1, 0),)), 2.0)
+        held_design(SampledDataProblem(plant, np.array([[1.0, 0]]), np.zeros((1, 1)), (HoldInterval(0.1, 0),)), 2.0)
     assert "\n" not in str(caught.value)
 
 
 def test_the_exact_norm_decides(paper):
     """A gain next to the designed one has another exact norm than the level says: the norm is of the gain itself."""
-    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(0.01, 0),))
+    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (HoldInterval(0.01, 0),))
     found = held_design(problem, 7.8)
     assert sampled_norm(problem.loop(found.gain), 7.8).value == pytest.approx(found.norm, rel=1e-9)
     assert sampled_norm(problem.loop(0.5 * found.gain), 7.8).value > found.norm * 1.001
@@ -281,7 +281,7 @@ def test_a_fraction_of_a_sample_is_designed_for(paper, delay, measured):
     norm = sampled_norm(problem.loop(K), 8.0)
     assert norm.stable
     assert norm.value == pytest.approx(
-        norm_as_implemented(vehicle, given(vehicle, "given", (measured,), static_law(K))).value, rel=1e-7
+        norm_as_implemented(vehicle, certify_given(vehicle, "given", (measured,), static_law(K))).value, rel=1e-7
     )
     for level in (norm.value * 0.999, norm.value * 1.001):
         plant = problem.at(level)
@@ -305,7 +305,7 @@ def never_worse(name: str, controller: str, period: float, delay: float) -> None
     reached = norm_as_implemented(vehicle, built).value
     others = [norm_as_implemented(vehicle, ideal).value, norm_as_implemented(vehicle, designer.design("passive")).value]
     assert reached <= min(others) * (1 + 2e-7)  # how near a level counts as reached, and the rounding of two norms
-    assert built.instead.startswith("not by the two steps but by descent") == ("promises" not in built.remarks[0])
+    assert built.fallback_method.startswith("not by the two steps but by descent") == ("promises" not in built.remarks[0])
 
 
 @pytest.mark.parametrize(("name", "controller", "period", "delay"), in_the_suite(SOME, CARS))
@@ -341,7 +341,7 @@ def test_never_worse_wherever(seed):
 )
 def test_descent_finds_the_valley(paper, period, delay, known):
     """Of one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
-    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (Piece(period, delay),))
+    problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (HoldInterval(period, delay),))
     found = held_design(problem, 7.8, [Designer(paper).design("II").law.D])
     tried = [norm_of(problem, np.array([[sign * k]]), 8.0) for sign in (-1, 1) for k in np.geomspace(50, 1e4, 12)]
     assert found.norm <= known
@@ -351,8 +351,10 @@ def test_descent_finds_the_valley(paper, period, delay, known):
 def test_long_delays():
     """Of many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")
-    assert "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.instead
-    assert "force more" not in found.instead
+    assert (
+        "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.fallback_method
+    )
+    assert "force more" not in found.fallback_method
     start = time.process_time()
     with pytest.raises(TooLargeError, match=r"forces of 1000 samples on their way make it 1004 states") as caught:
         Designer(asked(period=0.001, delay=1000)).design("II")

@@ -12,7 +12,7 @@ import synth.analysis.sampled_norm
 from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
-from synth.analysis.sampled_loop import Piece, SampledLoop, lifted
+from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
 from synth.analysis.sampled_norm import reached_gain, sampled_norm
 from synth.analysis.stability import sampled_growth
 from synth.controller.implementation_norm import norm_as_implemented, sampled_loop
@@ -24,7 +24,7 @@ from tests.analysed import implemented_loop
 PROVED = 2e-8  # relative: the levels on either side of the norm are 1.1e-8 apart
 
 
-def static_loop(plant: GeneralizedPlant, G: Array, *pieces: Piece) -> SampledLoop:
+def static_loop(plant: GeneralizedPlant, G: Array, *pieces: HoldInterval) -> SampledLoop:
     """A loop whose computer keeps nothing."""
     return SampledLoop(plant, pieces, G, np.zeros((0, len(plant.A))), np.zeros((0, len(G))))
 
@@ -44,7 +44,11 @@ def any_loop(rng: np.random.Generator) -> SampledLoop:
     B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, m), (n, r), (d, n), (d, m)))
     plant = GeneralizedPlant(A, B, Bw, C, D, Dw)
     period, late, fraction = 10 ** rng.uniform(-3, 0), int(rng.integers(0, 4)), rng.choice([0.0, rng.uniform(0.05, 0.95)])
-    pieces = (Piece(fraction * period, late + 1), Piece((1 - fraction) * period, late)) if fraction else (Piece(period, late),)
+    pieces = (
+        (HoldInterval(fraction * period, late + 1), HoldInterval((1 - fraction) * period, late))
+        if fraction
+        else (HoldInterval(period, late),)
+    )
     memory = np.hstack(
         [rng.standard_normal((k, n)), 0.5 * np.linalg.qr(rng.standard_normal((k, k)))[0] if k else np.zeros((0, 0))]
     )
@@ -70,7 +74,7 @@ def test_example_of_a_manual(period, expected):
     law: Any = signal.cont2discrete((-4 * np.eye(1), 4 * np.eye(1), np.eye(1), np.zeros((1, 1))), period)
     Ak, Bk, Ck, Dk, _ = law
     plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
-    loop = SampledLoop(plant, (Piece(period, 0),), -np.hstack([Dk @ C, Ck]), np.hstack([Bk @ C, Ak]), np.zeros((1, 1)))
+    loop = SampledLoop(plant, (HoldInterval(period, 0),), -np.hstack([Dk @ C, Ck]), np.hstack([Bk @ C, Ak]), np.zeros((1, 1)))
     assert f"{sampled_norm(loop).value:.5g}" == expected
 
 
@@ -83,9 +87,9 @@ def fast_lifting(loop: SampledLoop, parts: int) -> float:
     Phi, of_w, of_u = step[:n, :n], step[:n, n : n + r], step[:n, n + r :]
     state, driven, free, forced = np.eye(n), np.zeros((n, parts * r)), [], []
     for i in range(parts):
-        free.append(plant.C @ state + plant.D @ loop.gain)
+        free.append(plant.C @ state + plant.D @ loop.K)
         forced.append(plant.C @ driven)
-        state, driven = Phi @ state + of_u @ loop.gain, Phi @ driven
+        state, driven = Phi @ state + of_u @ loop.K, Phi @ driven
         driven[:, i * r : (i + 1) * r] = of_w
 
     def gain(angle: float) -> float:
@@ -138,7 +142,7 @@ def test_two_routes_meet(seed):
 def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
     """The same loop, its time, states, forces and memory in units of many sizes; its gain is the same number."""
     plant, time = loop.plant, 10 ** rng.uniform(-6, 6)
-    of_x, of_s, of_u = (10 ** rng.uniform(-4, 4, size) for size in (len(plant.A), len(loop.memory), len(loop.gain)))
+    of_x, of_s, of_u = (10 ** rng.uniform(-4, 4, size) for size in (len(plant.A), len(loop.A_register), len(loop.K)))
     p, root = np.concatenate([of_x, of_s]), math.sqrt(time)
     changed = GeneralizedPlant(
         plant.A * of_x[:, None] / of_x / time,
@@ -148,9 +152,9 @@ def in_other_units(loop: SampledLoop, rng: np.random.Generator) -> SampledLoop:
         plant.D / of_u / root,
         plant.Dw,
     )
-    pieces = tuple(Piece(piece.duration * time, piece.late) for piece in loop.pieces)
-    memory, from_force = loop.memory * of_s[:, None] / p, loop.from_force * of_s[:, None] / of_u
-    return SampledLoop(changed, pieces, loop.gain * of_u[:, None] / p, memory, from_force)
+    pieces = tuple(HoldInterval(piece.duration * time, piece.late) for piece in loop.pieces)
+    memory, from_force = loop.A_register * of_s[:, None] / p, loop.B_register * of_s[:, None] / of_u
+    return SampledLoop(changed, pieces, loop.K * of_u[:, None] / p, memory, from_force)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -212,7 +216,7 @@ def test_nothing_exceeds_it():
         x, u, energy = np.zeros(4), np.zeros(1), 0.0
         for i, w in enumerate(shape):
             if i % parts == 0:
-                u = loop.gain @ x
+                u = loop.K @ x
             energy += h * float(np.sum((plant.C @ x + plant.D @ u) ** 2))
             x = step[:4] @ np.concatenate([x, u, [w]])
         best = max(best, math.sqrt(energy / (h * float(shape @ shape))))
@@ -258,10 +262,10 @@ def test_a_late_force_held_in_pieces():
     """A period cut in pieces under one force is the period; a fraction of a sample lies between the whole ones."""
     loop = of_the_paper(2e-2, late=1)
     whole = sampled_norm(loop).value
-    cut = replace(loop, pieces=(Piece(0.007, 1), Piece(0.013, 1)))
+    cut = replace(loop, pieces=(HoldInterval(0.007, 1), HoldInterval(0.013, 1)))
     assert sampled_norm(cut).value == pytest.approx(whole, rel=PROVED)
     by_fraction = [
-        sampled_norm(replace(loop, pieces=(Piece(2e-2 * share, 2), Piece(2e-2 * (1 - share), 1)))).value
+        sampled_norm(replace(loop, pieces=(HoldInterval(2e-2 * share, 2), HoldInterval(2e-2 * (1 - share), 1)))).value
         for share in (1e-9, 1 - 1e-9)
     ]
     assert by_fraction == pytest.approx([whole, sampled_norm(of_the_paper(2e-2, late=2)).value], rel=1e-7)
@@ -282,7 +286,7 @@ def test_where_it_decides():
     """Where z is w itself, and a state that no force moves is no part of it, the norm is what happens within a period."""
     one = np.eye(1)
     plant = GeneralizedPlant(-one, one, one, 0 * one, 0 * one, 3 * one)
-    norm = sampled_norm(static_loop(plant, -one, Piece(0.1, 0)))
+    norm = sampled_norm(static_loop(plant, -one, HoldInterval(0.1, 0)))
     assert norm.inside
     assert [norm.value, norm.reached] == pytest.approx([3.0, 3.0], rel=PROVED)
 

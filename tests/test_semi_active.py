@@ -66,7 +66,7 @@ def test_what_a_law_asks_for(name):
     signals = ["suspension_deflection", "sprung_velocity", "unsprung_velocity", "sprung_acceleration"]
     columns = {signal: states[:, i] for i, signal in enumerate(signals)}
     y = np.stack([columns[signal] for signal in law.measured], axis=-1)
-    found = law.coefficients(y, numbers.some(np.zeros(200, dtype=int)))[:, 0]
+    found = law.coefficients(y, numbers.subset(np.zeros(200, dtype=int)))[:, 0]
     expected = np.array([asked(name, *state) for state in states])
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     assert len(set(np.sign(expected - (SOFT + HARD) / 2))) == 2  # hard and soft both
@@ -87,7 +87,7 @@ def test_a_run_alone_is_decided_in_plain_numbers(name):
     behind = np.concatenate([np.full((300, 1), 7.0), seen[:, ::-1]], axis=1)  # in another order, something else before them
     alone = law.alone(numbers, range(q, 0, -1))
     with np.errstate(over="ignore", invalid="ignore"):
-        found = law.coefficients(seen, numbers.some(np.zeros(300, dtype=int)))
+        found = law.coefficients(seen, numbers.subset(np.zeros(300, dtype=int)))
     assert np.array_equal([alone(one) for one in behind.tolist()], found, equal_nan=True)
     assert len(np.unique(found.round(6), axis=0)) > 3
 

@@ -140,7 +140,7 @@ def test_what_runs_share_is_made_once(monkeypatch):
     monkeypatch.setattr(open_loop, "sampled", lambda vehicle, one, period: loops.append(one.name) or plain(vehicle, one, period))
     vehicle = read_vehicle("quarter_car")
     runs = run_controllers(vehicle, [designed(vehicle, name) for name in ("passive", "I")], Counted(), time)
-    assert all(run.holds for run in runs)
+    assert all(run.passed for run in runs)
     assert loops == ["passive", "I"]
     of_nodes = 8 * len(runs)  # of the quadrature for the continuous loop, and of the steps that hold a kink
     whole = [what for what, count in samples if count == len(time)]

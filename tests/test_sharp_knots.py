@@ -86,7 +86,7 @@ def judged(name: str, built: Vehicle) -> Agreement:
     vehicle, controller, road = car(name)
     time = sample_times(vehicle, 0.35, 1e-3)
     made = simulate([built], [controller], [road], time)
-    prediction = predicted(vehicle, controller, road, time, made.run(0), made.asked[0])
+    prediction = predicted(vehicle, controller, road, time, made.run(0), made.requested_force[0])
     return look_closer(compare(prediction, made.run(0)), *over_a_share(prediction, built))
 
 
@@ -101,7 +101,7 @@ def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
 def test_right_physics_agrees(name):
     """What RK4 makes of knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
     run = right_run(name)
-    assert run.holds
+    assert run.passed
     assert verdict(run).startswith("agrees to first order throughout")
     signals = run.agreement.signals.values()
     whole = [one.allowed + (1 / SMALL - 1) * one.rounding + SLACK * SMALL * one.sampled for one in signals]
@@ -175,7 +175,7 @@ def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
     worst = max(coarse.agreement.signals.values(), key=lambda one: one.excess)
     assert worst.allowed < COARSEST  # over the whole bump
     assert any("the timestep is too coarse, give a smaller one" in line for line in verdict_lines(coarse))
-    assert run_at(5e-4).holds
+    assert run_at(5e-4).passed
 
 
 def random_car(rng: np.random.Generator) -> str:
@@ -195,4 +195,4 @@ def test_right_physics_agrees_anywhere(seed):
     time = sample_times(vehicle, 0.8, float(rng.choice([2.5e-4, 5e-4, 1e-3])))
     for name in ("passive", "sky"):
         (run,) = run_controllers(vehicle, [controller_of(vehicle, name)], road, time)
-        assert run.holds, (name, verdict(run))
+        assert run.passed, (name, verdict(run))

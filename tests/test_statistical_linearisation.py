@@ -98,7 +98,7 @@ def test_responses_to_forces_are_those_of_a_damper(kind, how, name):
 
     def of(extra, forces=None):
         softer = {**shaped.parameters, **{one: shaped.parameters[one] + extra for one in parameters}}
-        line = dataclasses.replace(shaped.straight, parameters=softer)
+        line = dataclasses.replace(shaped.linearised, parameters=softer)
         return sampled_frequency_response(line, controller, omega, h, pulls=forces)
 
     both, wheels, extra = of(0.0, pulls), len(shaped.kind.wheels), 300.0

@@ -13,7 +13,7 @@ from scipy import stats
 
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
-from models.suspension.bump_stops import Sides, Stop
+from models.suspension.bump_stops import Stop, StopPair
 from models.vehicle.limits_and_implementation import Limits, read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -105,7 +105,7 @@ def test_alike_stops_are_one_spring_as_before(kind):
     sides = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.05 }\nstop_stiffness = { bump = [1e5], rebound = 1e5 }"
     one, other = (built(text, kind) for text in (plain, sides))
     assert mjcf_text(one, 1e-3) == mjcf_text(other, 1e-3)
-    words = {each.limits.words(each.kind.suspensions) for each in (one, other)}
+    words = {each.limits.phrases(each.kind.suspensions) for each in (one, other)}
     assert words == {("bump stops at ±0.05 m",)}
 
 
@@ -124,14 +124,14 @@ def test_words_and_settings():
     """A page and a verdict say both strokes, and that stops are progressive."""
     vehicle = built(UNLIKE + STOPS["of each side"])
     limits = vehicle.limits
-    assert limits.words(vehicle.kind.suspensions) == ("progressive bump stops at -0.05 m in bump and +0.07 m in rebound",)
+    assert limits.phrases(vehicle.kind.suspensions) == ("progressive bump stops at -0.05 m in bump and +0.07 m in rebound",)
     assert limits.written == {
         "suspension_stroke.bump": "0.05",
         "suspension_stroke.rebound": "0.07",
         "stop_stiffness.bump": "[40000, 2e+06, 3e+08]",
         "stop_stiffness.rebound": "200000",
     }
-    assert limits.suspension_stroke == Sides(0.05, 0.07)
+    assert limits.suspension_stroke == StopPair(0.05, 0.07)
 
 
 @pytest.mark.parametrize("kind", ["half_car", "full_car"])
@@ -171,7 +171,7 @@ def test_an_axle_may_be_without_stops():
     assert [name for name in names if name.startswith("stop")] == ["stop_suspension_front"]
     metrics = [one.name for one in metrics_of(vehicle) if one.what == "at_stops"]
     assert metrics == ["suspension_deflection_front_at_stops"]
-    assert vehicle.limits.words(vehicle.kind.suspensions) == ("bump stops at -0.02 m in bump and +0.03 m in rebound (front)",)
+    assert vehicle.limits.phrases(vehicle.kind.suspensions) == ("bump stops at -0.02 m in bump and +0.03 m in rebound (front)",)
     assert vehicle.limits.written == {
         "front.suspension_stroke.bump": "0.02",
         "front.suspension_stroke.rebound": "0.03",
@@ -188,7 +188,7 @@ def test_an_axle_may_be_without_stops():
 def test_words_name_the_corners_that_are_alike():
     """Corners with the same stops are one phrase, by the shortest names that are theirs."""
     vehicle = built(UNLIKE + "1e5" + PLACES, "full_car")
-    assert vehicle.limits.words(vehicle.kind.suspensions) == (
+    assert vehicle.limits.phrases(vehicle.kind.suspensions) == (
         "bump stops at -0.05 m in bump and +0.07 m in rebound (front)",
         "progressive bump stops at -0.06 m in bump and +0.09 m in rebound (rear_left)",
         "bump stops at -0.06 m in bump and +0.09 m in rebound (rear_right)",

@@ -10,7 +10,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
 from synth.design.descent import starts as sampling
 from synth.design.descent import symmetry
-from synth.design.descent.coordinates import alike
+from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import CLOSER, lowest, survey
@@ -224,7 +224,7 @@ def test_directions_count_alike():
     x = landscape.point(lead(1e3, 10.0, 100.0))
     A, C = landscape.loop(x)
     measured, forced = covariance(A, landscape.Bw, landscape.Cy), covariance(A.T, C.T, landscape.B.T)
-    changes = alike(landscape, x).T.reshape(6, 2, 3) * landscape.scale
+    changes = balanced_coordinates(landscape, x).T.reshape(6, 2, 3) * landscape.scale
     power = np.array([[np.trace(one.T @ forced @ other @ measured) for other in changes] for one in changes])
     np.testing.assert_allclose(power / power[0, 0], np.eye(6), atol=0.02)  # the trapezoids over twelve decades, the ends cut off
 

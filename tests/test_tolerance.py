@@ -13,7 +13,7 @@ from synth.analysis.certificate import eta_of
 from synth.analysis.norm import hinf_norm
 from synth.analysis.uncertainty_box import Box, BoxProof, lmi, proves
 from synth.design.uncertainty.problem import box_of, scaled_gain, vertices
-from synth.design.uncertainty.worst_case import Heights, WorstNorm, norm_at, worst_norm
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, WorstNorm, norm_at, worst_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, refused
@@ -178,7 +178,7 @@ def test_slopes_are_those_of_differences():
     """The slope that the search climbs by is that of the norm, with a force in a reading, noise, and two forces, too."""
     plant, Cy, K, Dyw, generator = _plant(301, 4, 2, 2)
     through = 0.2 * generator.standard_normal((2, 2)) / np.outer(np.abs(K).max(axis=0), np.abs(K).max(axis=1)) * np.abs(K).max()
-    heights = Heights(scaled_gain(plant, Cy, K, Dyw, through))
+    heights = WorstCaseNormFunction(scaled_gain(plant, Cy, K, Dyw, through))
     at, step = 1 + generator.uniform(-0.02, 0.02, 4), 1e-6
     ends = [[heights.norm(at + sign * step * unit) for sign in (1, -1)] for unit in np.eye(4)]
     assert np.all(np.isfinite(ends))  # or there is no slope
@@ -199,8 +199,8 @@ def test_a_proof_is_of_its_box_and_its_bound(car: Car):
     assert not proof.holds(scaled_gain(*car, 1.01 * PRINTED_I), box)
     assert not replace(proof, parts=proof.parts[1:]).holds(gain, box)
     first, X = proof.parts[0]
-    axis = int(first.free[0])
-    assert not replace(proof, parts=[(first.halves(axis)[0], X), *proof.parts[1:]]).holds(gain, box)
+    axis = int(first.uncertain[0])
+    assert not replace(proof, parts=[(first.bisect(axis)[0], X), *proof.parts[1:]]).holds(gain, box)
     assert not BoxProof(proof.eta, [(part, -X) for part, X in proof.parts]).holds(gain, box)
 
 
@@ -210,7 +210,7 @@ def test_a_box_is_all_between_its_corners():
     assert sorted((*readings, *forces) for readings, forces in corners) == [
         (0.9, 1.0, 0.8), (0.9, 1.0, 1.2), (1.1, 1.0, 0.8), (1.1, 1.0, 1.2)
     ]  # fmt: skip
-    low, high = Box(np.array([0.9, 1.0]), np.array([1.1, 1.0])).halves(0)
+    low, high = Box(np.array([0.9, 1.0]), np.array([1.1, 1.0])).bisect(0)
     assert low.high[0] == high.low[0] == 1.0
 
 
@@ -256,7 +256,7 @@ def test_an_unstable_loop_has_no_x():
     plant = GeneralizedPlant(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
     gain = scaled_gain(plant, np.eye(1), np.array([[0.1]]))
     box, X = box_of(gain, 0.5, 0.0), np.array([[-1.0]])
-    assert np.linalg.eigvalsh(lmi(gain.loops(box.corners), X, 1e-2)).max() < 0  # or this is no such X
+    assert np.linalg.eigvalsh(lmi(gain.loops(box.vertices), X, 1e-2)).max() < 0  # or this is no such X
     assert not proves(gain, box, X, 1e-2)
 
 

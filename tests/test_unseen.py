@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from synth.analysis.norm import hinf_norm
-from synth.design.two_step import Design, posed, state_design, state_path, two_step_design
+from synth.design.two_step import Design, state_design, state_path, two_step_design, well_posed
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
@@ -234,7 +234,7 @@ def assert_true(reason: str, plant: GeneralizedPlant, Cy: np.ndarray) -> None:
     elif "problem (25) has no solution" in reason:
         Q, path = nullspace(Cy), state_path(plant)
         with contextlib.suppress(DesignError):
-            solved = solve_lmi(posed(plant).plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
+            solved = solve_lmi(well_posed(plant).plant, Q, r_matrix(Cy, Q, l_matrix(path[-1].X, Cy, Q)))
             G = solved.Y @ np.linalg.inv(solved.X)  # within Clarabel's tolerance, with an X that is singular to it
             assert np.linalg.eigvals(plant.A + plant.B @ G).real.max() > 0
     else:

@@ -19,7 +19,7 @@ from sim.runs.prediction import Prediction, smaller
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, compare_runs, run_controllers, sample_times
 from synth.controller.controller import Controller
-from synth.vehicle.designer import Designer, given
+from synth.vehicle.designer import Designer, certify_given
 from tests.analysed import predict, simulate
 from tests.curved import with_curves
 from tests.pages import hopper
@@ -106,7 +106,7 @@ def test_a_slow_law_is_allowed_no_more(vehicle, slow):
     forces = len(vehicle.linear_model.inputs)
     measured = ("sprung_velocity" if vehicle.kind.name == "quarter_car" else "heave_velocity",)
     laws = [LinearLaw(np.array([[a]]), np.ones((1, 1)), np.ones((forces, 1)), np.zeros((forces, 1))) for a in (slow, 0.0)]
-    found, integrator = (roundings(vehicle, given(vehicle, "slow", measured, law)) for law in laws)
+    found, integrator = (roundings(vehicle, certify_given(vehicle, "slow", measured, law)) for law in laws)
     assert found == pytest.approx(integrator, rel=1e-3)
 
 
@@ -126,7 +126,7 @@ def test_a_slow_law_is_allowed_no_more(vehicle, slow):
 def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
     """Where nothing is wrong the verdict is agreement: over high roads and low ones, for a moment and for long, at any step."""
     for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
-        assert run.holds, (run.controller.name, verdict_lines(run))
+        assert run.passed, (run.controller.name, verdict_lines(run))
 
 
 @pytest.mark.parametrize("height", [0.1, 1e-3, LOWEST])
@@ -197,7 +197,9 @@ NOISY = {
 def test_noise_in_an_unstable_loop_agrees(how, height):
     """What noise makes grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=NOISY[how])
-    controller = given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    controller = certify_given(
+        paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]]))
+    )
     prediction = predict(paper, controller, Bump(height=height), sample_times(paper, 1.0, 1e-3))
     assert prediction.radius > 1
     run = judged(prediction, paper)
@@ -211,7 +213,9 @@ def test_noise_in_an_unstable_loop_agrees(how, height):
 def test_rounding_grows_with_an_unstable_loop(how, height):
     """Over a road that does next to nothing an unstable loop makes much of rounding, and that is no disagreement."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=how)
-    controller = given(paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]])))
+    controller = certify_given(
+        paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]]))
+    )
     time = sample_times(paper, 2.0, 1e-3)
     prediction = predict(paper, controller, Bump(height=height), time)
     assert prediction.radius > 1

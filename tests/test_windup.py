@@ -125,7 +125,7 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert "diverge" not in text
     assert "no vehicle" not in text
     assert (when, "law overflow") in events(run)
-    assert run.holds
+    assert run.passed
     cells = validity(vehicle, controller, [BUMP, replace(BUMP, height=0.03)], sample_times(vehicle, 0.6, 1e-3))
     assert cells.ran_away.all()
     assert np.all(cells.missing > 0.9)
@@ -177,5 +177,5 @@ def test_random_unstable_laws(seed):
     vehicle = parse_vehicle(text, source="mine")
     controllers = design(vehicle, ["mine"])
     (run,) = run_controllers(vehicle, controllers, BUMP, sample_times(vehicle, 1.0, 1e-3))
-    assert run.holds, "\n".join(verdict_lines(run))
+    assert run.passed, "\n".join(verdict_lines(run))
     assert run.broke_off is None or run.broke_off[0] == "law overflow"

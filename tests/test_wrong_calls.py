@@ -54,11 +54,15 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
     plant = synth.GeneralizedPlant(A, B, B, C, D, Dw)
     matrices = {name: getattr(plant, name) for name in ("A", "B", "Bw", "C", "D", "Dw")}
     Cy, K, kind, model = array([[0.0, 1.0]]), array([[-2.0]]), vehicle.kind, vehicle.linear_model
-    posed = synth.Posed(plant, Cy)
-    member, goal, none = synth.Member((posed,)), synth.NormGoal(band=(1.0, 3.0)), synth.Errors(np.zeros(1), np.zeros(1))
+    posed = synth.MeasuredPlant(plant, Cy)
+    member, goal, none = (
+        synth.FamilyMember((posed,)),
+        synth.NormSpecification(band=(1.0, 3.0)),
+        synth.GainErrors(np.zeros(1), np.zeros(1)),
+    )
     anywhere = np.ones((1, 1), dtype=bool)
-    problem = synth.GoalProblem((member,), goal, none, anywhere, gain=5.0)
-    piece = synth.Piece(duration=0.01, late=0)
+    problem = synth.MultiObjectiveProblem((member,), goal, none, anywhere, gain=5.0)
+    piece = synth.HoldInterval(duration=0.01, late=0)
     loop = synth.SampledLoop(plant, (piece,), array([[0.0, -2.0]]), np.zeros((0, 2)), np.zeros((0, 1)))
     import control
 
@@ -115,16 +119,19 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "refine": (synth.refine, {**measured, "K": K, "Dyw": None}),
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
-        "NormGoal": (synth.NormGoal, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
-        "Posed": (synth.Posed, {**measured, "Dyw": None}),
-        "Member": (synth.Member, {"posed": (posed,), "driven": (), "signals": ()}),
-        "Errors": (synth.Errors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
+        "NormGoal": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
+        "Posed": (synth.MeasuredPlant, {**measured, "Dyw": None}),
+        "Member": (synth.FamilyMember, {"posed": (posed,), "driven": (), "signals": ()}),
+        "Errors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
         "GoalProblem": (
-            synth.GoalProblem,
+            synth.MultiObjectiveProblem,
             {"members": (member,), "minimise": goal, "tolerance": none, "structure": anywhere, "norms": (goal,), "decay": 0.1}
             | {"peaks": (), "gain": 5.0, "bests": None},
         ),
-        "design_for_goals": (synth.design_for_goals, {"problem": problem, "starts": [K], "told": print, "otherwise": tuple}),
+        "design_for_goals": (
+            synth.multi_objective_design,
+            {"problem": problem, "starts": [K], "on_progress": print, "otherwise": tuple},
+        ),
         "full_order_design": (
             synth.full_order_design,
             {**measured, "Dyw": None, "lower_bound": None, "states": states, "fastest": 100.0},
@@ -140,7 +147,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "norm_in_band": (synth.norm_in_band, {"loop": plant, "low": 1.0, "high": 3.0}),
         "worst_norm": (synth.worst_norm, {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None}),
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
-        "Piece": (synth.Piece, {"duration": 0.01, "late": 0}),
+        "Piece": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
@@ -155,8 +162,8 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "law_system": (synth.law_system, of_vehicle),
         "design_controllers": (synth.design_controllers, {"vehicle": vehicle, "names": ["passive"]}),
         "Designer": (synth.Designer, {"vehicle": vehicle, "search": True}),
-        "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "told": print}),
-        "Designer.given": (designer.given, {"name": "mine", "measured": controller.measured, "law": controller.law}),
+        "Designer.design": (designer.design, {"name": "passive", "zero_l": False, "on_progress": print}),
+        "Designer.certify": (designer.certify, {"name": "mine", "measured": controller.measured, "law": controller.law}),
         "Controller": (
             synth.Controller,
             {part.name: getattr(controller, part.name) for part in dataclasses.fields(controller)[:5]},

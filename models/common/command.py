@@ -203,7 +203,7 @@ class _Flag(argparse.Action):
 
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits with the code that it returns, with 2 on bad input, or with the code of a signal."""
-    interrupt.raise_from_now_on()
+    interrupt.enable_interrupts()
     gc.set_threshold(GARBAGE)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
@@ -227,7 +227,7 @@ def run_command(main: Callable[[], int]) -> NoReturn:
 
 def _ended_by(error: BaseException) -> int:
     """Prints why a command ended and returns its exit code. Re-raises unexpected errors."""
-    if interrupt.caused(error):
+    if interrupt.is_interrupt(error):
         complain(interrupt.word())
         return interrupt.code()
     if isinstance(error, InputError):
@@ -259,7 +259,7 @@ def keep_stdout() -> None:
     It has no effect if the package is used as a library.
     """
     before = sys.stdout
-    if _kept or interrupt.came() is None or not isinstance(before, io.TextIOWrapper):
+    if _kept or interrupt.interrupt_pending() is None or not isinstance(before, io.TextIOWrapper):
         return
     before.flush()
     raw = os.fdopen(os.dup(before.fileno()), "wb")

@@ -56,9 +56,9 @@ def alike(name: object, names: Iterable[str], most: int = 12) -> str:
     if len(known) <= most:
         return listing(known)
     near = difflib.get_close_matches(str(name)[:LONGEST_VALUE], known, n=most // 2, cutoff=0.0)
-    return some(near + [one for one in known if one not in near], most // 2)
+    return first_few(near + [one for one in known if one not in near], most // 2)
 
 
-def some(names: Sequence[str], most: int = 3) -> str:
+def first_few(names: Sequence[str], most: int = 3) -> str:
     """Returns the first of many names, and the number of the others."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -105,7 +105,7 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
         if waiting is not None:
             waiting.append((beside, target, before))
             return
-        with interrupt.finishing():
+        with interrupt.uninterrupted():
             _name(beside, target, before)
     except BrokenPipeError:
         raise  # the reader of /dev/stdout has gone
@@ -127,7 +127,7 @@ def together() -> Iterator[None]:
     token = _waiting.set(waiting)
     try:
         yield
-        with interrupt.finishing():
+        with interrupt.uninterrupted():
             _name_all(waiting)
     except OSError as error:
         raise InputError(f"the output files cannot be renamed ({error.strerror or error}); mend that and try again") from error
@@ -178,7 +178,7 @@ def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
 
 
 def _removed(beside: Path) -> None:
-    with interrupt.finishing(), suppress(OSError):
+    with interrupt.uninterrupted(), suppress(OSError):
         beside.unlink(missing_ok=True)
 
 
@@ -246,7 +246,7 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
             raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
         yield
     except BaseException:
-        with interrupt.finishing(), suppress(OSError):  # a folder that is not empty stays
+        with interrupt.uninterrupted(), suppress(OSError):  # a folder that is not empty stays
             for folder in missing:
                 folder.rmdir()
         raise

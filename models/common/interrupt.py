@@ -52,7 +52,7 @@ def word() -> str:
     return SIGNALS[_last[0]]
 
 
-def came() -> int | None:
+def interrupt_pending() -> int | None:
     """Returns the number of interrupts raised so far, or None if they are not counted.
 
     If it has not grown, a KeyboardInterrupt was raised by user code.
@@ -60,8 +60,8 @@ def came() -> int | None:
     return len(_raised) if signal.getsignal(signal.SIGINT) is _raise else None
 
 
-def raised() -> int:
-    """Returns the number of interrupts raised so far, without the check of `came`, which takes microseconds."""
+def interrupts_raise() -> int:
+    """Returns the number of interrupts raised so far, without the check of `interrupt_pending`, which takes microseconds."""
     return len(_raised)
 
 
@@ -82,14 +82,14 @@ def quiet_start() -> None:
             os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 
-def raise_from_now_on() -> None:
+def enable_interrupts() -> None:
     """Turns Ctrl-C into a KeyboardInterrupt from now on, so that a command can clean up."""
     if threading.current_thread() is threading.main_thread():
         _handle_all(_raise)
         sys.unraisablehook = _unraisable
 
 
-def caused(error: BaseException | None) -> bool:
+def is_interrupt(error: BaseException | None) -> bool:
     """Returns True if an error is a KeyboardInterrupt, or was caused by one.
 
     Compiled modules turn an interrupt during their import into an ImportError, some without a cause. So an import that fails
@@ -115,7 +115,7 @@ class _Late:
 
 
 @contextmanager
-def finishing(work_goes_on: bool = False) -> Iterator[None]:
+def uninterrupted(work_goes_on: bool = False) -> Iterator[None]:
     """Defers a Ctrl-C during a short block that must be completed; a second one is raised at once.
 
     Args:

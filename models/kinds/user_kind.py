@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.common.checks import is_finite
-from models.common.errors import InputError, quoted, some
+from models.common.errors import InputError, first_few, quoted
 from models.common.files import TEXT, read_text
 from models.kinds.kind import MOST_SQUEEZE, VehicleKind
 from models.kinds.linear_model import LinearModel
@@ -51,7 +51,7 @@ def _wrong_wheels(kind: VehicleKind) -> str:
 def _wrong_loads(kind: VehicleKind) -> str:
     for load in kind.loads:
         if load.name not in LOADS:
-            return f"a load is {quoted(load)}; give BodyLoad(name, joint), with a name out of {some(LOADS)}"
+            return f"a load is {quoted(load)}; give BodyLoad(name, joint), with a name out of {first_few(LOADS)}"
     return _wrong_names("load", [load.name for load in kind.loads])
 
 
@@ -114,10 +114,11 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
             return f"no input {suspension.force!r}, a suspension's force; add it, or leave it out of the suspension"
     roads = tuple(wheel.road_velocity for wheel in kind.wheels)
     if tuple(model.disturbances) != roads:
-        return f"the disturbances {some(model.disturbances)}; its wheels' road velocities, in their order, are {some(roads)}"
+        given, wanted = first_few(model.disturbances), first_few(roads)
+        return f"the disturbances {given}; its wheels' road velocities, in their order, are {wanted}"
     if model.loads != tuple(load.name for load in kind.loads):
-        own = some([load.name for load in kind.loads])
-        return f"the loads {some(model.loads) or 'none'}; the kind's, in their order, are {own or 'none'}"
+        own = first_few([load.name for load in kind.loads])
+        return f"the loads {first_few(model.loads) or 'none'}; the kind's, in their order, are {own or 'none'}"
     driven = {*roads, *(wheel.road_displacement for wheel in kind.wheels)}
     own = [signal.name for signal in (*kind.signals, *kind.on_demand) if signal.name not in driven]
     for name in own:
@@ -161,10 +162,10 @@ def wrong_rest(squeezes: Any, kind: VehicleKind) -> str:
     tyres = [wheel.tyre_deflection for wheel in kind.wheels]
     for tyre in tyres:
         if tyre not in squeezes:
-            return f"nothing for {tyre!r}; give one number for each of {some(tyres)}"
+            return f"nothing for {tyre!r}; give one number for each of {first_few(tyres)}"
     for tyre, squeeze in squeezes.items():
         if tyre not in tyres:
-            return f"a number for {quoted(tyre)}, which is no wheel's tyre; give one for each of {some(tyres)}"
+            return f"a number for {quoted(tyre)}, which is no wheel's tyre; give one for each of {first_few(tyres)}"
         if not is_finite(squeeze) or squeeze <= 0:
             return (
                 f"{tyre} = {quoted(squeeze)}; give a number above 0 and at most {MOST_SQUEEZE} m: a tyre that carries nothing "

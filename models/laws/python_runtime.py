@@ -155,7 +155,7 @@ class OwnLaw:
         assert self._path is not None, "code comes from files only"
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
         said = f"{self._what}: {name} {over}; mend that"
-        told = interrupt.raised()
+        told = interrupt.interrupts_raise()
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
@@ -165,7 +165,7 @@ class OwnLaw:
                         raise
         except _TooLong:  # raised a moment after their code had ended
             pass
-        if interrupt.raised() != told:
+        if interrupt.interrupts_raise() != told:
             raise KeyboardInterrupt
         raise InputError(said)
 
@@ -179,7 +179,7 @@ class _Watched:
 
     def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
         self.said, self.thread = said, threading.get_ident()
-        self.deadline, self.late, self.told = clock() + longest, False, interrupt.raised()
+        self.deadline, self.late, self.told = clock() + longest, False, interrupt.interrupts_raise()
         self._watchdog = watchdog
 
     def __enter__(self) -> "_Watched":
@@ -224,7 +224,7 @@ class _Watchdog:
             sleep(TICK)
             now = clock()
             for call in list(self.calls.values()):
-                if interrupt.raised() != call.told:  # and their code caught it, or was about to end
+                if interrupt.interrupts_raise() != call.told:  # and their code caught it, or was about to end
                     call.deadline = min(call.deadline, now)
                 if now > call.deadline:
                     self._end(call, now)
@@ -233,7 +233,7 @@ class _Watchdog:
         with self.lock:
             if self.calls.get(call.thread) is not call:
                 return
-            leave = self.leave or (_leave_command if interrupt.came() is not None else None)
+            leave = self.leave or (_leave_command if interrupt.interrupt_pending() is not None else None)
             if leave is not None and now > call.deadline + GRACE:
                 leave(call.said)
             call.late = True
@@ -249,7 +249,7 @@ def leave_by(leave: Callable[[str], None]) -> None:
 
 
 def _leave_command(said: str) -> None:
-    told = interrupt.raised() > 0
+    told = interrupt.interrupts_raise() > 0
     complain(interrupt.word() if told else said)
     leave_at_once(interrupt.code() if told else BAD_INPUT)
 

@@ -52,7 +52,7 @@ class LawCoefficients:
     mix: Quantity
     crossover: Quantity
 
-    def some(self, which: Array | slice) -> "LawCoefficients":
+    def subset(self, which: Array | slice) -> "LawCoefficients":
         """Returns the coefficients of some of the vehicles."""
         return self._of_each(lambda quantity: quantity[which])
 

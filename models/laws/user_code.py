@@ -51,17 +51,17 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
         InputError: the code failed. The message has the last line of the user's file that ran.
         KeyboardInterrupt: the command was told to end, even if the code caught that.
     """
-    before, failed, result = interrupt.raised(), "", None
+    before, failed, result = interrupt.interrupts_raise(), "", None
     try:
         with np.errstate(all="ignore"), _Guarded():  # what is not finite is found in the result
             result = _without_children(code)
     except BaseException as error:  # SystemExit too, and what a user derives from BaseException
-        if isinstance(error, KeyboardInterrupt) and interrupt.came() is None:  # nobody counts: it may be the user's
+        if isinstance(error, KeyboardInterrupt) and interrupt.interrupt_pending() is None:  # nobody counts: it may be the user's
             raise
-        if refuses and isinstance(error, InputError) and interrupt.raised() == before:
+        if refuses and isinstance(error, InputError) and interrupt.interrupts_raise() == before:
             raise
         failed = f"{what}: {name} fails ({_reason(error, path)}); mend that"
-    if interrupt.raised() != before:
+    if interrupt.interrupts_raise() != before:
         raise KeyboardInterrupt
     if failed:
         raise InputError(failed)  # outside, so that a KeyboardInterrupt of theirs does not look as if it were the user's

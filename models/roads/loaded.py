@@ -34,11 +34,11 @@ class RoadWithLoads(DerivedRoad):
 
     def met_by(self, wheel: Wheel) -> str:
         """Returns the track of the road under a wheel."""
-        return self.road.met_by(wheel)
+        return self.road.track_of(wheel)
 
     def later(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns the delay of a wheel on the road [s]."""
-        return self.road.later(wheel, parameters)
+        return self.road.delay_of(wheel, parameters)
 
     @property
     def points(self) -> bytes | None:

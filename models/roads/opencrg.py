@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, some
+from models.common.errors import InputError, first_few
 from models.common.files import MIB, open_plain
 from models.roads.profile import Profile
 
@@ -175,6 +175,6 @@ def _reason(error: Exception, path: Path) -> str:
     """Returns PyOpenCRG's message on one line; it may list many mistakes below a first line without any."""
     report = getattr(error, "report", None)
     if report is not None:
-        return some([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])
+        return first_few([problem.removeprefix("(reading) ") for problem in report.errors or report.warnings])
     text = " ".join(str(error).removeprefix(f"{path}: ").split())
     return text or type(error).__name__

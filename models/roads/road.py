@@ -40,11 +40,11 @@ class Road(ABC):
         """Time of a wheel on it [s]; infinite for a road without end."""
         return math.inf
 
-    def met_by(self, wheel: Wheel) -> str:
+    def track_of(self, wheel: Wheel) -> str:
         """Returns the side of a wheel, as `displacement` takes it."""
         return wheel.side
 
-    def later(self, wheel: Wheel, parameters: Parameters) -> float:
+    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns the delay of a wheel after the first one [s]."""
         return wheel.behind(parameters) / self.speed
 
@@ -74,7 +74,7 @@ class Road(ABC):
 
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `met_by`."""
+        """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
@@ -258,7 +258,7 @@ class ScaledRoad(DerivedRoad):
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
     """Returns the delay of each wheel after the first one [s]."""
-    return [road.later(wheel, vehicle.parameters) for wheel in vehicle.kind.wheels]
+    return [road.delay_of(wheel, vehicle.parameters) for wheel in vehicle.kind.wheels]
 
 
 def track_width(vehicle: Vehicle) -> float:
@@ -275,7 +275,7 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
         vehicle: r wheels.
         t: times [s].
     """
-    tracks = [(delay, road.met_by(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
+    tracks = [(delay, road.track_of(wheel)) for wheel, delay in zip(vehicle.kind.wheels, delays(road, vehicle), strict=True)]
     return np.stack([function(t - delay, track) for delay, track in tracks], axis=-1)
 
 

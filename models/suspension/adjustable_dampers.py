@@ -66,7 +66,7 @@ class Adjustable:
         return self.damper.c_max - self.nominal
 
     @property
-    def steepest(self) -> float:
+    def steepest_slope(self) -> float:
         """The steepest slope of the damper at any setting [N s/m], without the parallel curve."""
         pair = self.damper.pair
         return self.damper.c_max if pair is None else float(max(pair.soft.slopes.max(), pair.hard.slopes.max()))
@@ -75,13 +75,13 @@ class Adjustable:
         """Returns h [m/s] at velocities [m/s], shape (...)."""
         return np.asarray(v) if self.damper.pair is None else self.damper.pair.shape(v)
 
-    def pull(self, v: Array, beyond: Array | float) -> Array:
+    def ramp(self, v: Array, beyond: Array | float) -> Array:
         """Returns its force at velocities and coefficients beyond the nominal one [N], shape (...)."""
         still = self.nominal * np.asarray(v) if self.standing is None else self.standing(v)
         return still + beyond * self.shape(v)
 
     @property
-    def base(self) -> ForceCurve | None:
+    def offset(self) -> ForceCurve | None:
         """The curve that acts at every setting, beside (c - c_s) l v and (c - c_min) (h(v) - l v), l v being h's line at rest.
 
         None if nothing but these acts.
@@ -172,11 +172,11 @@ def _check_takes(parameter: str, one: Adjustable) -> None:
     if one.standing is None:
         return
     x = one.standing.x
-    pull, far = one.pull(x, one.low), 2 * x[[0, -1]]
-    on = (one.pull(far, one.low) - pull[[0, -1]]) / x[[0, -1]]
+    pull, far = one.ramp(x, one.low), 2 * x[[0, -1]]
+    on = (one.ramp(far, one.low) - pull[[0, -1]]) / x[[0, -1]]
     feeding = np.flatnonzero(pull * np.sign(x) < -ROUNDING * one.standing.range)
     where = [f"at {x[i]:g} m/s" for i in feeding[:1]]
-    where += [f"beyond {x[end]:g} m/s, as it goes on from there" for end in (0, -1) if on[end] < -ROUNDING * one.steepest]
+    where += [f"beyond {x[end]:g} m/s, as it goes on from there" for end in (0, -1) if on[end] < -ROUNDING * one.steepest_slope]
     if where:
         raise InputError(
             f"[curves] {parameter} adds to an adjustable damper, whose softest setting then feeds energy in {where[0]}; give "
@@ -202,12 +202,12 @@ def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Dam
 def softest(
     curves: Sequence[SuspensionCurve], dampers: Sequence[Adjustable], pushed: Callable[[str], str]
 ) -> tuple[SuspensionCurve, ...]:
-    """Returns the curves of suspensions, with `Adjustable.base` for the adjustable dampers.
+    """Returns the curves of suspensions, with `Adjustable.offset` for the adjustable dampers.
 
     Args:
         pushed: force -> deflection of its suspension.
     """
-    bases = {pushed(damper.force): damper.base for damper in dampers}
+    bases = {pushed(damper.force): damper.offset for damper in dampers}
     replaced = []
     for curve in curves:
         base = bases.get(curve.deflection) if curve.damps else None

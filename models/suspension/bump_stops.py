@@ -27,7 +27,7 @@ Stiffness = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Sides:
+class StopPair:
     """Different values for bump and rebound."""
 
     bump: Any
@@ -46,7 +46,7 @@ class Stop:
     stroke: float
     stiffness: tuple[float, float, float]
 
-    def push(self, beyond: Array) -> Array:
+    def acts(self, beyond: Array) -> Array:
         """Returns its force [N] where it is squeezed by so much [m], shape (...)."""
         first, second, third = self.stiffness
         return beyond * (first + beyond * (second + beyond * third))
@@ -65,7 +65,7 @@ class Stops:
     rebound: Stop
 
     @property
-    def push(self) -> bool:
+    def acts(self) -> bool:
         """True if they push back at all."""
         return any(any(stop.stiffness) for stop in (self.bump, self.rebound))
 
@@ -76,7 +76,7 @@ class Stops:
 
     def pull(self, deflection: Array) -> Array:
         """Returns the force that pulls body and wheel together [N], at deflections from rest [m], shape (...)."""
-        return sum((sign * stop.push(beyond) for sign, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
+        return sum((sign * stop.acts(beyond) for sign, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
 
     def work(self, deflection: Array) -> Array:
         """Returns the energy that they store at deflections from rest [J], shape (...)."""
@@ -111,7 +111,7 @@ class Stops:
         return f"{'progressive ' * progressive}bump stops at {where}"
 
 
-def read_stroke(where: str, value: Any) -> float | Sides:
+def read_stroke(where: str, value: Any) -> float | StopPair:
     """Reads a stroke, or one for each side [m].
 
     Raises:
@@ -120,7 +120,7 @@ def read_stroke(where: str, value: Any) -> float | Sides:
     return _of_sides(where, value, lambda where, stroke: _number(where, stroke, "m", SMALLEST))
 
 
-def read_stiffness(where: str, value: Any) -> Stiffness | Sides:
+def read_stiffness(where: str, value: Any) -> Stiffness | StopPair:
     """Reads a stiffness [N/m], up to three coefficients, or these for each side.
 
     Raises:
@@ -129,10 +129,10 @@ def read_stiffness(where: str, value: Any) -> Stiffness | Sides:
     return _of_sides(where, value, _stiffness)
 
 
-def stops(stroke: float | Sides, stiffness: Stiffness | Sides) -> Stops:
+def stops(stroke: float | StopPair, stiffness: Stiffness | StopPair) -> Stops:
     """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`."""
-    lengths = [getattr(stroke, side) if isinstance(stroke, Sides) else stroke for side in SIDES]
-    springs = [getattr(stiffness, side) if isinstance(stiffness, Sides) else stiffness for side in SIDES]
+    lengths = [getattr(stroke, side) if isinstance(stroke, StopPair) else stroke for side in SIDES]
+    springs = [getattr(stiffness, side) if isinstance(stiffness, StopPair) else stiffness for side in SIDES]
     return Stops(*(Stop(length, _coefficients(spring)) for length, spring in zip(lengths, springs, strict=True)))
 
 
@@ -148,7 +148,7 @@ def _of_sides(where: str, value: Any, read: Any) -> Any:
         raise InputError(
             f"{where} = {quoted(dict(value))} is not for both sides; give {{ bump = ..., rebound = ... }}, or one for both"
         )
-    return Sides(*(read(f"{where} {side}", value[side]) for side in SIDES))
+    return StopPair(*(read(f"{where} {side}", value[side]) for side in SIDES))
 
 
 def _stiffness(where: str, value: Any) -> Stiffness:
@@ -189,8 +189,8 @@ class Place:
     """
 
     name: str
-    suspension_stroke: float | Sides | None = None
-    stop_stiffness: Stiffness | Sides | None = None
+    suspension_stroke: float | StopPair | None = None
+    stop_stiffness: Stiffness | StopPair | None = None
 
     def holds(self, corner: str) -> bool:
         """Returns True if a corner belongs to the place."""

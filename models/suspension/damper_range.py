@@ -41,7 +41,7 @@ class CoefficientRange:
     adjustable: Array
     bent: Bent | None = None
 
-    def felt(self, closing: Array, which: Array | slice = slice(None)) -> Array:
+    def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the factor from coefficient to force: the closing velocity, bent as the curves are, shape (..., N, m).
 
         Args:
@@ -50,7 +50,7 @@ class CoefficientRange:
         """
         return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
 
-    def seen(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
+    def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
 
         Args:
@@ -61,24 +61,24 @@ class CoefficientRange:
         if self.bent is None:
             return c_min, c_max
         least = c_min - _pieces(self.bent.soft[:, which], -closing) / closing
-        return least, least + (c_max - c_min) * self.felt(closing, which) / closing
+        return least, least + (c_max - c_min) * self.effective_velocity(closing, which) / closing
 
-    def commands(self, asked: Array, which: Array | slice = slice(None)) -> Array:
+    def commands(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the settings of the actuators and the missing forces, shape (..., N, 2 m).
 
         The first half are coefficients beyond the nominal ones [N s/m], and forces of actuators that push [N]. The second half
         are the requested forces [N] minus the ones at these settings.
 
         Args:
-            asked: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
+            requested_force: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
             which: of the N.
         """
         m = self.low.shape[1]
-        forces, closing = asked[..., :m], self.felt(asked[..., m:], which)
+        forces, closing = requested_force[..., :m], self.effective_velocity(requested_force[..., m:], which)
         beyond = np.minimum(np.maximum(forces / closing, self.low[which]), self.high[which])
         return np.concatenate([beyond, forces - beyond * closing], axis=-1)
 
-    def set_to(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+    def clip_coefficients(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
 
         Args:
@@ -86,16 +86,16 @@ class CoefficientRange:
             closing: how fast each suspension closes [m/s], shape (..., N, m).
             which: of the N.
         """
-        asked = self.setting(asked, closing, which)
+        asked = self.coefficient_for(asked, closing, which)
         beyond = np.minimum(np.maximum(asked, self.low[which]), self.high[which])
-        return np.concatenate([beyond, (asked - beyond) * self.felt(closing, which)], axis=-1)
+        return np.concatenate([beyond, (asked - beyond) * self.effective_velocity(closing, which)], axis=-1)
 
-    def setting(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the coefficient whose force over velocity is `asked`, not clipped to the limits."""
+    def coefficient_for(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+        """Returns the coefficient whose force over velocity is `requested_force`, not clipped to the limits."""
         if self.bent is None:
             return asked
         low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)
-        return low + (asked - low + soft / closing) * (closing / self.felt(closing, which))
+        return low + (asked - low + soft / closing) * (closing / self.effective_velocity(closing, which))
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
         """Returns the forces at the settings less the requested ones [N], shape (N, m): exactly 0 where nothing is clipped.
@@ -105,7 +105,7 @@ class CoefficientRange:
             closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
             which: of the N.
         """
-        turned = 1.0 if closing is None else self.felt(closing, which)
+        turned = 1.0 if closing is None else self.effective_velocity(closing, which)
         asked = forces / turned
         return (np.minimum(np.maximum(asked, self.low[which]), self.high[which]) - asked) * turned
 

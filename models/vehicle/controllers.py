@@ -39,7 +39,7 @@ SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample
 
 
 @dataclass(frozen=True)
-class Hardware:
+class DesignConditions:
     """Sensor noise, actuator lag and loads that a controller is designed for and verified with. Default: none.
 
     Attributes:
@@ -53,7 +53,7 @@ class Hardware:
     loads: tuple[tuple[str, float], ...] = ()
 
 
-IDEAL = Hardware()
+NOMINAL = DesignConditions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class ControllerEntry:
     certificate: Mapping[str, Any] | None = None
     design: str = ""
     python: PythonLaw | None = None
-    hardware: Hardware = IDEAL
+    hardware: DesignConditions = NOMINAL
     sampled: bool = False
     goals: "Goals | None" = None
     semi_active: SemiActiveLaw | None = None
@@ -244,7 +244,7 @@ def _hardware(
     inputs: Sequence[str],
     limits: Limits,
     implementation: Implementation,
-) -> Hardware:
+) -> DesignConditions:
     """Returns sensor noise and actuator lag that a controller is designed for."""
     flags = {key: entry.get(key, False) for key in ("noise", "lag")}
     for key, value in flags.items():
@@ -266,7 +266,7 @@ def _hardware(
         raise InputError(
             f"{where} has lag = true, and [limits] gives actuators no lag; give actuator_bandwidth [rad/s], or leave lag out"
         )
-    return Hardware(noise, limits.actuator_bandwidth if flags["lag"] else None)
+    return DesignConditions(noise, limits.actuator_bandwidth if flags["lag"] else None)
 
 
 def _design(where: str, entry: Mapping[str, Any]) -> str:

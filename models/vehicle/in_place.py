@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array, real_matrix
-from models.common.errors import InputError, listing, quoted, some
+from models.common.errors import InputError, first_few, listing, quoted
 from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
 from models.common.table import find_table
 from models.laws.python_law import PythonLaw
@@ -228,7 +228,7 @@ def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str
                 f"save('{file}', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
             )
         there = [f"{name}, {what}" for name, what in others.items()] + [name for name in variables]
-        raise InputError(f"holds no A, B, C, D, and no K; it has {some(there) or 'nothing'}: {SAVE}")
+        raise InputError(f"holds no A, B, C, D, and no K; it has {first_few(there) or 'nothing'}: {SAVE}")
     if len(holding) > 1:
         raise InputError(f"holds more than one controller, in {' and '.join(holding)}; keep one")
     ((where, held),) = holding.items()

@@ -11,7 +11,7 @@ from models.suspension import STOP_KEYS
 
 if TYPE_CHECKING:
     from models.kinds.kind import Suspension
-    from models.suspension.bump_stops import Place, Sides, Stiffness, Stops
+    from models.suspension.bump_stops import Place, Stiffness, StopPair, Stops
 
 LIMITS = (
     Parameter("actuator_force", "N", "largest force of every actuator, either way"),
@@ -35,8 +35,8 @@ class Limits:
         places: the axles and corners with other stops.
     """
 
-    suspension_stroke: "float | Sides | None" = None
-    stop_stiffness: "Stiffness | Sides | None" = None
+    suspension_stroke: "float | StopPair | None" = None
+    stop_stiffness: "Stiffness | StopPair | None" = None
     actuator_force: float | None = None
     actuator_bandwidth: float | None = None
     places: "tuple[Place, ...]" = ()
@@ -65,7 +65,7 @@ class Limits:
         given = {name: value for name, value in vars(self).items() if value is not None and name != "places"}
         if not self.stopped:
             return {name: f"{value:g}" for name, value in given.items()}
-        from models.suspension.bump_stops import Sides
+        from models.suspension.bump_stops import StopPair
 
         for place in self.places:
             given |= {f"{place.name}.{key}": getattr(place, key) for key in STOP_KEYS if getattr(place, key) is not None}
@@ -73,7 +73,7 @@ class Limits:
         for name, value in given.items():
             flat |= (
                 {f"{name}.{side}": one_side for side, one_side in vars(value).items()}
-                if isinstance(value, Sides)
+                if isinstance(value, StopPair)
                 else {name: value}
             )
         return {
@@ -93,7 +93,7 @@ class Limits:
         """The keys that limit actuators."""
         return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
 
-    def words(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
+    def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []
         if self.stopped:
@@ -115,7 +115,7 @@ def samples(count: float) -> str:
     return f"{number} sample{'s' * (number != '1')}"
 
 
-def samples_late(delay: float) -> str:
+def delay_text(delay: float) -> str:
     """Returns the delay of forces [samples] as text."""
     return f"{samples(delay)} late"
 
@@ -141,38 +141,38 @@ class Implementation:
     @property
     def ideal(self) -> bool:
         """True if the controller acts at every timestep, without delay, on exact signals."""
-        return self.prompt and not self.blurred
+        return self.undelayed and not self.has_measurement_noise
 
     @property
-    def prompt(self) -> bool:
+    def undelayed(self) -> bool:
         """True if the controller acts at every timestep, without delay."""
         return self.sample_period is None and self.delay == 0
 
     @property
-    def waiting(self) -> int:
+    def pending_forces(self) -> int:
         """Largest number of computed forces that do not act yet when the next one is computed."""
         return math.ceil(self.delay)
 
     @property
-    def held(self) -> tuple[tuple[float, int], ...]:
+    def hold_intervals(self) -> tuple[tuple[float, int], ...]:
         """Parts of a sample period with one force each: its share of the period, and the delay of its force [samples]."""
         late = math.floor(self.delay)
         share = self.delay - late
         return ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
 
     @property
-    def blurred(self) -> bool:
+    def has_measurement_noise(self) -> bool:
         """True if the controller measures with noise or quantisation."""
-        return bool(self.blur)
+        return bool(self.noise_text)
 
     @property
-    def blur(self) -> str:
+    def noise_text(self) -> str:
         """Names of the measurement errors: noise, quantisation or both; empty without any."""
         kinds = {"noise": self.noise, "quantisation": self.quantisation}
         return " and ".join(name for name, values in kinds.items() if any(values.values()))
 
     @property
-    def clear(self) -> "Implementation":
+    def without_noise(self) -> "Implementation":
         """The implementation without noise and quantisation: its linear part, which has a frequency response."""
         return replace(self, noise={}, quantisation={})
 
@@ -182,13 +182,13 @@ class Implementation:
         return replace(self, noise=noise, quantisation={name: factor * step for name, step in self.quantisation.items()})
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def phrases(self) -> tuple[str, ...]:
         """Description of the implementation, one phrase each."""
         phrases = []
         if self.sample_period is not None:
             phrases.append(f"a sample every {1e3 * self.sample_period:g} ms")
         if self.delay:
-            phrases.append(f"forces that act {samples_late(self.delay)}")
+            phrases.append(f"forces that act {delay_text(self.delay)}")
         phrases += [f"noise of {rms:g} rms on {name}" for name, rms in self.noise.items() if rms]
         phrases += [f"{name} read in steps of {step:g}" for name, step in self.quantisation.items() if step]
         return tuple(phrases)
@@ -276,7 +276,7 @@ def steps_per_sample(implementation: Implementation, timestep: float) -> int:
 def steps_held(implementation: Implementation, timestep: float) -> tuple[tuple[int, int], ...]:
     """Returns the parts of a sample period with one force each: its timesteps, and the delay of its force [samples]."""
     steps = steps_per_sample(implementation, timestep)
-    return tuple((round(share * steps), late) for share, late in implementation.held)
+    return tuple((round(share * steps), late) for share, late in implementation.hold_intervals)
 
 
 def check_period(name: str, period: float | None, implementation: Implementation) -> None:

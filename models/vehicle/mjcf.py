@@ -118,7 +118,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
     """
     limits, stops = vehicle.limits, vehicle.limits.stops(vehicle.kind.suspensions)
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
-    by_tendon = {name: pair for name, pair in by_tendon.items() if pair.push}
+    by_tendon = {name: pair for name, pair in by_tendon.items() if pair.acts}
     if names := list(by_tendon):
         suspensions = {tendon.name: tendon for tendon in spec.tendons if tendon.name in names}
         if absent := [name for name in names if name not in suspensions]:

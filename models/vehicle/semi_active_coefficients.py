@@ -68,5 +68,5 @@ def numbers_at(numbers: LawCoefficients, of: "CoefficientRange", closing: Array,
     """
     if of.bent is None:
         return numbers
-    c_min, c_max = of.seen(numbers.c_min, numbers.c_max, closing, which)
+    c_min, c_max = of.secant_limits(numbers.c_min, numbers.c_max, closing, which)
     return replace(numbers, c_min=c_min, c_max=c_max)

@@ -16,7 +16,7 @@ from models.common.files import STDOUT, TEXT, parse_toml, read_text
 from models.kinds.kind import HERE, ShownVehicle, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
-from models.vehicle.controllers import IDEAL, RESERVED, ControllerEntry, Hardware, read_controllers
+from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
 from models.vehicle.sections import curves_and_parameters, dampers_of, read_performance, read_sampled, road_files, whole_text
 
@@ -134,7 +134,7 @@ class Vehicle(ShownVehicle):
         return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
 
     @property
-    def straight(self) -> "Vehicle":
+    def linearised(self) -> "Vehicle":
         """The vehicle of linear analysis, with every curve replaced by its line at rest."""
         dampers = {force: replace(damper, pair=None) for force, damper in self.dampers.items()}
         return replace(self, curves={}, dampers=dampers) if self.fitted else self
@@ -165,7 +165,7 @@ class Vehicle(ShownVehicle):
         return adjustable(self.dampers, self.kind.suspensions, self.parameters, self.curves)
 
     @cached_property
-    def pushing(self) -> "Vehicle":
+    def with_ideal_actuators(self) -> "Vehicle":
         """The vehicle with ideal force actuators in place of its adjustable dampers."""
         if not self.dampers:
             return self
@@ -262,7 +262,7 @@ class Vehicle(ShownVehicle):
         """Names of the controllers to which linear analysis applies: all but laws in Python and semi-active ones."""
         return (*RESERVED, *(name for name, entry in self.controllers.items() if entry.linear))
 
-    def found_wrong(self, error: InputError) -> InputError:
+    def located(self, error: InputError) -> InputError:
         """Returns the error with the vehicle file's name in front."""
         return InputError(f"vehicle file {self.source}: {error}" if self.source else str(error))
 
@@ -274,9 +274,9 @@ class Vehicle(ShownVehicle):
 
             check_measured(entry.name, entry.measured, self.dampers)
 
-    def hardware(self, name: str) -> Hardware:
+    def hardware(self, name: str) -> DesignConditions:
         """Returns sensor noise, actuator lag and loads of a controller's design; none for `passive` and `state`."""
-        return self.controllers[name].hardware if name in self.controllers else IDEAL
+        return self.controllers[name].hardware if name in self.controllers else NOMINAL
 
     def linear_entry(self, name: str) -> ControllerEntry:
         """Returns the entry of a controller to which linear analysis applies.

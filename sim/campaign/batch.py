@@ -287,7 +287,7 @@ class _Expectations:
         expected = self.made[key]
         # How rough the road is does not matter, but for what of a curve is met on it.
         where, linear = (
-            (key, expected.line.vehicle) if expected is not None and expected.line.rounds else (of, run.vehicle.straight)
+            (key, expected.line.vehicle) if expected is not None and expected.line.rounds else (of, run.vehicle.linearised)
         )
         if where not in self.begun:
             self.begun[where] = settled(linear, controller, spectrum, c.timestep, float(c.time[c.first]))

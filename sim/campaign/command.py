@@ -17,9 +17,9 @@ from models.figures.picture import write_picture
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns, described
-from sim.campaign.controllers import as_begun, designed, drawn_laws
+from sim.campaign.controllers import designed, designed_at_start, drawn_laws
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
-from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, held, read_manifest
+from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, locked, read_manifest
 from sim.campaign.plan import Plan, Progress
 from sim.campaign.store import Store
 from sim.campaign.summary import compare, compared_lines, compared_object, summarise, summary_lines, trade_off
@@ -53,7 +53,7 @@ def run_campaign(options: argparse.Namespace) -> int:
         raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
     workers = options.workers or cores()
     memory.check(LEAST_MEMORY + workers * MEMORY_OF_WORKER, " or give fewer --workers" if workers > 1 else "")
-    with cluster(options.ray) if options.ray is not None else nullcontext(), held(folder):
+    with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
         stage = Stages("designs", "runs", "results")
         stage("designs")
         plan, manifest = _plan(campaign, folder, options.file)
@@ -218,7 +218,7 @@ def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]
 
 
 def _planned(campaign: Campaign, gains: Gains, folder: Path) -> Plan:
-    return Plan(campaign, as_begun(campaign, gains, folder), drawn_laws(campaign))
+    return Plan(campaign, designed_at_start(campaign, gains, folder), drawn_laws(campaign))
 
 
 def _store(plan: Plan, folder: Path, manifest: Manifest) -> Store:

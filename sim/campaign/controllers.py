@@ -36,7 +36,7 @@ def designed(campaign: Campaign) -> Controllers:
     return controllers_by_vehicle
 
 
-def as_begun(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
+def designed_at_start(campaign: Campaign, gains: Gains, folder: Path) -> Controllers:
     """Returns the controllers that a campaign began with. Nothing is run.
 
     Args:
@@ -82,13 +82,13 @@ def _driver(designer: Designer, entry: ControllerEntry) -> Driver:
     if entry.semi_active is not None:
         return entry.driver()
     assert entry.law is not None, "a law that is designed, or in Python, is not drawn"
-    return designer.given(entry.name, entry.measured, entry.law, entry.hardware)
+    return designer.certify(entry.name, entry.measured, entry.law, entry.hardware)
 
 
 def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
     """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`."""
     try:
-        return designer.given(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
+        return designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
     except (KeyError, ValueError) as error:
         raise _strange(error) from error
 

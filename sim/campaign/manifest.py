@@ -14,7 +14,7 @@ from typing import Any
 import filelock
 
 from models.common import interrupt
-from models.common.errors import InputError, quoted, some
+from models.common.errors import InputError, first_few, quoted
 from models.common.files import MIB, made_folder, read_text, whole_file
 from models.laws.linear import MATRICES
 from synth.controller.controller import Driver
@@ -178,7 +178,7 @@ def check_same(
     other = [name for name in dict.fromkeys([*manifest.columns, *columns]) if manifest.columns.get(name) != columns.get(name)]
     if other:
         raise InputError(
-            f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({some(other)}); go on "
+            f"the campaign in {folder} was begun by another version of Roadproof, with other columns ({first_few(other)}); go on "
             f"with that version, or {instead}"
         )
 
@@ -200,7 +200,7 @@ def gains_of(
 
 
 @contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """Makes the folder and holds it; the system lets go of it however the process ends. Where no campaign began nothing is left.
 
     Raises:
@@ -224,7 +224,7 @@ def held(folder: Path) -> Iterator[None]:
             yield
         finally:
             lock.release()
-            with interrupt.finishing(), contextlib.suppress(OSError):
+            with interrupt.uninterrupted(), contextlib.suppress(OSError):
                 if not (folder / NAME).exists():
                     (folder / LOCK).unlink()
 

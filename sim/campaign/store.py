@@ -167,7 +167,7 @@ class Store:
         pq.write_table(table.combine_chunks(), buffer)
         content = buffer.getvalue()
         path = self.folder / f"part-{start:09d}-{stop:09d}-{self._checksum(start, stop, content)}.parquet"
-        with interrupt.finishing(work_goes_on=True), whole_file(path, "results", FULL) as beside:
+        with interrupt.uninterrupted(work_goes_on=True), whole_file(path, "results", FULL) as beside:
             beside.write_bytes(content)
         self._parts = sorted([*self._parts, Part(start, stop, path)], key=lambda part: part.start)
 

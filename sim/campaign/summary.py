@@ -314,7 +314,7 @@ class RoadAndSpeed:
             for parameter, damper in dampers.items():
                 softest = max(damper.c_min, SOFTEST * damper.c_max)
                 fixed[parameter] = float(softest * (damper.c_max / softest) ** share)
-            still = replace(vehicle, parameters={**vehicle.parameters, **fixed}).pushing
+            still = replace(vehicle, parameters={**vehicle.parameters, **fixed}).with_ideal_actuators
             points.append(self.expected(still, passive))
         return np.array([one for one in points if one is not None]).reshape(-1, 2)
 
@@ -324,6 +324,6 @@ class RoadAndSpeed:
         for name, controller in self.plan.controllers[self.name].items():
             drawn = name in self.plan.campaign.variants[self.name]
             if isinstance(controller, Controller) and controller.law.acts and not drawn:
-                there = self.expected(self.vehicle.pushing, controller)
+                there = self.expected(self.vehicle.with_ideal_actuators, controller)
                 points |= {name: there} if there is not None else {}
         return points

@@ -45,8 +45,8 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
                 "gain is taken as it is; python -m synth --check says more"
             )
-        if isinstance(one, Controller) and one.broken:
-            missed = [promise.text for promise in one.promises if not promise.holds]
+        if isinstance(one, Controller) and one.unmet_specifications:
+            missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
                 f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
                 "taken as it is; python -m synth says more"

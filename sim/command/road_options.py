@@ -46,7 +46,7 @@ def same_path(first: str, second: str) -> bool:
 USUAL = ("passive", "state", "I", "II")
 
 
-def left_out(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[str]) -> list[str]:
+def omitted_controllers(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[str]) -> list[str]:
     """Controllers of a vehicle that nobody asked for, and that are not among those taken instead; none where some were asked for.
 
     Args:

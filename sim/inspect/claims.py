@@ -13,7 +13,20 @@ from models.common.printed import finite
 from models.kinds.signals import is_kept
 from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle
-from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, SAME, Finding, apart, count, different, folded, off, same
+from sim.inspect.findings import (
+    FAILS,
+    HOLDS,
+    MISSING,
+    NOTE,
+    SAME,
+    Finding,
+    count,
+    different,
+    equal,
+    exceeds,
+    largest_difference,
+    merge_repeats,
+)
 from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.reproduction import FEWEST, as_response, kept
 from sim.recording.run_log import CONTINUOUS, RESULTS, SAMPLED, WHOLE
@@ -25,9 +38,9 @@ from sim.runs.run import Run
 from sim.studies.ride.metrics import DEFINITIONS
 from synth.analysis.record import false_claims, to_record
 from synth.controller.controller import Controller
-from synth.controller.report import failures_as_it_runs, false_norm, norm_if_implemented, notes_as_it_runs
+from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
 from synth.design.full_order.quadratic import ASSUMED
-from synth.vehicle.quadratic import best_in_the_mean, mean_of
+from synth.vehicle.quadratic import h2_norm_of, quadratic_optimum
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
@@ -63,11 +76,11 @@ def check_certificate(
     if current and absent:
         wrong.append(f"it claims no {absent[0]}, which its proof gives")
     judged = certificate.failures if controller.designed or certificate.bound is not None else ()
-    wrong += failures_as_it_runs(vehicle, certificate, judged, norm)
+    wrong += failures_of_sampled_loop(vehicle, certificate, judged, norm)
     if recorded.claim("stable") is not certificate.stable:
         wrong.append(f"the log says otherwise, but it is {certificate.stability.words}")
     for key, now in {"norm": certificate.norm.value, "bound": certificate.bound}.items():
-        if not same(recorded.claim(key), finite(now), ROUNDING, 0.0):
+        if not equal(recorded.claim(key), finite(now), ROUNDING, 0.0):
             wrong.append(f"its {key} is not what was claimed")
     peak, there = recorded.claim("peak_frequency"), math.isfinite(certificate.norm.peak_frequency)
     number = isinstance(peak, (int, float)) and not isinstance(peak, bool)
@@ -83,7 +96,7 @@ def check_certificate(
         return
     sampled = f", sampled norm {norm.value:.7g}" if norm is not None and norm.stable else ""
     if not certificate.stable:
-        without = notes_as_it_runs(vehicle, certificate, norm)
+        without = notes_on_sampled_loop(vehicle, certificate, norm)
         yield Finding("certificate", HOLDS, f"{(*without, certificate.stability.words)[0]}; as was claimed{sampled}")
         return
     bound = f", bound {certificate.bound:.7g} by LMI (20)" if certificate.bound is not None else ""
@@ -104,18 +117,18 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     entry = vehicle.controllers.get(controller.name)
     if entry is None or entry.law is not None or entry.design not in QUADRATIC:
         return
-    best, asked = best_in_the_mean(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
+    best, asked = quadratic_optimum(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
     logged, now = controller.law, best.law
     rates = np.abs(np.linalg.eigvals(now.A))
     slowest, fastest = rates[rates > 0].min(initial=1.0), rates.max(initial=1.0)
     omega = np.geomspace(0.1 * slowest, 10 * fastest, 3 * now.states + 1).tolist()
     answers = np.stack([now.response(each) for each in omega])
-    far = off(np.stack([logged.response(each) for each in omega]), answers) if logged.states == now.states else math.inf
+    far = exceeds(np.stack([logged.response(each) for each in omega]), answers) if logged.states == now.states else math.inf
     if far <= SAME:
         how = f"to {far:.0e}" if far else "to the last bit"
         yield Finding("design", HOLDS, f"it is the law that {asked} comes to, {how}")
         return
-    mean = mean_of(vehicle, entry, controller.law) if controller.certificate.stable else math.inf
+    mean = h2_norm_of(vehicle, entry, controller.law) if controller.certificate.stable else math.inf
     text = f"it is not the law that {asked} comes to: H2 norm {mean:.7g}, and that has {best.h2_norm:.7g}"
     # What was assumed is a share of the plant's own units, which are powers of two, and rounding may decide which.
     near = best.remark and logged.states == now.states and mean <= best.h2_norm * (1 + ASSUMED)
@@ -139,7 +152,7 @@ def check_linear(again: Prediction, recorded: RecordedRun, samples: int) -> Iter
     """The logged sampled and continuous responses, road included, against those that follow from gain and road."""
     worst, states = 0.0, kept(again.controller)
     for topic, name, response in ((SAMPLED, "sampled", again.sampled), (CONTINUOUS, "continuous", again.continuous)):
-        far, signal = apart(as_response(again.vehicle, recorded, topic, samples, again.timestep, states), response)
+        far, signal = largest_difference(as_response(again.vehicle, recorded, topic, samples, again.timestep, states), response)
         worst = max(worst, far)
         if not far <= ROUNDING:
             yield Finding("linear response", FAILS, f"{signal} of the {name} response is {far:.1e} of its peak off")
@@ -153,7 +166,7 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
     wrong = []
     for wheel in run.vehicle.kind.wheels:
         for signal in (wheel.road_displacement, wheel.road_velocity):
-            far = off(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
+            far = exceeds(run.physics.until(run.diverged)[signal], run.sampled.until(run.diverged)[signal])
             if not far <= ROUNDING:
                 wrong.append(f"{signal} is not that of the road: {far:.1e} of its peak off")
     agreement = run.agreement
@@ -161,7 +174,7 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
         wrong.append("the log says otherwise, but: " + verdict_lines(run)[-1])
     if whole:
         claimed = [[a, b] for a, b in agreement.lift_off]
-        if not same(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
+        if not equal(recorded.claim("lift_off"), claimed, SAME, ROUNDING):
             wrong.append("the tyres are off the road at other times than claimed")
         half, said = half_step_object(run), recorded.claims.get("half_step")
         if said is not None and list(different({"half_step": read_json(said, "half_step")}, {"half_step": half}, exact=True)):
@@ -169,7 +182,7 @@ def check_physics(recorded: RecordedRun, run: Run, whole: bool) -> Iterator[Find
         now = {name: finite(signal.sampled) for name, signal in agreement.signals.items()}
         others = list(different(recorded.claim("errors"), now, exact=True))
         if others:
-            wrong.append(f"the error of {folded(others, 'errors')} is not what was claimed")
+            wrong.append(f"the error of {merge_repeats(others, 'errors')} is not what was claimed")
     for text in wrong:
         yield Finding("physics", FAILS, text)
     if not wrong:
@@ -192,7 +205,7 @@ def check_states(run: Run, anew: Response | None) -> Iterator[Finding]:
         yield Finding("states", MISSING, "they follow from the whole run")
     else:
         end = run.broke_off[1] if run.broke_off else math.inf
-        far, name = apart(run.physics.only(logged).until(end), anew.until(end))
+        far, name = largest_difference(run.physics.only(logged).until(end), anew.until(end))
         how = f"to {far:.0e} of a peak" if far else "to the last bit"
         named = logged[0] if len(logged) == 1 else f"{logged[0]} to {logged[-1]}"
         if far <= SAME:
@@ -208,7 +221,7 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool)
     """
     end = run.broke_off[1] if run.broke_off else math.inf
     vehicle = [signal.name for signal in run.vehicle.kind.signals]
-    far, signal = apart(run.physics.only(vehicle).until(end), anew.until(end))
+    far, signal = largest_difference(run.physics.only(vehicle).until(end), anew.until(end))
     if not far <= SAME:
         yield Finding("energy", FAILS, f"MuJoCo makes another run of it now: {signal} is {far:.1e} of its peak off")
         return
@@ -217,7 +230,7 @@ def check_energy(recorded: RecordedRun, run: Run, anew: Response, current: bool)
         return
     wrong = list(different(recorded.claim("energy"), energy_object(run.energy), exact=current))
     if wrong:
-        yield Finding("energy", FAILS, f"its {folded(wrong, 'numbers of the balance')} is not what was claimed")
+        yield Finding("energy", FAILS, f"its {merge_repeats(wrong, 'numbers of the balance')} is not what was claimed")
     if not wrong:
         how = f"to {far:.0e} of a peak" if far else "to the last bit"
         (balance,) = energy_lines(run)
@@ -258,7 +271,7 @@ def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) 
         return
     wrong = list(different(said, now, exact=current))
     if wrong:
-        yield Finding("result", FAILS, f"result.json says otherwise: {folded(wrong, 'numbers of the result')}")
+        yield Finding("result", FAILS, f"result.json says otherwise: {merge_repeats(wrong, 'numbers of the result')}")
     else:
         yield Finding("result", HOLDS, f"result.json: {count(now)} numbers as computed again")
 

@@ -10,7 +10,7 @@ from typing import Any
 from models.common.command import versions
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
-from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, folded
+from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, merge_repeats
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
 from sim.recording.mcap_writer import PACKAGE, LoggedChannel, channels, records
@@ -56,7 +56,7 @@ def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Seque
     if not current:
         if wrong:
             text = "the log is older than formats are numbered, and not held to one; it differs from what is written now"
-            yield Finding("format", NOTE, f"{text}: {folded(wrong, 'differences')}")
+            yield Finding("format", NOTE, f"{text}: {merge_repeats(wrong, 'differences')}")
         return
     yield from (Finding("format", FAILS, text) for text in wrong)
     if not wrong:

@@ -34,19 +34,19 @@ class Finding:
     text: str
 
 
-def apart(logged: Response, again: Response) -> tuple[float, str]:
+def largest_difference(logged: Response, again: Response) -> tuple[float, str]:
     """Returns the largest difference between logged and recomputed response, over the peak of each signal, and that signal's
     name.
     """
     huge = ~np.all(np.abs(again.values) < HUGE, axis=1)
     end = float(again.time[huge.argmax()]) if huge.any() else math.inf
     logged, again = logged.until(end), again.until(end)
-    far = {name: off(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in logged.names}
+    far = {name: exceeds(logged[name], again[name], again.scale(name)) if len(again.time) else 0.0 for name in logged.names}
     worst = max(far, key=lambda name: far[name])
     return far[worst], worst
 
 
-def off(logged: Array, again: Array, scale: float | None = None) -> float:
+def exceeds(logged: Array, again: Array, scale: float | None = None) -> float:
     """Returns the largest difference, over a scale, by default the peak; infinite if a logged number is not finite."""
     if not np.all(np.isfinite(logged)):
         return math.inf
@@ -54,12 +54,12 @@ def off(logged: Array, again: Array, scale: float | None = None) -> float:
     return float(np.abs(logged - again).max(initial=0.0)) / (size or 1.0)
 
 
-def same(said: Any, now: Any, relative: float, absolute: float) -> bool:
+def equal(said: Any, now: Any, relative: float, absolute: float) -> bool:
     """Returns True if two JSON values are equal, numbers to a tolerance."""
     if isinstance(now, list):
         if not isinstance(said, list) or len(said) != len(now):
             return False
-        return all(same(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
+        return all(equal(a, b, relative, absolute) for a, b in zip(said, now, strict=True))
     if isinstance(now, (int, float)) and not isinstance(now, bool):
         number = isinstance(said, (int, float)) and not isinstance(said, bool)
         return number and abs(said - now) <= max(relative * abs(now), absolute)
@@ -75,7 +75,7 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
         absolute: tolerance of numbers, if that is more than the relative one, `SAME`.
     """
     if not isinstance(now, Mapping):
-        if not same(said, now, SAME, absolute):
+        if not equal(said, now, SAME, absolute):
             yield path
         return
     if not isinstance(said, Mapping):
@@ -94,7 +94,7 @@ def different(said: Any, now: Any, exact: bool, path: str = "", absolute: float 
             yield f"{path + '.' if path else ''}{str(key)[:40]} is none of it"
 
 
-def folded(names: Sequence[str], what: str) -> str:
+def merge_repeats(names: Sequence[str], what: str) -> str:
     """The first of many that are wrong for one cause, and how many more there are, of what kind."""
     more = f" (and {len(names) - 1} more {what}, the first of them {names[1]})" if len(names) > 1 else ""
     return names[0] + more

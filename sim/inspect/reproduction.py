@@ -36,7 +36,7 @@ from sim.runs.forces import read_forces
 from sim.runs.prediction import Prediction, predict, predict_replayed
 from sim.runs.run import Run, driver_again, with_energy_balance
 from synth.analysis.record import SAMPLED_NORM
-from synth.controller.controller import Controller, Driver, checked
+from synth.controller.controller import Controller, Driver, verify_record
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
@@ -119,7 +119,7 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Dr
     if given is None and "X" not in record and not only_sampled:
         raise InputError("it was designed, and its certificate proves no bound")
     hardware = vehicle.hardware(name)
-    certificate, _ = checked(
+    certificate, _ = verify_record(
         problem(vehicle, signals, hardware), ControllerEntry(name, tuple(signals), law, record, hardware=hardware)
     )
     return Controller(name, signals, law, given is None, certificate, hardware=hardware)

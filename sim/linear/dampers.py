@@ -42,7 +42,7 @@ def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
     m).
     """
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
-    return velocities if of.bent is None else -of.felt(-velocities[..., None, :])[..., 0, :]
+    return velocities if of.bent is None else -of.effective_velocity(-velocities[..., None, :])[..., 0, :]
 
 
 def damper_signals(vehicle: Vehicle, beyond: Array, missing: Array) -> dict[str, Array]:

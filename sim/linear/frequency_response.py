@@ -83,7 +83,7 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     how = vehicle.implementation
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
-    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.waiting, 0, -1)]
+    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.pending_forces, 0, -1)]
     return np.concatenate([x, *waiting], axis=1) / s
 
 

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.stability import sampled_growth
-from synth.controller.open_loop import ImplementedLoop, LoopModel
+from synth.controller.open_loop import LoopModel, SampledClosedLoop
 from synth.plant.discrete import held_inputs
 
 DECAYED = 1e-12  # of a response to one sample's disturbance: the rest is neglected
@@ -47,7 +47,7 @@ def _summed(model: LoopModel, size: Array, power: int, samples: int) -> Array:
     sums = np.zeros((-(-samples // steps), steps, p))
     if not size.any():
         return sums.reshape(-1, p)[:samples]
-    read = loop.cut.reading * size
+    read = loop.open_loop.reading * size
     rows, direct = _between(loop, read, model.timestep)
     response, total, at_once = loop.added @ read, np.zeros(steps * p), _sum(direct, power)
     lasts = _lasts(loop.transition)
@@ -64,14 +64,14 @@ def _summed(model: LoopModel, size: Array, power: int, samples: int) -> Array:
     return sums.reshape(-1, p)[:samples]
 
 
-def _between(loop: ImplementedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
+def _between(loop: SampledClosedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
     """Maps the loop's state, and the readings, to the outputs at every timestep up to the next sample, shape (steps p, ...)."""
-    model = loop.cut.model
+    model = loop.open_loop.model
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)
     of_state, from_readings = np.eye(len(model.A), len(loop.transition)), np.zeros((len(model.A), read.shape[1]))
     rows, direct = [], []
     for part in loop.by_step:
-        inputs = part.at_once @ read
+        inputs = part.feedthrough @ read
         rows.append(model.C @ of_state + model.D @ part.inputs)
         direct.append(model.C @ from_readings + model.D @ inputs)
         of_state, from_readings = Phi @ of_state + Gamma @ part.inputs, Phi @ from_readings + Gamma @ inputs

@@ -33,7 +33,7 @@ def bent_at_rest(vehicle: Vehicle) -> tuple[str, ...]:
 
 def at_rest(vehicle: Vehicle) -> Vehicle:
     """Returns the vehicle that is linear on small enough roads."""
-    return vehicle.pushing.straight if bent_at_rest(vehicle) else vehicle.pushing
+    return vehicle.with_ideal_actuators.linearised if bent_at_rest(vehicle) else vehicle.with_ideal_actuators
 
 
 def at_rest_words(vehicle: Vehicle) -> str:

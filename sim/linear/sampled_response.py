@@ -149,7 +149,7 @@ def sampled_responses(
         through_readings = (
             np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
         )
-    if how.prompt and steps is None:
+    if how.undelayed and steps is None:
         G = cut.inputs(cut.asked)
         if through_readings is not None:
             through_readings = np.swapaxes(cut.inputs(*np.split(np.swapaxes(through_readings, 1, 2), [cut.forces], axis=1)), 1, 2)
@@ -161,12 +161,12 @@ def sampled_responses(
     else:
         states, inputs = np.zeros_like(jump), np.zeros((*jump.shape[:2], model.B.shape[1]))
         # Indexed by the sample that computes them, behind those that were pending before the first sample.
-        computed = np.zeros((len(time) // period + 1 + how.waiting, len(roads), cut.forces))
+        computed = np.zeros((len(time) // period + 1 + how.pending_forces, len(roads), cut.forces))
         xi, acting, intervals = np.zeros((len(roads), len(model.A))), [], steps_held(how, h)
         for k in range(len(time)):
             states[:, k] = xi + jump[:, k]
             if k % period == 0:
-                newest = k // period + how.waiting
+                newest = k // period + how.pending_forces
                 computed[newest], kept = states[:, k] @ cut.asked.T, cut.kept @ states[:, k].T
                 more = [] if through_readings is None else [through_readings[:, k]]
                 if steps is not None:  # accelerations that are measured have the curves' forces in them
@@ -328,7 +328,7 @@ def largest_timestep(vehicle: Vehicle) -> float:
         from sim.linear.dampers import stretching
 
         of, V = range_of([vehicle.adjustable], forces), stretching(vehicle)
-        steepest = {adjustable.force: adjustable.steepest - adjustable.nominal for adjustable in vehicle.adjustable}
+        steepest = {adjustable.force: adjustable.steepest_slope - adjustable.nominal for adjustable in vehicle.adjustable}
         firm = np.array([steepest.get(force, 0.0) for force in forces])
         systems += [A - (vehicle.linear_model.B * d) @ V for d in (np.where(of.adjustable, of.low[0], 0.0), firm)]
         systems += [np.array([[-damper.bandwidth]]) for damper in vehicle.dampers.values() if damper.bandwidth is not None]

@@ -133,9 +133,9 @@ class Decisions:
         closing = self._closing(seen[:, -m:])
         if not isinstance(self._law, LinearLaw):
             assert self._numbers is not None, "of a semi-active law"
-            numbers = numbers_at(self._numbers.some(which), self.of, closing, which)
+            numbers = numbers_at(self._numbers.subset(which), self.of, closing, which)
             requested = self._law.coefficients(seen[:, :-m], numbers) - self._nominal
-            return self.of.set_to(requested, closing, which)
+            return self.of.clip_coefficients(requested, closing, which)
         requested = seen[:, :-m] @ self._law.D.T + kept @ self._law.C.T
         return self.of.commands(np.concatenate([requested, closing], axis=-1), which)
 
@@ -240,7 +240,7 @@ def switched_response(controller: Controller | SemiActive, road: RoadInput) -> R
     Args:
         road: what the vehicle meets; noise on its measurements is left out.
     """
-    road = replace(road, vehicle=replace(road.vehicle, implementation=road.vehicle.implementation.clear))
+    road = replace(road, vehicle=replace(road.vehicle, implementation=road.vehicle.implementation.without_noise))
     vehicle, period = road.vehicle, steps_per_sample(road.vehicle.implementation, road.timestep) * road.timestep
     decisions = Decisions(vehicle, controller, period, near=0.0, peaks=lambda name: 0.0)
     unknown = np.full((len(road.time), 2 * len(vehicle.linear_model.inputs)), np.nan)

@@ -359,7 +359,9 @@ class Clipped:
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; as `CoefficientRange.commands`, without the missing forces."""
         closing = seen[:, self.actuators :]
-        np.divide(seen[:, : self.actuators], closing if self.of.bent is None else self.of.felt(closing), self._turned)
+        np.divide(
+            seen[:, : self.actuators], closing if self.of.bent is None else self.of.effective_velocity(closing), self._turned
+        )
         np.maximum(self._turned, self.of.low, out=self._turned)
         np.minimum(self._turned, self.of.high, out=acting)
 
@@ -403,19 +405,19 @@ class SemiActiveLaws:
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`."""
         if self._alone is None:
-            requested = self.of.setting(self._asked(seen, slice(None)), seen[:, -self.actuators :])
+            requested = self.of.coefficient_for(self._asked(seen, slice(None)), seen[:, -self.actuators :])
             np.minimum(np.maximum(requested, self.of.low), self.of.high, out=acting)
         else:
             acting[0] = self._decided(seen[0].tolist())[1]
 
     def commands(self, seen: Array) -> Array:
         """See `sim.physics.stepping.Setting`."""
-        return self.of.set_to(self._asked(seen, slice(None)), seen[..., -self.actuators :])
+        return self.of.clip_coefficients(self._asked(seen, slice(None)), seen[..., -self.actuators :])
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """See `Laws`."""
         if self._alone is None:
-            return self.of.set_to(self._asked(seen, due), seen[:, -self.actuators :], due)
+            return self.of.clip_coefficients(self._asked(seen, due), seen[:, -self.actuators :], due)
         numbers = seen[0].tolist()
         coefficients, beyond = self._decided(numbers)
         closing = numbers[-self.actuators :]

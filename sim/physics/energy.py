@@ -199,7 +199,7 @@ def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
 def _fastest(vehicle: Vehicle) -> float:
     """Returns the fastest rate of the vehicle, its actuators and its dampers' valves, at any setting [rad/s]."""
     model = vehicle.linear_model
-    firm = {one.force: one.steepest / one.nominal for one in vehicle.adjustable if one.nominal}
+    firm = {one.force: one.steepest_slope / one.nominal for one in vehicle.adjustable if one.nominal}
     rate = float(np.abs(np.linalg.eigvals(model.A)).max()) * max([1.0, *firm.values()])
     lags = [damper.bandwidth for damper in vehicle.dampers.values() if damper.bandwidth is not None]
     return max([rate, vehicle.limits.actuator_bandwidth or 0.0, *lags])
@@ -223,7 +223,7 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
         share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
         between, end = before + share * (after - before), after if bandwidth else before
         work[:, j] = -(before * power[:-1] + 4 * between * amid * adjustable.shape(amid) + end * power[1:]) * h / 6
-        power = (adjustable.pull(v, 0.0) - response[adjustable.force]) * v
+        power = (adjustable.ramp(v, 0.0) - response[adjustable.force]) * v
         least = min(least, float(power.min()) / (float(np.abs(power).max()) or 1.0))
     return least
 
@@ -275,7 +275,7 @@ def _pushing_stops(vehicle: Vehicle) -> "dict[str, Stops]":
     """Returns the bump stops that push back, by their suspension's tendon."""
     stops = vehicle.limits.stops(vehicle.kind.suspensions)
     by_tendon = {part.tendon: stops[part.deflection] for part in vehicle.kind.suspensions if part.deflection in stops}
-    return {tendon: both for tendon, both in by_tendon.items() if both.push}
+    return {tendon: both for tendon, both in by_tendon.items() if both.acts}
 
 
 def _damping(model: mujoco.MjModel) -> Array:

@@ -66,7 +66,7 @@ class Block:
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
         overflowed: True where a requested force or a state of the law is no finite number, shape (B, N).
-        asked: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
+        requested_force: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
             (B, N, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`.
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
     """
@@ -77,7 +77,7 @@ class Block:
     qvel: Array
     largest: Array
     overflowed: Array
-    asked: Array
+    requested_force: Array
     kept: Array
 
     def diverged(self, time: Array) -> Array:
@@ -211,7 +211,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     plain, held = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
     if undelayed is None and going is None and not (others or vehicle.dampers) and len(held) == 1:
         # Runs that may drop out hold forces for different times; all runs are read as if they did.
-        plain = not any(one.delay or one.blurred for one in ways)
+        plain = not any(one.delay or one.has_measurement_noise for one in ways)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
     dampers = dampers_of(vehicles, readout)

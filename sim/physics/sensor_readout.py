@@ -55,16 +55,17 @@ class AntiWindup:
     gain: Array
     of: "CoefficientRange"
 
-    def __call__(self, asked: Array, which: Array | slice = slice(None)) -> Array:
+    def __call__(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
         """Returns what is added to the next states, shape (d, k).
 
         Args:
-            asked: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or (d, 2 m).
+            requested_force: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or
+                (d, 2 m).
             which: of the N.
         """
         m = self.gain.shape[2]
-        closing = asked[:, m:] if asked.shape[1] > m else None
-        return np.matvec(self.gain[which], self.of.clipped_off(asked[:, :m], closing, which))
+        closing = requested_force[:, m:] if requested_force.shape[1] > m else None
+        return np.matvec(self.gain[which], self.of.clipped_off(requested_force[:, :m], closing, which))
 
 
 class LinearLaws:
@@ -86,10 +87,10 @@ class LinearLaws:
             computed = computed[:, : self.forces]
         return computed
 
-    def follow(self, due: Array | slice, asked: Array) -> None:
-        """Adds the anti-windup to the states of the due laws; `asked` is as for `AntiWindup`."""
+    def follow(self, due: Array | slice, requested_force: Array) -> None:
+        """Adds the anti-windup to the states of the due laws; `requested_force` is as for `AntiWindup`."""
         if self.anti_windup is not None:
-            self.kept[due] += self.anti_windup(asked, due)
+            self.kept[due] += self.anti_windup(requested_force, due)
 
 
 class Sampler:
@@ -111,7 +112,7 @@ class Sampler:
             if np.any(rms[i]):
                 self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
         self.coarse = bool(np.any(self.resolution))
-        self.queue = np.zeros((max(one.waiting for one in how) + 1, len(how), laws.forces))  # forces by sample, in a ring
+        self.queue = np.zeros((max(one.pending_forces for one in how) + 1, len(how), laws.forces))  # forces by sample, in a ring
         self.force = np.zeros((len(how), laws.forces))
         self.all = np.arange(len(how))
         self.together = bool(np.all(self.period == 1))

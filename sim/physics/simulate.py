@@ -42,7 +42,7 @@ class PhysicsRuns:
         qvel: generalized velocities, shape (N, T, nv).
         diverged: time at which each run diverged [s], shape (N,), or infinity.
         ran_away: True for each run that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
-        asked: requested forces at every sample [N], shape (N, T, m).
+        requested_force: requested forces at every sample [N], shape (N, T, m).
         kept: states of each controller at its last sample, shape (N, T, k), with the largest k of any; from a run's divergence on
             infinite where they ran away, else NaN.
         states: the signals of each controller's states.
@@ -53,7 +53,7 @@ class PhysicsRuns:
     qvel: Array
     diverged: Array
     ran_away: Array
-    asked: Array
+    requested_force: Array
     kept: Array
     states: Sequence[tuple[Signal, ...]]
 
@@ -99,7 +99,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
-    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.asked.swapaxes(0, 1)
+    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
     laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
     states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
@@ -117,7 +117,7 @@ def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
 def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int]:
     """Returns the type of a controller and the steps for which it holds a force, 0 if noise or a delay comes between."""
     computer = vehicle.implementation
-    return type(controller), 0 if computer.delay or computer.blurred else steps_per_sample(computer, timestep)
+    return type(controller), 0 if computer.delay or computer.has_measurement_noise else steps_per_sample(computer, timestep)
 
 
 def _by_kind(
@@ -132,9 +132,8 @@ def _by_kind(
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in parts])[order]
     response = Response(met[0].time, parts[0].response.signals, values)
-    qpos, qvel, diverged, ran_away, asked = (
-        np.concatenate([getattr(one, name) for one in parts])[order] for name in ("qpos", "qvel", "diverged", "ran_away", "asked")
-    )
+    names = ("qpos", "qvel", "diverged", "ran_away", "requested_force")
+    qpos, qvel, diverged, ran_away, asked = (np.concatenate([getattr(one, name) for one in parts])[order] for name in names)
     most = max(one.kept.shape[2] for one in parts)
     kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
     states = [signals for one in parts for signals in one.states]
@@ -156,7 +155,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     with closing(side_by_side(pieces, len(parts))) as done:
         blocks = [block for _, block in sorted(done, key=lambda one: one[0]) if block is not None]
     values = np.concatenate([block.values for block in blocks], axis=2)
-    names = ("qpos", "qvel", "largest", "overflowed", "asked", "kept")
+    names = ("qpos", "qvel", "largest", "overflowed", "requested_force", "kept")
     return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 

@@ -79,7 +79,7 @@ def record(
                     if memory.limit() >= memory.AMPLE or "thread" not in str(error):
                         raise
                     del written["rerun"]  # its threads found too little address space
-            with interrupt.finishing():
+            with interrupt.uninterrupted():
                 return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error

@@ -285,7 +285,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
 
         for what, suffix, media_type, content in (
             ("law", "py", "text/x-python", controller.source.encode()),
-            ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.asked)),
+            ("forces", "csv", "text/csv", written_forces(command_names(vehicle), run.prediction.requested_force)),
         ):
             named[f"{what}_file"] = _named(what, suffix, content)
             files[named[f"{what}_file"]] = (media_type, content)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say
-from sim.command.road_options import USUAL, add_loads, left_out, left_out_lines
+from sim.command.road_options import USUAL, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
     from models.figures.page import Page
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_page()
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
-    others = left_out(vehicle, options.controller, names)
+    others = omitted_controllers(vehicle, options.controller, names)
     outputs = {"report": options.out, "figures": options.figures}
     check_outputs(outputs, vehicle.files, options.json)
     if options.figures is not None:

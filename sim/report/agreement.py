@@ -91,7 +91,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     early = "; where a loop is unstable or a run breaks off, until the linear regime ends"
     early = "" if all(_bounded(scope, run) for run in runs) else early
     lines = f"linear analysis of the continuous loop{scope.lag}"
-    if scope.beyond:
+    if scope.is_nonlinear:
         lines = f"{scope.analysis}, {scope.as_it_runs}"
     elif not scope.prompt:
         lines = f"linear analysis of the loop as it runs, {scope.as_it_runs}"
@@ -114,13 +114,13 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     )
     caption = "Largest and root mean square values over the bump: in MuJoCo, and by both linear analyses."
     table = Table.of("bump", caption, columns, [(name, run) for name in signals for run in runs], words=3)
-    blur = scope.vehicle.implementation.blur.replace(" and ", " or ")
+    blur = scope.vehicle.implementation.noise_text.replace(" and ", " or ")
     unknown = f" or {blur}" if blur else ""
-    response = "response" if scope.beyond else "linear response"
-    if scope.beyond:
+    response = "response" if scope.is_nonlinear else "linear response"
+    if scope.is_nonlinear:
         response += scope.analysis.removeprefix("the analysis").replace("its", "the", 1)
-    continuous = f"continuous {'linear ' * scope.beyond}loop{scope.lag}{scope.given}"
-    another = "another" if scope.beyond else "an"
+    continuous = f"continuous {'linear ' * scope.is_nonlinear}loop{scope.lag}{scope.loop_qualifier}"
+    another = "another" if scope.is_nonlinear else "an"
     about = (
         f"Over {BUMP_DURATION:g} s from rest. 'Sampled' is the exact {response} of the loop as it runs, {scope.as_it_runs}; "
         f"'continuous' is that of the {continuous}. Neither knows {another} end of the linear regime{unknown}, "
@@ -165,7 +165,7 @@ def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
     end = run.broke_off[1] if run.broke_off is not None else math.inf
     every = max(1, len(run.physics.time) // POINTS)
     curves, seen = [], [np.zeros(0)]
-    line = (run.continuous if scope.prompt and not scope.beyond else run.sampled).until(math.inf if bounded else until)
+    line = (run.continuous if scope.prompt and not scope.is_nonlinear else run.sampled).until(math.inf if bounded else until)
     if len(line.time):
         thin = thinned(line[name], max(1, every // 6))
         curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
@@ -207,7 +207,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
                     f"{signal.sampled:.1e}",
                     f"{signal.allowed:.1e}" if signal.small is None else "geometry",
                     _order(signal.sampled, half.sampled) if exact else "-",
-                    f"{signal.continuous:.1e}" if not scope.beyond else "-",
+                    f"{signal.continuous:.1e}" if not scope.is_nonlinear else "-",
                     _order(signal.continuous, half.continuous) if exact and _settles(scope, run) else "-",
                 )
             )
@@ -224,7 +224,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if "noise" in kinds:
         text.append(
-            f"Controllers that measure with {scope.vehicle.implementation.blur} make MuJoCo another run at every step: it is "
+            f"Controllers that measure with {scope.vehicle.implementation.noise_text} make MuJoCo another run at every "
+            "step: it is "
             "held to six of the standard deviations that are predicted of that, and the difference has no order."
         )
     if "geometry" in kinds:
@@ -232,9 +233,10 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
             "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the bump, and "
             "so it was tried, at a hundredth of it."
         )
-    if scope.beyond:
+    if scope.is_nonlinear:
         text.append(
-            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.given}, so that the one does "
+            f"The sampled response is that of {scope.analysis}; the continuous loop is linear{scope.loop_qualifier}, "
+            "so that the one does "
             "not tend to the other, and they are not compared."
         )
     elif scope.prompt:
@@ -244,7 +246,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     else:
         text.append(
-            f"The sampled response does not tend to the continuous one: it has {', '.join(scope.vehicle.implementation.words)}, "
+            f"The sampled response does not tend to the continuous one: it has "
+            f"{', '.join(scope.vehicle.implementation.phrases)}, "
             "whatever the step."
         )
     text.append(
@@ -274,7 +277,7 @@ def _energy(runs: Sequence[Run]) -> Table:
 
 def _settles(scope: Scope, run: Run) -> bool:
     """Returns True if a run's sampled response tends to the continuous one with the step."""
-    return not scope.beyond and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
+    return not scope.is_nonlinear and isinstance(run.controller, Controller) and (scope.prompt or not run.controller.law.acts)
 
 
 def _order(coarse: float, fine: float) -> str:

@@ -26,10 +26,10 @@ from synth.controller.report import (
     NORM,
     PEAK,
     SLOWEST_POLE,
-    against,
-    failures_as_it_runs,
+    failures_of_sampled_loop,
     judged_lines,
-    notes_as_it_runs,
+    notes_on_sampled_loop,
+    relative_difference_text,
 )
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import BOX, PRINTED, SEED, Way, WithoutL, entry_of, ours, remark_4, remark_5
@@ -61,7 +61,7 @@ def design_section(scope: Scope) -> Section:
             f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty. "
             f"{laws}.",
         )
-    if not scope.plain:
+    if not scope.is_ideal:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
     said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
     text = (*text, *(f"Controller {name}: {line}." for name, line in said))
@@ -69,7 +69,11 @@ def design_section(scope: Scope) -> Section:
     if scope.built_norms:
 
         def above(one: Controller) -> str:
-            return against(scope.built_norms[one.name].value, one.certificate.norm.value) if one.certificate.stable else "-"
+            return (
+                relative_difference_text(scope.built_norms[one.name].value, one.certificate.norm.value)
+                if one.certificate.stable
+                else "-"
+            )
 
         columns: tuple[Column[Controller], ...] = (
             NAME,
@@ -78,10 +82,13 @@ def design_section(scope: Scope) -> Section:
             Column("that is", above),
             Column("reached by a road", lambda one: scope.built_norms[one.name].reached, digits),
         )
-        caption = f"The norm of the ideal loop, and of the loop as built{scope.without}, with what a road reaches of that."
+        caption = (
+            f"The norm of the ideal loop, and of the loop as built{scope.noise_qualifier}, with what a road reaches of that."
+        )
         tables.append(Table.of("norms", caption, columns, scope.stable))
         built = (
-            f"As built, the loop has {scope.built}; its norm is that of its linear part{scope.without}: the L2 gain from the "
+            f"As built, the loop has {scope.implementation_text}; its norm is that of its linear part{scope.noise_qualifier}: "
+            "the L2 gain from the "
             "road's velocity to z, both of which go on while a force is held. It is exact, between two levels 1e-8 apart."
         )
         text = (*text, built)
@@ -114,7 +121,7 @@ def goals_table(controllers: Sequence[Controller]) -> Table | None:
         Column("allowed", lambda of: of[1].at_most, digits),
         Column("kept", lambda of: "yes" if of[1].holds else "NO"),
     )
-    promises = [(one.name, promise) for one in controllers for promise in one.promises]
+    promises = [(one.name, promise) for one in controllers for promise in one.specifications]
     caption = "What controllers keep of the goals that the vehicle file has for them."
     return Table.of("goals", caption, columns, promises, words=3) if promises else None
 
@@ -122,8 +129,8 @@ def goals_table(controllers: Sequence[Controller]) -> Table | None:
 def _held(scope: Scope, controller: Controller) -> str:
     """Describes the parts of a certificate that fail, or hold only with the computer."""
     certificate, norm = controller.certificate, scope.built_norms.get(controller.name)
-    failures = failures_as_it_runs(scope.vehicle, certificate, certificate.failures, norm)
-    return "; ".join(failures or notes_as_it_runs(scope.vehicle, certificate, norm)) or "holds"
+    failures = failures_of_sampled_loop(scope.vehicle, certificate, certificate.failures, norm)
+    return "; ".join(failures or notes_on_sampled_loop(scope.vehicle, certificate, norm)) or "holds"
 
 
 def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
@@ -185,8 +192,10 @@ def frequency_section(
     )
     caption = "How far the frequency responses measured in MuJoCo are from the analysis, and with which power of the step."
     tables = [Table.of("frequency-responses", caption, columns, lines)]
-    blur = scope.vehicle.implementation.blur
-    unmeasured = f"{scope.without}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
+    blur = scope.vehicle.implementation.noise_text
+    unmeasured = (
+        f"{scope.noise_qualifier}: no loop has a frequency response of {'those' if ' and ' in blur else 'that'}" if blur else ""
+    )
     text = [
         f"Identified from MuJoCo runs, 0.1 to 25 Hz, on roads of {1e3 * AMPLITUDE:g} mm"
         f"{unmeasured}. 'Sampled' is the "

@@ -23,7 +23,7 @@ from synth.controller.open_loop import LoopModel
 from synth.controller.report import judged_lines
 from synth.plant.numerics import DesignError
 from synth.vehicle.multi_objective import weighing
-from synth.vehicle.trade_off.axes import Axis, axes_of
+from synth.vehicle.trade_off.axes import FrontAxis, axes_of
 from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, sentences
@@ -85,7 +85,7 @@ def front_section(scope: Scope) -> Section:
     return Section(TITLE, TERM, tuple(text), (table,), (front_figure(trade_off, measured),))
 
 
-def measure(scope: Scope, found: Front, i: int, axis: Axis, turn: float = TURN) -> float:
+def measure(scope: Scope, found: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
     """The gain of a design in MuJoCo on a sinusoid of the road at which its norm on an axis is reached; NaN where none is."""
     controller, k = found.points[i].controller, found.axes.index(axis)
     norm = found.points[i].norms[k]

@@ -37,11 +37,11 @@ def loops(scope: Scope) -> list[Statement]:
     goals.
     """
     statements = []
-    if not scope.plain:
+    if not scope.is_ideal:
         statements.append(
             Statement(
                 "Two loops are meant on this page. The ideal loop is continuous, with no limits and no computer; designs and "
-                f"certificates are of it. MuJoCo runs the loop as built: {scope.built}."
+                f"certificates are of it. MuJoCo runs the loop as built: {scope.implementation_text}."
             )
         )
     for one in scope.controllers:
@@ -56,7 +56,7 @@ def loops(scope: Scope) -> list[Statement]:
         elif one not in scope.stable:
             text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
             statements.append(Statement(text, "ends"))
-        if broken := [promise for promise in one.promises if not promise.holds]:
+        if broken := [promise for promise in one.specifications if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
             text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
             statements.append(Statement(text, "ends"))
@@ -86,21 +86,20 @@ def norms(scope: Scope) -> list[Statement]:
         return []
     least = min(values, key=lambda name: values[name])
     passive = scope.designer.design("passive").certificate.norm.value
-    text = (
-        f"H-infinity norms of the ideal loop{scope.given}: {', '.join(f'{name} {value:.4g}' for name, value in values.items())}."
-    )
+    each = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+    text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {each}."
     if least != "passive" and math.isfinite(passive):
         share = values[least] / passive - 1
         text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
     if scope.built_norms:
         built = ", ".join(f"{name} {value.value:.4g}" for name, value in scope.built_norms.items())
-        text += f" As built{scope.without}, at a step of {1e3 * scope.timestep:g} ms: {built}."
+        text += f" As built{scope.noise_qualifier}, at a step of {1e3 * scope.timestep:g} ms: {built}."
     return [Statement(text)]
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     """Returns statements on the agreement of MuJoCo with linear analysis over the paper's bump, and its end."""
-    built = "" if scope.plain else " of the loop as built"
+    built = "" if scope.is_ideal else " of the loop as built"
     which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     statements = []
@@ -155,7 +154,7 @@ def _how(scope: Scope, runs: Sequence[Run]) -> str:
     some = [run.agreement for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
     words = []
     if any(one.blurred for one in some):
-        words.append(f"to within the predicted spread of its {scope.vehicle.implementation.blur}")
+        words.append(f"to within the predicted spread of its {scope.vehicle.implementation.noise_text}")
     geometry = [signal.sampled for one in some for signal in one.signals.values() if signal.small is not None]
     if geometry:
         words.append(f"to first order, as bodies turn: within {at_most(max(geometry))} of a peak")
@@ -181,7 +180,7 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     statements = [
         Statement(
             f"Every frequency response in MuJoCo is within {at_most(off)} of the exact one of the loop "
-            f"{'with its force held over a step' if scope.plain else 'as built'}{scope.without}{scope.given}."
+            f"{'with its force held over a step' if scope.is_ideal else 'as built'}{scope.noise_qualifier}{scope.loop_qualifier}."
         )
     ]
     for one in sweeps:
@@ -236,11 +235,13 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     which = scope.analysis if scope.vehicle.dampers else "the linear regime"
     text = (
         f"Over bumps of {bump.length:g} m at {bump.speed:g} m/s {which}"
-        f"{'' if scope.plain else f' of the loop as built{scope.without}{comma}'} ends at a height of: {'; '.join(heights)}."
+        f"{'' if scope.is_ideal else f' of the loop as built{scope.noise_qualifier}{comma}'} "
+        f"ends at a height of: {'; '.join(heights)}."
     )
     if errors:
         text += (
-            f" MuJoCo{scope.without}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: below, "
+            f" MuJoCo{scope.noise_qualifier}{comma} was run {100 * (REACHES[0] - 1):.2g} % or less on either side of each: "
+            "below, "
             f"nothing breaks and it is within {at_most(max(errors))} of every peak; above, that breaks."
         )
     return [Statement(text), *statements] if heights else statements

@@ -44,7 +44,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     for one, loop, box in zip(scope.active, loops, robustness(vehicle, scope.active, timestep), strict=True):
         scope.progress("fragility")
         predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
-        errors = fragile.predicted.stable.found, fragile.edge.found
+        errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
         pairs = [
             ("gain, factor", predicted.gain, loop.gain.found),
             ("phase [rad]", predicted.phase, loop.found_phase),
@@ -88,9 +88,9 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         "on the other; where it does not, bisection finds where decay ends. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
-    if not scope.plain:
+    if not scope.is_ideal:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
-        about += f", and its {scope.vehicle.implementation.blur} is not tried" if scope.blurred else ""
+        about += f", and its {scope.vehicle.implementation.noise_text} is not tried" if scope.blurred else ""
         text = (*text, f"Margins are those of the loop {about}. The nominal norm is the ideal loop's, too.")
     title = "How much goes wrong before it becomes unstable?"
     return Section(title, "stability margins, other vehicles", text, tables, tuple(figures)), statements
@@ -116,7 +116,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         rows.append((one.name, *cells(REGIME, [end])[0]))
     text = (
         f"Bumps of {bump.length:g} m at {bump.speed:g} m/s, over {BUMP_DURATION:g} s at {1e3 * scope.timestep:g} ms"
-        f"{scope.without}: up to which height nothing breaks, from one linear run of the loop as it "
+        f"{scope.noise_qualifier}: up to which height nothing breaks, from one linear run of the loop as it "
         "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
     )
     if none := unclaimed_words(ends, runs):
@@ -151,7 +151,7 @@ def map_of(scope: Scope, number: int) -> Map:
     )
     text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
     findings = () if cells.as_predicted else (Statement(text, "fails"),)
-    return Map(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.without}"), row, findings)
+    return Map(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}"), row, findings)
 
 
 def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:
@@ -167,7 +167,8 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
     )
     text = (
         f"Bumps of {bump.length:g} m length, {len(axes[0].values)} heights by {len(axes[1].values)} speeds, each run in MuJoCo "
-        f"at {1e3 * scope.map_timestep:g} ms{scope.without}: what breaks first, and where the linear prediction is off by more "
+        f"at {1e3 * scope.map_timestep:g} ms{scope.noise_qualifier}: what breaks first, and where the linear prediction "
+        "is off by more "
         f"than {100 * THRESHOLD:g} % of a peak.",
     )
     table = Table(

@@ -71,7 +71,7 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
         "controllers know what they measure."
     ]
     text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
-    wrong = [run.controller.name for run in runs if not run.holds]
+    wrong = [run.controller.name for run in runs if not run.passed]
     findings = (
         [Statement(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {joined(wrong)}.", "fails")] if wrong else []
     )

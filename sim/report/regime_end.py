@@ -68,7 +68,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         time: equidistant sample times from 0 [s].
     """
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
-    met = RoadInput(vehicle.straight, metre, time)
+    met = RoadInput(vehicle.linearised, metre, time)
     alone = (
         switched_response(controller, met) if short else sampled_response(LoopModel(met.vehicle, controller, met.timestep), met)
     )

@@ -125,7 +125,7 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
 def ride_text(vehicle: Vehicle) -> str:
     """Describes the table of ride, and the parts that its predictions leave out."""
     ends, blur = replace(vehicle.limits, actuator_bandwidth=None), replace(vehicle.implementation, sample_period=None, delay=0)
-    left_out = joined([*ends.words(vehicle.kind.suspensions), *blur.words])
+    left_out = joined([*ends.phrases(vehicle.kind.suspensions), *blur.phrases])
     return (
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
@@ -173,7 +173,7 @@ class OverRoads:
         """Yields metric by metric of every class."""
         vehicle, controller = self.vehicle, self.controller
         linear = isinstance(controller, Controller)
-        ideal = replace(vehicle, implementation=vehicle.implementation.clear)
+        ideal = replace(vehicle, implementation=vehicle.implementation.without_noise)
         where = points(vehicle)
         metrics = [(f"{name}_weighted", "m/s2") for name in where.accelerations]
         metrics += [(f"{name}_rms", "m") for name in where.suspensions]

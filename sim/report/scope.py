@@ -69,7 +69,7 @@ class Scope:
         return " or ".join(kinds)
 
     @property
-    def given(self) -> str:
+    def loop_qualifier(self) -> str:
         """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
         words = (
             "all forces given" * bool(self.vehicle.dampers),
@@ -86,29 +86,29 @@ class Scope:
         return f"the analysis with its {joined(beyond)}" if beyond else "the linear analysis"
 
     @property
-    def beyond(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """Returns True if the reference of MuJoCo is more than a linear loop, and so tends to no continuous one."""
         return is_curved(self.vehicle) or bool(self.vehicle.dampers)
 
     @property
-    def plain(self) -> bool:
+    def is_ideal(self) -> bool:
         """Returns True if the vehicle file has neither limits nor an implementation: only the step then separates the loops."""
         return self.vehicle.limits == Limits() and self.vehicle.implementation.ideal
 
     @property
     def blurred(self) -> bool:
         """Returns True if measurements are noisy or quantised."""
-        return self.vehicle.implementation.blurred
+        return self.vehicle.implementation.has_measurement_noise
 
     @property
-    def without(self) -> str:
+    def noise_qualifier(self) -> str:
         """Returns the noise and quantisation that a linear loop leaves out, after a comma; empty without them."""
-        return f", without its {self.vehicle.implementation.blur}" if self.blurred else ""
+        return f", without its {self.vehicle.implementation.noise_text}" if self.blurred else ""
 
     @property
-    def built(self) -> str:
+    def implementation_text(self) -> str:
         """The loop as built, in words."""
-        words = (*self.vehicle.limits.words(self.vehicle.kind.suspensions), *self.vehicle.implementation.words)
+        words = (*self.vehicle.limits.phrases(self.vehicle.kind.suspensions), *self.vehicle.implementation.phrases)
         return ", ".join(words) or "neither [limits] nor [implementation]"
 
     @property
@@ -116,7 +116,7 @@ class Scope:
         """Returns True if the controller acts at every timestep without delay: its loop then tends to the continuous one with the
         step.
         """
-        return self.vehicle.implementation.prompt
+        return self.vehicle.implementation.undelayed
 
     @property
     def each_step(self) -> bool:
@@ -126,14 +126,14 @@ class Scope:
     @property
     def as_it_runs(self) -> str:
         """Describes the sampled linear loop, without ends of the regime and measurement noise."""
-        how = self.vehicle.implementation.clear
+        how = self.vehicle.implementation.without_noise
         held = f"its force held over every step of {1e3 * self.timestep:g} ms"
-        return ", ".join([*(how.words or (held,)), *self._lag.words(())])
+        return ", ".join([*(how.phrases or (held,)), *self._lag.phrases(())])
 
     @property
     def lag(self) -> str:
         """Describes the linear part of the limits, which belongs to the continuous loop too."""
-        return "".join(f", with {words}" for words in self._lag.words(()))
+        return "".join(f", with {words}" for words in self._lag.phrases(()))
 
     @property
     def _lag(self) -> Limits:
@@ -152,7 +152,7 @@ class Scope:
     def built_norms(self) -> dict[str, SampledNorm]:
         """The L2 gains of the loops as built, by controller, where the vehicle file makes them differ."""
         vehicle = self.vehicle
-        if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.prompt:
+        if vehicle.limits.actuator_bandwidth is None and vehicle.implementation.undelayed:
             return {}
         return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in self.stable}
 

@@ -56,7 +56,7 @@ def summary(
     )
     panels = [
         Panel(
-            f"How hard can a road shake it?\nH-infinity norm of the ideal loop{scope.given}: shorter is better",
+            f"How hard can a road shake it?\nH-infinity norm of the ideal loop{scope.loop_qualifier}: shorter is better",
             "norm",
             "",
             *shake,
@@ -72,7 +72,7 @@ def summary(
         tall = _bars(scope, predicted, seen, stated, "nowhere: unstable")
         panels.append(
             Panel(
-                f"Up to which bump is the analysis true?\nheight at which it ends{scope.without}{_with(scope)}",
+                f"Up to which bump is the analysis true?\nheight at which it ends{scope.noise_qualifier}{_with(scope)}",
                 "height [m]",
                 "",
                 *tall,
@@ -89,7 +89,7 @@ def summary(
         Column("H-infinity norm", lambda run: norms.get(run.controller.name), ".4g"),
         Column(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
         Column("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
-        Column(f"analysis true up to{scope.without}", lambda run: stated.get(run.controller.name, "-")),
+        Column(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
         Column("over the paper's bump", lambda run: _verdict(scope, run)),
     )
     caption = "Each controller in short. How it is found out, and with which reservations, is said below."
@@ -187,4 +187,4 @@ def _verdict(scope: Scope, run: Run) -> str:
     until = run.agreement.until
     agrees = "agrees throughout" if until == math.inf else f"agrees until {until:.3g} s"
     unstable = "; the loop is UNSTABLE" if scope.unstable(run.controller) else ""
-    return f"{agrees if run.holds else 'DOES NOT AGREE'}{unstable}"
+    return f"{agrees if run.passed else 'DOES NOT AGREE'}{unstable}"

@@ -33,7 +33,7 @@ def processes(vehicle: Vehicle, quick: bool) -> int:
     only the main process can handle that.
     """
     own = vehicle.kind.folder != HERE or any(entry.python is not None for entry in vehicle.controllers.values())
-    return 0 if own or interrupt.came() is None else min(cores() - 1, 1 if quick else MOST)
+    return 0 if own or interrupt.interrupt_pending() is None else min(cores() - 1, 1 if quick else MOST)
 
 
 class Beside:

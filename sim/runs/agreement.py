@@ -144,11 +144,11 @@ class Agreement(Shown):
         return self.steps is None or self.steps.agrees
 
 
-def compare(prediction: Prediction, physics: Response, asked: Array | None = None) -> Agreement:
+def compare(prediction: Prediction, physics: Response, requested_force: Array | None = None) -> Agreement:
     """Returns the comparison of one run of MuJoCo with its prediction.
 
     Args:
-        asked: the controller's requests, see `PhysicsRuns`; None if they are not known.
+        requested_force: the controller's requests, see `PhysicsRuns`; None if they are not known.
     """
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
@@ -162,7 +162,7 @@ def compare(prediction: Prediction, physics: Response, asked: Array | None = Non
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
     steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, asked, steps_end(vehicle, physics, ended), rounding)
+        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended), rounding)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     if prediction.loop is not None and prediction.radius > 1:
@@ -211,7 +211,7 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
     return replace(agreement, signals=signals)
 
 
-def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, asked: Array | None) -> Agreement:
+def with_geometry(agreement: Agreement, prediction: Prediction, physics: Response, requested_force: Array | None) -> Agreement:
     """Adds the effect of geometry by the vehicle's exact equations: all differences except those that single steps leave.
 
     Arguments as for `compare`.
@@ -222,7 +222,7 @@ def with_geometry(agreement: Agreement, prediction: Prediction, physics: Respons
     end = agreement.until
     more: Mapping[str, Array] = {}
     if not steps.agrees:
-        more = left_over(motion, prediction.input, physics, asked, min(end, steps.until))
+        more = left_over(motion, prediction.input, physics, requested_force, min(end, steps.until))
     signals = {}
     for name, signal in agreement.signals.items():
         geometry = signal.sampled

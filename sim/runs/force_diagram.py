@@ -116,10 +116,10 @@ def _of_adjustable(vehicle: Vehicle, one: "Adjustable") -> Diagram:
         _named("damper", "velocity", one.ending, "m/s", "positive where it is stretched"),
         _named("damper", "force", one.ending, "N", "all that it pulls together with"),
         lambda response: np.stack([response[name] for name in model.states], axis=-1) @ row,
-        lambda x, response: one.pull(x, 0.0) - response[one.force],
+        lambda x, response: one.ramp(x, 0.0) - response[one.force],
         (
-            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.pull(x, one.low)),
-            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: one.pull(x, one.high)),
+            _line("damper", one.ending, "c_min", "solid", 1.8, lambda x: one.ramp(x, one.low)),
+            _line("damper", one.ending, "c_max", "solid", 1.8, lambda x: one.ramp(x, one.high)),
             _line("damper", one.ending, "line at rest", "dash", 1.0, lambda x: one.nominal * x),
         ),
     )

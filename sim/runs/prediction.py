@@ -49,7 +49,7 @@ class Prediction:
         spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, at every
             sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
-        asked: requests of a law in Python, shape (T, m): forces [N], or for vehicles with adjustable dampers the commands,
+        requested_force: requests of a law in Python, shape (T, m): forces [N], or with adjustable dampers the commands,
             shape (T, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`; empty for a linear controller, which
             determines them.
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
@@ -64,7 +64,7 @@ class Prediction:
     continuous: Response
     spread: Mapping[str, Array]
     radius: float
-    asked: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    requested_force: Array = field(default_factory=lambda: np.zeros((0, 0)))
     otherwise: "tuple[DecisionMismatch, ...]" = ()
     played: bool = False
     loop: LoopModel | None = None
@@ -101,10 +101,12 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
         InputError: a larger loop has noise or quantisation, whose spread is then not known.
     """
     vehicle, cut = loop.vehicle, loop.open_loop
-    small = len(cut.model.A) + vehicle.implementation.waiting * cut.forces <= most_states
-    noisy = vehicle.implementation.blurred
+    small = len(cut.model.A) + vehicle.implementation.pending_forces * cut.forces <= most_states
+    noisy = vehicle.implementation.has_measurement_noise
     if noisy and not small:
-        raise InputError(f"the spread of its {vehicle.implementation.blur} is not computed: its loop has too many delayed forces")
+        raise InputError(
+            f"the spread of its {vehicle.implementation.noise_text} is not computed: its loop has too many delayed forces"
+        )
     return Prediction(
         input=road,
         controller=loop.controller,
@@ -128,23 +130,23 @@ def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
     return dict(zip(loop.vehicle.linear_model.outputs, far.T, strict=True))
 
 
-def predict_forced(controller: Programmed, road: RoadInput, asked: Array) -> Prediction:
+def predict_forced(controller: Programmed, road: RoadInput, requested_force: Array) -> Prediction:
     """Returns the predicted responses to the forces that a law in Python requested in a run from rest.
 
     Args:
-        asked: requested forces [N], shape (T, m).
+        requested_force: requested forces [N], shape (T, m).
     """
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
     return Prediction(
         input=road,
         controller=controller,
-        sampled=forced_response(asked, road),
-        integrated=forced_response(asked, road, taylor4),
-        continuous=forced_continuous_response(asked, road),
+        sampled=forced_response(requested_force, road),
+        integrated=forced_response(requested_force, road, taylor4),
+        continuous=forced_continuous_response(requested_force, road),
         spread={},
         radius=math.nan,
-        asked=asked,
+        requested_force=requested_force,
     )
 
 
@@ -173,7 +175,7 @@ def smaller(prediction: Prediction, share: float) -> ScaledPrediction:
             return sampled_response(loop, road, exponential)
         from sim.linear.forced_response import forced_response
 
-        return forced_response(share * prediction.asked, road, exponential)
+        return forced_response(share * prediction.requested_force, road, exponential)
 
     return ScaledPrediction(response(linalg.expm), response(taylor4))
 
@@ -183,7 +185,7 @@ def predict_switched(
     road: RoadInput,
     physics: Response,
     near: float,
-    asked: Array | None = None,
+    requested_force: Array | None = None,
 ) -> Prediction:
     """Predicts the exact response of a vehicle with adjustable dampers, a switched linear system, in a run from rest.
 
@@ -191,16 +193,16 @@ def predict_switched(
 
     Args:
         near: largest difference of physics, over a peak, that explains a different decision.
-        asked: the commands of a law in Python, shape (T, 2 m).
+        requested_force: the commands of a law in Python, shape (T, 2 m).
     """
     from sim.linear.dampers import commands_of, damper_signals
     from sim.linear.switched_response import Decisions, switched
 
     vehicle, time, h = road.vehicle, road.time, road.timestep
     linear = LoopModel(vehicle, controller, h) if isinstance(controller, Controller) else None
-    played = isinstance(controller, Programmed) or vehicle.implementation.blurred
+    played = isinstance(controller, Programmed) or vehicle.implementation.has_measurement_noise
     period = steps_per_sample(vehicle.implementation, h) * h
-    made = commands_of(vehicle, physics) if asked is None else asked
+    made = commands_of(vehicle, physics) if requested_force is None else requested_force
     peaks = partial(_peak, vehicle, physics)
     measured = () if played else controller.measured
 
@@ -226,7 +228,7 @@ def predict_switched(
         continuous=sampled_one if linear is None else continuous_response(linear, road),
         spread={},
         radius=math.nan,
-        asked=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
+        requested_force=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
         otherwise=switched_run.otherwise,
         played=played,
     )
@@ -250,21 +252,21 @@ NEAR_KNOTS, KNOTS_ORDER = 1e-4, 2  # its order with curves, as RK4 steps over th
 NEAR_GEOMETRY = 1e-2  # effect of geometry on the whole road, of a peak, if bodies turn; proportional to the height
 
 
-def predict_replayed(controller: Driver, road: RoadInput, physics: Response, asked: Array) -> Prediction:
+def predict_replayed(controller: Driver, road: RoadInput, physics: Response, requested_force: Array) -> Prediction:
     """Predicts a run from rest whose decisions are taken from the MuJoCo run.
 
     Args:
         controller: a law in Python, or any controller of a vehicle with adjustable dampers.
-        asked: its requested forces, see `PhysicsRuns`.
+        requested_force: its requested forces, see `PhysicsRuns`.
     """
     vehicle = road.vehicle
     if vehicle.dampers:
         at_1_ms, order = (NEAR_KNOTS, KNOTS_ORDER) if is_curved(vehicle) else (NEAR, ORDER)
         near = NEAR_GEOMETRY if has_geometry(vehicle) else min(at_1_ms * max(1.0, road.timestep / 1e-3) ** order, NEAR_GEOMETRY)
-        programmed = asked if isinstance(controller, Programmed) else None
+        programmed = requested_force if isinstance(controller, Programmed) else None
         return predict_switched(controller, road, physics, near, programmed)
     assert isinstance(controller, Programmed), "a linear one is predicted by itself"
-    return predict_forced(controller, road, asked)
+    return predict_forced(controller, road, requested_force)
 
 
 def reference_at(share: float, prediction: Prediction, physics: Response) -> ScaledPrediction:
@@ -278,13 +280,13 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Sca
         return smaller(prediction, share)
     from sim.linear.dampers import scaled_commands
 
-    road = replace(prediction.input.scaled(share), vehicle=with_noise(share, vehicle))
-    asked = scaled_commands(vehicle, prediction.asked, share) if len(prediction.asked) else None
+    road = replace(prediction.input.scaled(share), vehicle=with_scaled_noise(share, vehicle))
+    asked = scaled_commands(vehicle, prediction.requested_force, share) if len(prediction.requested_force) else None
     near = share * NEAR_GEOMETRY
     again = predict_switched(prediction.controller, road, physics, near, asked)
     return ScaledPrediction(again.sampled, again.integrated)
 
 
-def with_noise(share: float, vehicle: Vehicle) -> Vehicle:
+def with_scaled_noise(share: float, vehicle: Vehicle) -> Vehicle:
     """Returns the vehicle with this share of its noise, for the same share of a road."""
     return replace(vehicle, implementation=vehicle.implementation.scaled(share))

@@ -33,7 +33,7 @@ from synth.controller.report import (
     BOUND,
     NORM,
     PEAK,
-    failures_as_it_runs,
+    failures_of_sampled_loop,
     filter_lines,
     growth_lines,
     growth_object,
@@ -41,7 +41,7 @@ from synth.controller.report import (
     ideal_lines,
     norm_if_implemented,
     notes,
-    notes_as_it_runs,
+    notes_on_sampled_loop,
 )
 
 
@@ -167,8 +167,8 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
         *growth_lines(vehicle, controller),
         *notes(controller),
         *certificate.remarks,
-        *notes_as_it_runs(vehicle, certificate, built),
-        *failures_as_it_runs(vehicle, certificate, certificate.failures, built),
+        *notes_on_sampled_loop(vehicle, certificate, built),
+        *failures_of_sampled_loop(vehicle, certificate, certificate.failures, built),
     ]
 
 
@@ -216,7 +216,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 def verdict_lines(run: Run) -> list[str]:
     """Returns the verdict on physics against analysis in sentences."""
-    agreement, blur, lines = run.agreement, run.vehicle.implementation.blur, []
+    agreement, blur, lines = run.agreement, run.vehicle.implementation.noise_text, []
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:

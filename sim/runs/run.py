@@ -21,7 +21,7 @@ from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
 from sim.runs.agreement import PARTS, SMALL, Agreement, compare, foretell, look_closer, with_geometry
-from sim.runs.prediction import Prediction, predict, predict_replayed, reference_at, with_noise
+from sim.runs.prediction import Prediction, predict, predict_replayed, reference_at, with_scaled_noise
 from synth.controller.controller import Controller, Driver
 from synth.controller.open_loop import LoopModel
 
@@ -182,7 +182,7 @@ class Run(ShownRun):
         return self.agreement.agrees
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Returns True if physics agrees with its analysis, and its energy balances, if that is known."""
         return self.agrees and (self.energy is None or self.energy.balances)
 
@@ -252,10 +252,10 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
     ]
     made = simulate(controllers, [met] * len(controllers))
     predictions = [
-        each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.asked[i])
+        each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.requested_force[i])
         for i, each in enumerate(known)
     ]
-    runs = compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.asked)
+    runs = compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force)
     return with_energy_balance(runs, made) if balanced else runs
 
 
@@ -278,18 +278,20 @@ def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array)
     met = RoadInput(vehicle, road, time)
     made = simulate([controller], [met])
     if vehicle.dampers:
-        return Reference(made.run(0), predict_replayed(controller, met, made.run(0), made.asked[0]).sampled)
+        return Reference(made.run(0), predict_replayed(controller, met, made.run(0), made.requested_force[0]).sampled)
     return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
 
 
-def compare_runs(predictions: Sequence[Prediction], physics: Sequence[Response], asked: Array | None = None) -> list[Run]:
+def compare_runs(
+    predictions: Sequence[Prediction], physics: Sequence[Response], requested_force: Array | None = None
+) -> list[Run]:
     """Compares the physics of some runs, new or from a log, with their predictions.
 
     Args:
         predictions: over the same sample times, of vehicles of the same kind.
-        asked: their controllers' requests, see `PhysicsRuns`; None if they are not known.
+        requested_force: their controllers' requests, see `PhysicsRuns`; None if they are not known.
     """
-    requests = [None] * len(predictions) if asked is None else list(asked)
+    requests = [None] * len(predictions) if requested_force is None else list(requested_force)
     triples = zip(predictions, physics, requests, strict=True)
     runs = [Run(prediction, response, compare(prediction, response, forces)) for prediction, response, forces in triples]
     doubtful = [
@@ -302,7 +304,7 @@ def compare_runs(predictions: Sequence[Prediction], physics: Sequence[Response],
         alone = any(run.agreement.steps is None for run in runs)  # the kind gives no exact equations
         scaled = {}
         for share in (SMALL, *(PARTS if alone else ())):
-            scaled[share] = _simulated(again, again[0].time, partial(with_noise, share), share).response
+            scaled[share] = _simulated(again, again[0].time, partial(with_scaled_noise, share), share).response
         for k, i in enumerate(doubtful):
             made = {share: response.run(k) for share, response in scaled.items()}
             known = {share: reference_at(share, predictions[i], response) for share, response in made.items()}
@@ -375,7 +377,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
     from sim.linear.dampers import scaled_commands
     from sim.physics.drivers import RecordedForces
 
-    asked = scaled_commands(prediction.vehicle, prediction.asked, share)
+    asked = scaled_commands(prediction.vehicle, prediction.requested_force, share)
     return RecordedForces(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
 
 

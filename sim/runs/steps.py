@@ -71,7 +71,7 @@ class LinearMotion:
         self.model, self.names = vehicle.linear_model, vehicle.linear_model.states
         self._jump, self._of_road = self.model.Bw.T, (self.model.A @ self.model.Bw + self.model.Br).T
         stops = vehicle.limits.stops(vehicle.kind.suspensions)
-        needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.push}
+        needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.acts}
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
         names = [part.deflection for part in vehicle.kind.suspensions]
         self._rows, self._push = np.zeros((len(names), len(self.names))), np.zeros((len(names), len(self.names)))
@@ -126,18 +126,18 @@ def compare_steps(
     motion: "Motion",
     road: RoadInput,
     physics: Response,
-    asked: Array | None,
+    requested_force: Array | None,
     until: float,
     rounding: Mapping[str, float],
 ) -> StepAgreement:
     """Returns the comparison of every step of physics that ends before a time [s] with the equations of motion.
 
     Args:
-        asked: requested forces, or commands where there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
+        requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
         rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = physics.until(until)
-    starts = _starts(motion, road, physics, asked)
+    starts = _starts(motion, road, physics, requested_force)
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
     ahead, there = _stepped(motion, starts)
@@ -172,15 +172,17 @@ def compare_steps(
     )
 
 
-def left_over(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None, until: float) -> dict[str, Array]:
+def left_over(
+    motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None, until: float
+) -> dict[str, Array]:
     """Returns the response of the linear vehicle to the differences of single steps alone, by output signal.
 
     Args:
-        asked: as for `compare_steps`.
+        requested_force: as for `compare_steps`.
         until: physics is taken before this time [s].
     """
     model, physics = road.vehicle.linear_model, physics.until(until)
-    starts = _starts(motion, road, physics, asked)
+    starts = _starts(motion, road, physics, requested_force)
     ahead, there = _stepped(motion, starts)
     apart = dict(zip(motion.names, np.where(starts.known[:, None], there - ahead, 0.0).T, strict=True))
     pushed = np.zeros((len(physics.time), len(model.states)))
@@ -218,7 +220,7 @@ class _Starts:
     known: Array
 
 
-def _starts(motion: "Motion", road: RoadInput, physics: Response, asked: Array | None) -> _Starts:
+def _starts(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None) -> _Starts:
     """Returns the starts of all steps, up to the first whose state the equations cannot take."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
     heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_loads[: count - 1]
@@ -229,7 +231,8 @@ def _starts(motion: "Motion", road: RoadInput, physics: Response, asked: Array |
     state = motion.state({name: physics[name] for name in names}, heights)[:-1]
     usable = motion.usable(state)
     end = len(state) if usable.all() else int(usable.argmin())
-    stages, known = _given(vehicle, Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1]), asked, h)
+    ran = Response(physics.time[: end + 1], physics.signals, physics.values[: end + 1])
+    stages, known = _given(vehicle, ran, requested_force, h)
     there = np.stack([physics[name][1 : end + 1] for name in names], axis=-1)
     return _Starts(vehicle, h, state[:end], heights[: end + 1], midway[:end], loads[:end], there, stages, known)
 
@@ -279,7 +282,7 @@ def _parted(vehicle: Vehicle, given: Array) -> tuple[Array, Array]:
     return np.where(dampers, 0.0, given), np.where(dampers, given, 0.0)
 
 
-def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -> tuple[list[Array], Array]:
+def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h: float) -> tuple[list[Array], Array]:
     """Returns forces, or coefficients of dampers beyond the nominal ones, in RK4's stages of every step, shape (K, m) each.
 
     It also returns a mask of the steps in which they are known, shape (K,). If commands are unknown, a lagging force that
@@ -295,8 +298,8 @@ def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -
     pushing = ~np.isin(inputs, list(vehicle.dampers))
     z = rates * h
     way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the distance to its command that a lag covers in a step of RK4
-    if asked is not None:
-        demand = asked[:count, : len(inputs)]
+    if requested_force is not None:
+        demand = requested_force[:count, : len(inputs)]
         now = np.where(z > 0, recursion(np.diag(1 - way), way * demand), demand)
     else:
         now = np.where(pushing, np.clip(now, -most, most), now)
@@ -305,7 +308,7 @@ def _given(vehicle: Vehicle, physics: Response, asked: Array | None, h: float) -
     for share in SHARES:
         gone = share * z * (change - gone)
         stages.append(np.where(pushing, np.clip(before + gone, -most, most), before + gone))
-    if asked is not None:
+    if requested_force is not None:
         return stages, np.ones(count - 1, dtype=bool)
     at_limit = np.where(z > 0, np.sign(now) * (np.abs(now) >= AT * most), 0.0)
     return stages, np.asarray(~np.diff(at_limit, axis=0).any(axis=1))

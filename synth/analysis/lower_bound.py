@@ -33,7 +33,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.analysis.rigorous import UNIT, definite_beyond, definiteness, floats, integers, product, root_below
-from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, meeting, transposed
+from synth.analysis.synthesis_inequality import AntistablePart, SynthesisInequality, cross_gram, transposed
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -250,7 +250,7 @@ class Meeting:
     @classmethod
     def of(cls, one: SynthesisInequality, other: SynthesisInequality) -> "Meeting":
         """Returns it for the plant's inequality and that of the transposed plant."""
-        exact, over = meeting(one, other)
+        exact, over = cross_gram(one, other)
         if one.antistable is None and other.antistable is None:
             return cls(exact, over, np.zeros(exact.shape))
         between = floats(exact, Fraction(1, over))

@@ -70,7 +70,7 @@ class Lifted:
         """A root of Cd' Cd, shape (n + k, n + k)."""
         return _root(self.CdCd).T
 
-    def then(self, later: "Lifted") -> "Lifted | None":
+    def followed_by(self, later: "Lifted") -> "Lifted | None":
         """Returns this interval and the next as one, or None if the gain within it is the level or more."""
         product = self.BdBd @ later.CdCd
         # No eigenvalue is larger than the norm, which costs little.
@@ -101,7 +101,7 @@ def lifted(plant: GeneralizedPlant, pieces: Sequence[tuple[float, Array]], gamma
         piece = _piece(plant, duration, acting, gamma)
         if piece is None:
             return None
-        whole = piece if whole is None else whole.then(piece)
+        whole = piece if whole is None else whole.followed_by(piece)
         if whole is None:
             return None
     assert whole is not None, "a period has a piece"
@@ -139,7 +139,7 @@ def _piece(plant: GeneralizedPlant, duration: float, acting: Array, gamma: float
     )
     for _ in range(doublings):
         assert whole is not None
-        whole = whole.then(whole)
+        whole = whole.followed_by(whole)
         if whole is None:
             return None
     assert whole is not None
@@ -175,7 +175,7 @@ def _root(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece(Checked):
+class HoldInterval(Checked):
     """A part of the period in which one force is held.
 
     Attributes:
@@ -193,7 +193,7 @@ class SampledLoop(Checked):
 
     With the plant's states x at a sample, the controller's states s, and p = [x; s],
 
-        u = gain p,    s+ = memory p + from_force u_a,
+        u = K p,    s+ = A_register p + B_register u_a,
 
     where u_a is the acting force at the period's end. Noise of the readings is a sequence e, whose energy is the sum of its
     squares. It adds `noise` e to [u; s+].
@@ -201,28 +201,28 @@ class SampledLoop(Checked):
     Attributes:
         plant: n states, m inputs.
         pieces: parts of the period, in order.
-        gain: from p to the computed forces, shape (m, n + k).
-        memory: from p to the next controller states, shape (k, n + k).
-        from_force: from the acting force to the next controller states, shape (k, m).
+        K: from p to the computed forces, shape (m, n + k).
+        A_register: from p to the next controller states, shape (k, n + k).
+        B_register: from the acting force to the next controller states, shape (k, m).
         noise: from the noise to the computed forces and the next controller states, shape (m + k, j); None without noise.
     """
 
     plant: GeneralizedPlant
-    pieces: Annotated[tuple[Piece, ...], AT_LEAST_ONE]
-    gain: Matrix
-    memory: Matrix
-    from_force: Matrix
+    pieces: Annotated[tuple[HoldInterval, ...], AT_LEAST_ONE]
+    K: Matrix
+    A_register: Matrix
+    B_register: Matrix
     noise: Matrix | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        (n, m), k = self.plant.B.shape, len(self.memory)
-        check_shape("gain", self.gain, (m, n + k), f"as the plant has n = {n} and m = {m}, and memory says k = {k}")
-        check_shape("memory", self.memory, (k, n + k), f"as the plant has n = {n} states")
-        check_shape("from_force", self.from_force, (k, m), f"as the plant has m = {m} inputs")
+        (n, m), k = self.plant.B.shape, len(self.A_register)
+        check_shape("K", self.K, (m, n + k), f"as the plant has n = {n} and m = {m}, and A_register says k = {k}")
+        check_shape("A_register", self.A_register, (k, n + k), f"as the plant has n = {n} states")
+        check_shape("B_register", self.B_register, (k, m), f"as the plant has m = {m} inputs")
         if self.noise is not None:
             expected = (m + k, self.noise.shape[1])
-            check_shape("noise", self.noise, expected, f"as the plant has m = {m} inputs, and memory says k = {k}")
+            check_shape("noise", self.noise, expected, f"as the plant has m = {m} inputs, and A_register says k = {k}")
 
     @property
     def period(self) -> float:
@@ -237,12 +237,12 @@ class SampledLoop(Checked):
     @property
     def states(self) -> int:
         """Number N of the states [x; s; delayed forces]."""
-        return self.gain.shape[1] + self.late * len(self.gain)
+        return self.K.shape[1] + self.late * len(self.K)
 
     @cached_property
     def acting(self) -> list[tuple[float, Array]]:
         """Duration [s] and input selection of every piece, shape (m, m pieces): each piece has its own held inputs."""
-        m, count = len(self.gain), len(self.pieces)
+        m, count = len(self.K), len(self.pieces)
         return [(piece.duration, np.kron(np.eye(count)[i], np.eye(m))) for i, piece in enumerate(self.pieces)]
 
     @cached_property
@@ -264,19 +264,19 @@ class SampledLoop(Checked):
         Returns:
             To [x; held inputs] at the sample, shape (n + i, N), and to the next states except x, shape (N - n, N).
         """
-        n, (m, known) = len(self.plant.A), self.gain.shape
+        n, (m, known) = len(self.plant.A), self.K.shape
         delayed, late = self.late * m, self.late
         N = known + delayed
-        gain = np.hstack([self.gain, np.zeros((m, delayed))])
+        gain = np.hstack([self.K, np.zeros((m, delayed))])
         forces = [gain if not piece.late else np.eye(m, N, known + (late - piece.late) * m) for piece in self.pieces]
-        memory = np.hstack([self.memory, np.zeros((len(self.memory), delayed))]) + self.from_force @ forces[-1]
+        memory = np.hstack([self.A_register, np.zeros((len(self.A_register), delayed))]) + self.B_register @ forces[-1]
         shifted = np.eye(max(delayed - m, 0), N, known + m)
         return np.vstack([np.eye(n, N), *forces]), np.vstack([memory, shifted, gain] if late else [memory])
 
     @property
     def heard(self) -> tuple[Array, Array]:
         """From the noise to the computed forces, shape (m, j), and to the next controller states, shape (k, j); j may be 0."""
-        m, k = len(self.gain), len(self.memory)
+        m, k = len(self.K), len(self.A_register)
         noise = np.zeros((m + k, 0)) if self.noise is None else self.noise
         return noise[:m], noise[m:]
 
@@ -284,7 +284,7 @@ class SampledLoop(Checked):
         """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
         asked, kept = self.heard
         forces = [np.zeros_like(asked) if piece.late else asked for piece in self.pieces]
-        memory = kept + self.from_force @ forces[-1]
+        memory = kept + self.B_register @ forces[-1]
         waiting = np.zeros((max(self.late - 1, 0) * len(asked), asked.shape[1]))
         start = np.vstack([np.zeros((len(self.plant.A), asked.shape[1])), *forces])
         return start, np.vstack([memory, waiting, asked] if self.late else [memory])
@@ -301,7 +301,7 @@ class SampledLoop(Checked):
         (asked, kept), turned = self.heard, np.exp(1j * angles)
         forces = [asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
         still = np.zeros((len(angles), len(self.plant.A), asked.shape[1]))
-        return np.concatenate([still, *forces], axis=1), kept + self.from_force @ forces[-1]
+        return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
         """Returns the loop's transition less the identity, shape (N, N), and the map from its N states to [x; held inputs].
@@ -323,13 +323,13 @@ class SampledLoop(Checked):
         Returns:
             zeta I less the transition of p, shape (F, n + k, n + k), and from p to [x; held inputs], shape (F, n + i, n + k).
         """
-        n, known, turned = len(self.plant.A), self.gain.shape[1], np.exp(1j * angles)
-        forces = [self.gain * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        n, known, turned = len(self.plant.A), self.K.shape[1], np.exp(1j * angles)
+        forces = [self.K * (turned**-piece.late)[:, None, None] for piece in self.pieces]
         start = np.concatenate([np.broadcast_to(np.eye(n, known), (len(angles), n, known)), *forces], axis=1)
         matrix = np.empty((len(angles), known, known), dtype=complex)
         step = 2j * np.sin(angles / 2) * np.exp(0.5j * angles)  # zeta - 1, without cancellation
         matrix[:, :n] = step[:, None, None] * np.eye(n, known) - increment[:n] @ start
-        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.memory - self.from_force @ forces[-1]
+        matrix[:, n:] = turned[:, None, None] * np.eye(known - n, known, n) - self.A_register - self.B_register @ forces[-1]
         return matrix, start
 
 
@@ -354,7 +354,7 @@ class SampledDataProblem:
     plant: GeneralizedPlant
     Cy: Array
     through: Array
-    pieces: tuple[Piece, ...]
+    pieces: tuple[HoldInterval, ...]
     rms: Array | None = None
 
     @property
@@ -384,7 +384,7 @@ class SampledDataProblem:
     @property
     def at_once(self) -> "SampledDataProblem":
         """The same with forces that act at the sample, and in nothing that is measured."""
-        return replace(self, through=np.zeros_like(self.through), pieces=(Piece(self.period, 0),))
+        return replace(self, through=np.zeros_like(self.through), pieces=(HoldInterval(self.period, 0),))
 
     @cached_property
     def noise(self) -> Array:

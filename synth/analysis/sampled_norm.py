@@ -58,7 +58,7 @@ def reached_gain(loop: SampledLoop, angle: float, parts: int, degree: int = DEGR
     """
     plant, alone = loop.plant, math.isnan(angle)
     n = len(plant.A)
-    width = n + len(loop.acting) * len(loop.gain)
+    width = n + len(loop.acting) * len(loop.K)
 
     # Maps to the current [x; held inputs]: `free` from those at the sample, `forced` from every polynomial so far.
     free, forced = np.eye(width), np.zeros((width, 0))
@@ -145,12 +145,12 @@ def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
 
     Example:
         >>> import numpy as np
-        >>> from synth import GeneralizedPlant, Piece, SampledLoop, sampled_norm
+        >>> from synth import GeneralizedPlant, HoldInterval, SampledLoop, sampled_norm
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
         >>> gain, nothing = np.array([[0.0, -2.0]]), np.zeros((0, 2))
-        >>> loop = SampledLoop(oscillator, (Piece(duration=0.01, late=0),), gain, memory=nothing, from_force=np.zeros((0, 1)))
+        >>> loop = SampledLoop(oscillator, (HoldInterval(duration=0.01, late=0),), gain, nothing, np.zeros((0, 1)))
         >>> f"{sampled_norm(loop).value:.4f}"
         '0.2894'
     """

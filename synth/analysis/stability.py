@@ -216,7 +216,7 @@ ZERO = 1e-12  # relative to the sum of the terms' sizes; a smaller sum is zero t
 UNREACHED = 1e-8  # relative; an input with a smaller effect on a mode does not control it
 
 
-def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
+def uncontrollable_modes(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array]]:
     """Returns the uncontrollable modes that do not decay: eigenvalue [rad/s] and left eigenvector, each conjugate pair once.
 
     Args:
@@ -242,7 +242,7 @@ def unreached(A: Array, B: Array, dt: float | None) -> list[tuple[complex, Array
     return modes
 
 
-def obstacles(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] = ()) -> list[str]:
+def stabilisability_failures(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] = ()) -> list[str]:
     """Returns the reasons why no controller stabilises the plant, in words; empty if no single mode prevents it.
 
     Args:
@@ -254,18 +254,18 @@ def obstacles(plant: GeneralizedPlant, Cy: Array | None, states: Sequence[str] =
     reasons = [
         f"the plant cannot be stabilised: no input reaches the mode at {pole_text(pole, dt)}, which does not decay and shows "
         f"most in {largest(vector, names)}; add an actuator that acts on it, or take it out of the model"
-        for pole, vector in unreached(plant.A, plant.B, dt)
+        for pole, vector in uncontrollable_modes(plant.A, plant.B, dt)
     ]
     if Cy is not None:
         reasons += [
             f"the plant cannot be stabilised from what is measured: no measurement shows the mode at {pole_text(pole, dt)}, "
             f"which does not decay and moves most in {largest(vector, names)}; measure a signal that it appears in"
-            for pole, vector in unreached(plant.A.T, (Cy * own.states).T, dt)
+            for pole, vector in uncontrollable_modes(plant.A.T, (Cy * own.states).T, dt)
         ]
     return reasons
 
 
-def immovable(plant: GeneralizedPlant, Cy: Array) -> list[str]:
+def static_feedback_obstructions(plant: GeneralizedPlant, Cy: Array) -> list[str]:
     """Returns reasons why no static output feedback stabilises a controllable and observable plant; empty if none is known.
 
     A gain moves the sum of the poles by tr(K C_y B), and their product by det(I - K C_y (-A)^-1 B). For a discrete plant the same

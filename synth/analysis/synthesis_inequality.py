@@ -5,9 +5,10 @@ elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw
 plant, in S.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. The columns of F span these directions (`steered`). No dual solution can weight them, so N is also orthogonal
+not observable in z. The columns of F span these directions (`costless_reachable_subspace`).
+No dual solution can weight them, so N is also orthogonal
 to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant (B = C_y',
-D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`shown`).
+D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`noise_free_observable_rows`).
 
 Along stable states that are unobservable in z, X grows without cost, too.
 
@@ -140,25 +141,25 @@ def transposed(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> 
     return GeneralizedPlant(plant.A.T, np.asarray(Cy).T, plant.C.T, plant.Bw.T, D, plant.Dw.T, dt=plant.dt)
 
 
-def meeting(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
+def cross_gram(one: SynthesisInequality, other: SynthesisInequality) -> tuple[Array, int]:
     """Returns J_other J_one', each J the identity in its coordinates, as integers, shape (a_other, a_one), and a denominator."""
     columns, rows = (each.J[np.arange(len(each.J)), each.coordinates] for each in (one, other))
     denominator = math.lcm(*columns) * math.lcm(*rows)
     return product(other.J, one.J.T) * denominator // np.multiply.outer(rows, columns), denominator
 
 
-def steered(plant: GeneralizedPlant) -> Array:
+def costless_reachable_subspace(plant: GeneralizedPlant) -> Array:
     """Returns F, the states that inputs control without cost in z: independent columns of integers, shape (n, f)."""
     n, (system, _) = len(plant.A), integers(plant.system_matrix)
     return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
 
 
-def shown(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array:
+def noise_free_observable_rows(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array:
     """Returns the rows observable from y and those of its derivatives that are free of w: independent integers, shape (q', n).
 
     G Dyw = 0 and G C_y Bw = 0 make G y' = G C_y A x + (known) another measurement, and so on.
     """
-    return steered(transposed(plant, Cy, Dyw)).T
+    return costless_reachable_subspace(transposed(plant, Cy, Dyw)).T
 
 
 def _closure(states: Array, inputs: Array) -> Array:

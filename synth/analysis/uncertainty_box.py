@@ -47,7 +47,7 @@ class Box:
     high: Array
 
     @cached_property
-    def free(self) -> Array:
+    def uncertain(self) -> Array:
         """Indices of the uncertain factors, shape (k,)."""
         return np.flatnonzero(self.high > self.low)
 
@@ -57,15 +57,15 @@ class Box:
         return (self.low + self.high) / 2
 
     @property
-    def corners(self) -> Array:
+    def vertices(self) -> Array:
         """Vertices of the box, shape (2^k, q + m)."""
-        k = len(self.free)
+        k = len(self.uncertain)
         ends = np.array(list(itertools.product((False, True), repeat=k)), dtype=bool).reshape(2**k, k)
         corners = np.tile(self.low, (len(ends), 1))
-        corners[:, self.free] = np.where(ends, self.high[self.free], self.low[self.free])
+        corners[:, self.uncertain] = np.where(ends, self.high[self.uncertain], self.low[self.uncertain])
         return corners
 
-    def halves(self, axis: int) -> "tuple[Box, Box]":
+    def bisect(self, axis: int) -> "tuple[Box, Box]":
         """Returns the two boxes on either side of the middle of one factor."""
         high, low = self.high.copy(), self.low.copy()
         high[axis] = low[axis] = self.middle[axis]
@@ -124,7 +124,7 @@ class ScaledGain:
         """Returns True if every loop through the measurements is well-posed."""
         if not np.any(self.Dyu):
             return True
-        determinants = np.linalg.det(self.return_difference(self.scaled(box.corners)))
+        determinants = np.linalg.det(self.return_difference(self.scaled(box.vertices)))
         return bool(np.all(np.abs(determinants) > REGULAR * np.abs(determinants).max()) and np.ptp(np.sign(determinants)) == 0)
 
     def loops(self, factors: Array) -> Loops:
@@ -193,9 +193,9 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
         X: shape (n, n), symmetric to the last bit.
         eta: gamma^-2.
     """
-    if len(box.free) > MOST or not gain.well_posed(box) or not definiteness(X).proved:
+    if len(box.uncertain) > MOST or not gain.well_posed(box) or not definiteness(X).proved:
         return False
-    corners = box.corners
+    corners = box.vertices
     (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
     terms = 4 * (2 * n + m * m + m + q + r + 8) * UNIT
     lost = terms * np.abs(lmi(gain.sizes(corners), np.abs(X), eta, identity=1.0))
@@ -206,8 +206,8 @@ def _fill(parts: Sequence[Box], box: Box) -> bool:
     """Returns True if boxes from repeated bisection fill the box: one contains it, or they fill both halves of a factor."""
     if any(np.all(part.low <= box.low) and np.all(part.high >= box.high) for part in parts):
         return True
-    for axis in box.free:
-        lower, upper = box.halves(axis)
+    for axis in box.uncertain:
+        lower, upper = box.bisect(axis)
         below = [part for part in parts if part.high[axis] <= lower.high[axis]]
         above = [part for part in parts if part.low[axis] >= upper.low[axis]]
         if below and above and len(below) + len(above) == len(parts):
@@ -220,7 +220,7 @@ class ParameterDependentLyapunov:
     """A parameter-dependent Lyapunov proof of stability in a box, and of a bound on its norms if gamma is finite.
 
     Attributes:
-        X: at every corner, in the order of `Box.corners`, shape (2^k, n, n).
+        X: at every corner, in the order of `Box.vertices`, shape (2^k, n, n).
         F, G: the same for all corners, shapes (n, n).
         gamma: the bound; infinite for stability alone.
     """
@@ -232,7 +232,7 @@ class ParameterDependentLyapunov:
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if all loops of a box are proved stable, and their norms below the bound, beyond rounding."""
-        corners = box.corners
+        corners = box.vertices
         if not gain.well_posed(box) or len(self.X) != len(corners) or not hermitian(self.X):
             return False
         (m, q), (n, r) = gain.K.shape, gain.plant.Bw.shape
@@ -278,7 +278,7 @@ class ParameterDependentKYP:
     same at all corners, the sum with weights l_i is the inequality of a loop inside the box.
 
     Attributes:
-        P, Q: at every corner, in the order of `Box.corners`, complex, shapes (2^k, n, n).
+        P, Q: at every corner, in the order of `Box.vertices`, complex, shapes (2^k, n, n).
         W: shape (n, 2 n + r).
         low, high: the band [rad/s].
         gamma: the bound.
@@ -293,7 +293,7 @@ class ParameterDependentKYP:
 
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if the bound is proved for all loops of a box, beyond rounding."""
-        corners = box.corners
+        corners = box.vertices
         if (
             not gain.well_posed(box)
             or not len(self.P) == len(self.Q) == len(corners)

@@ -11,7 +11,7 @@ from synth.analysis.specification import Specification
 from synth.command.table import Row
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import false_sampled_bound
-from synth.controller.report import failures_as_it_runs, false_norm, judged_lines, norm_if_implemented, notes_as_it_runs
+from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_if_implemented, notes_on_sampled_loop
 from synth.vehicle.designer import Designer
 
 
@@ -36,18 +36,20 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     certificate, failures = designer.checked(entry)
     kept: tuple[Specification, ...] = ()
     if entry.goals is not None:
-        from synth.vehicle.multi_objective import promises_of
+        from synth.vehicle.multi_objective import verify_specifications
 
-        kept = promises_of(designer.vehicle, entry, entry.goals, entry.law, search=False)
-    controller = Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, promises=kept)
-    failures += controller.broken
+        kept = verify_specifications(designer.vehicle, entry, entry.goals, entry.law, search=False)
+    controller = Controller(
+        entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept
+    )
+    failures += controller.unmet_specifications
     norm = norm_if_implemented(designer.vehicle, controller)
-    failures = failures_as_it_runs(designer.vehicle, certificate, failures, norm)
+    failures = failures_of_sampled_loop(designer.vehicle, certificate, failures, norm)
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    said = (*judged_lines(controller), *notes_as_it_runs(designer.vehicle, certificate, norm), note)
+    said = (*judged_lines(controller), *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
 
 
@@ -60,7 +62,7 @@ def proved(designer: Designer, controller: Controller) -> tuple[Controller, tupl
     if certificate.bound is not None or not certificate.stable or not controller.measured:
         return controller, ()
     posed = designer.problem(controller.measured, controller.hardware)
-    found = certify_tightly(*posed.closed(controller.law), certificate.below, posed.plant)
+    found = certify_tightly(*posed.closed_loop(controller.law), certificate.below, posed.plant)
     if found.bound is None:
         return controller, (UNPROVED,)
     return replace(controller, certificate=found), ("its law is given; its bound is proved here",)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from synth.controller.controller import Controller
-from synth.design.two_step import measurement, posed
+from synth.design.two_step import as_measurement_matrix, well_posed
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
@@ -83,20 +83,20 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
     """
     bound = controller.certificate.bound
     shared = designer.shared(controller.hardware)
-    problem = posed(shared.plant)
+    problem = well_posed(shared.plant)
     if (
         not controller.designed
-        or controller.instead
+        or controller.fallback_method
         or controller.law.states
         or shared.plant.weights  # with filters (25) has rates too far apart for Clarabel, whose answers are then off
         or controller.sampled
-        or controller.promises
+        or controller.specifications
         or (controller.name in designer.vehicle.controllers and designer.vehicle.controllers[controller.name].design)
         or bound is None
-        or (problem.best is not None and problem.best_case in controller.case)
+        or (problem.best is not None and problem.best_case in controller.degeneracy)
     ):
         return None
-    Cy, kept = measurement(shared.plant, designer.problem(controller.measured, controller.hardware).Cy)
+    Cy, kept = as_measurement_matrix(shared.plant, designer.problem(controller.measured, controller.hardware).Cy)
     units = own_units(shared.plant, Cy[kept])
     rows, measured = units.rows(Cy[kept])
     K = controller.gain[:, kept] @ measured / units.inputs[:, None]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.interrupt import Parts, finishing
+from models.common.interrupt import Parts, uninterrupted
 from models.common.printed import Stages, Whole, say, table, titled
 from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
@@ -20,12 +20,12 @@ from synth.command.table import Row, detail_lines, refine_lines, ride_lines, row
 from synth.controller.controller import InterruptedDesign
 from synth.controller.problem import measurements
 from synth.controller.report import (
-    failures_as_it_runs,
+    failures_of_sampled_loop,
     filter_lines,
     ideal_lines,
     norm_if_implemented,
     notes,
-    notes_as_it_runs,
+    notes_on_sampled_loop,
     sampled_lines,
     twist_lines,
 )
@@ -81,18 +81,18 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
         )
     if options.fragility and not parts.cut:
-        from synth.command.fragility import fragile
+        from synth.command.fragility import fragility_report
 
         with parts.part("fragility"):
             for i, row in enumerate(rows):
-                rows[i] = replace(row, fragile=fragile(vehicle, row.controller))
+                rows[i] = replace(row, fragile=fragility_report(vehicle, row.controller))
     stage(FREE)
     moved = {}
     with parts.part("what else is said"):
         moved = {} if options.check or parts.cut else _flatness(designer, rows)
     rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
     passive = expected_ride(vehicle, designer.design("passive"))
-    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
+    with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
         designs = [row.controller for row in rows if row.controller is not None]
         saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
         if saved:
@@ -149,7 +149,7 @@ def _kept(stopped: InterruptedDesign) -> Row:
     """Returns the table row of a design that was interrupted."""
     controller = stopped.controller
     notes_of = (*notes(controller), stopped.said)
-    return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.broken))
+    return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.unmet_specifications))
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
@@ -169,7 +169,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
             from synth.command.check import proved
 
             controller, said = proved(designer, controller)
-        failures = (*controller.certificate.failures, *controller.broken)
+        failures = (*controller.certificate.failures, *controller.unmet_specifications)
         if options.cross_check:
             from synth.command.cross_check import cross_check
 
@@ -185,8 +185,8 @@ def _built(vehicle: Vehicle, row: Row) -> Row:
     if row.controller is None:
         return row
     norm, certificate = norm_if_implemented(vehicle, row.controller), row.controller.certificate
-    said = (*row.notes, *notes_as_it_runs(vehicle, certificate, norm))
-    return replace(row, sampled=norm, notes=said, failures=failures_as_it_runs(vehicle, certificate, row.failures, norm))
+    said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
+    return replace(row, sampled=norm, notes=said, failures=failures_of_sampled_loop(vehicle, certificate, row.failures, norm))
 
 
 def _bounded(designer: Designer, row: Row) -> Row:

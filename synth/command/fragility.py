@@ -11,7 +11,7 @@ from synth.design.uncertainty.problem import scaled_gain
 
 
 @dataclass(frozen=True, eq=False)
-class Fragile:
+class FragilityReport:
     """The fragility of a controller.
 
     Attributes:
@@ -37,11 +37,11 @@ class Fragile:
         return fragility_object(self.found, self.rounding, self.measured, self.forces)
 
 
-def fragile(vehicle: Vehicle, controller: Controller | None) -> Fragile | None:
+def fragility_report(vehicle: Vehicle, controller: Controller | None) -> FragilityReport | None:
     """Computes the fragility of a controller. Returns None without a controller, a gain or a stable loop."""
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
     posed = controller.problem(vehicle)
-    borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.through))
+    borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
     forces = tuple(vehicle.linear_model.inputs)
-    return Fragile(borne, rounding(controller.law, posed.closed, posed.plant), controller.measured, forces)
+    return FragilityReport(borne, rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)

@@ -65,7 +65,7 @@ def _levels(vehicle: Vehicle, row: Row) -> list[tuple[tuple[float, float], float
     goals = vehicle.controllers[row.name].goals if row.name in vehicle.controllers else None
     if goals is None or row.controller is None or goals.family:
         return []
-    proved = {promise.what: promise.proved for promise in row.controller.promises}
+    proved = {promise.what: promise.proved for promise in row.controller.specifications}
     norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
     levels = [(norm.band, proved.get(norm.text)) for norm in norms if norm.narrow and norm.signals is None]
     return [(band, level) for band, level in levels if level is not None and np.isfinite(level)]

@@ -29,7 +29,7 @@ from synth.controller.report import (
 
 if TYPE_CHECKING:
     from synth.command.cross_check import CrossCheck
-    from synth.command.fragility import Fragile
+    from synth.command.fragility import FragilityReport
 
 
 WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
@@ -60,7 +60,7 @@ class Row:
     witness: "CrossCheck | None" = None
     sampled: SampledNorm | None = None
     sampled_below: SampledBound | None = None
-    fragile: "Fragile | None" = None
+    fragile: "FragilityReport | None" = None
     ride: float | None = None
 
     @property
@@ -98,7 +98,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "notes": [*row.notes, *certificate.remarks],
         "failures": list(row.failures),
         "refine_lowers_by_at_least": row.worth or None,
-        **({"promises": [promise.record for promise in controller.promises]} if controller.promises else {}),
+        **({"promises": [promise.record for promise in controller.specifications]} if controller.specifications else {}),
         "cross_check": _witness_object(row.witness) if row.witness is not None else None,
         **({"fragility": row.fragile.record} if row.fragile is not None else {}),
     }
@@ -167,7 +167,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
             lines.append(f"  {by}, {'both ' * (len(proved) > 1)}balanced; rounding is at most {rounding}")
     if certificate.gap is not None:
         lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
-    for promise in controller.promises:
+    for promise in controller.specifications:
         lines += wrapped(promise.text, "  promise: ", 4)
     lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
     if row.sampled_gap is not None and row.sampled_below is not None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import together
-from models.common.interrupt import finishing
+from models.common.interrupt import uninterrupted
 from models.common.printed import Stages, Whole, say, titled, wrapped
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
@@ -53,7 +53,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         else:
             say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
-    with finishing(work_goes_on=True):  # it takes a moment, and all of the work is in it
+    with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
         numbers = _numbers(trade_off, options.point) if options.save else []
         stage("the picture")
         with together():

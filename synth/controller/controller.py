@@ -10,7 +10,7 @@ from models.common.checks import Checked, at_the_door
 from models.common.errors import InputError, listing
 from models.common.printed import Shown
 from models.laws.linear import LinearLaw
-from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware
+from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
@@ -88,13 +88,13 @@ class Controller(Checked, Shown):
         moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
         certificate: of the closed loop.
-        case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
-        instead: the fallback method and why the two steps found no gain, in words, or empty.
+        degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
+        fallback_method: the fallback method and why the two steps found no gain, in words, or empty.
         remarks: for other designs than by two steps, distance from the optimum or what was optimised, in words.
         false_claims: claims of the given certificate that do not hold, in words.
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
-        promises: specifications that it was designed for or is judged by, beside the least norm.
+        specifications: specifications that it was designed for or is judged by, beside the least norm.
     """
 
     name: str
@@ -106,13 +106,13 @@ class Controller(Checked, Shown):
     optimum_gap: float = 0.0
     moved: float = 0.0
     redundant: tuple[str, ...] = ()
-    case: str = ""
-    instead: str = ""
+    degeneracy: str = ""
+    fallback_method: str = ""
     remarks: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
-    hardware: Hardware = IDEAL
+    hardware: DesignConditions = NOMINAL
     sampled: bool = False
-    promises: "tuple[Specification, ...]" = ()
+    specifications: "tuple[Specification, ...]" = ()
     kind: ClassVar[str] = "a linear law"
 
     @property
@@ -155,9 +155,9 @@ class Controller(Checked, Shown):
         return self.law.D
 
     @property
-    def broken(self) -> tuple[str, ...]:
+    def unmet_specifications(self) -> tuple[str, ...]:
         """The specifications that are not kept, or not proved, in words."""
-        return tuple(f"not kept: {promise.text}" for promise in self.promises if not promise.holds)
+        return tuple(f"not kept: {promise.text}" for promise in self.specifications if not promise.holds)
 
     @at_the_door
     def problem(self, vehicle: Vehicle) -> Problem:
@@ -175,11 +175,11 @@ class Controller(Checked, Shown):
         Raises:
             InputError: that loop has no solution, or a discrete law has no continuous counterpart.
         """
-        return self.law.continuous().fed_back(self.problem(vehicle).through)
+        return self.law.continuous().fed_back(self.problem(vehicle).feedthrough)
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
-        plant, G = self.problem(vehicle).closed(self.law)
+        plant, G = self.problem(vehicle).closed_loop(self.law)
         return plant.closed_loop(G)
 
     def state_gain(self, vehicle: Vehicle) -> Array:
@@ -231,7 +231,7 @@ class InterruptedDesign(KeyboardInterrupt):
         self.controller, self.said = controller, said
 
 
-def checked(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
+def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
     """Recomputes the certificate of a law from the given proofs. Returns it with the claims that fail, in words.
 
     Args:
@@ -244,26 +244,26 @@ def checked(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[
     law, record = _law(entry), entry.certificate or {}
     try:
         X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, law.states, posed.Dyw)
-        certificate = certify(*posed.closed(law), X, eta, lower_bound, by_itself=posed.plant)
+        certificate = certify(*posed.closed_loop(law), X, eta, lower_bound, by_itself=posed.plant)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     return certificate, (*certificate.failures, *false_claims(record, certificate))
 
 
-def certified(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
-    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `checked`.
+def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound) -> tuple[Certificate, tuple[str, ...]]:
+    """Certifies a law with a given lower bound. Returns the certificate and false claims; arguments as for `verify_record`.
 
     Raises:
         InputError: the law has no loop.
     """
     try:
-        certificate = certify(*posed.closed(_law(entry)), lower_bound=lower_bound, by_itself=posed.plant)
+        certificate = certify(*posed.closed_loop(_law(entry)), lower_bound=lower_bound, by_itself=posed.plant)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     wrong: tuple[str, ...] = ()
     if entry.certificate is not None:
         try:
-            _, wrong = checked(posed, entry)
+            _, wrong = verify_record(posed, entry)
         except InputError as error:
             wrong = (str(error),)
     return certificate, wrong
@@ -286,7 +286,7 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
     Raises:
         InputError: the loop through the measurements has no solution.
     """
-    through, others = posed.through, posed.of_state
+    through, others = posed.feedthrough, posed.state_measurements
     q = len(through)
     B, D = np.zeros((law.states, q)), np.zeros((len(law.D), q))
     B[:, others], D[:, others] = law.B, law.D

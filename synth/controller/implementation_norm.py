@@ -11,12 +11,12 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError
-from models.vehicle.controllers import IDEAL, ControllerEntry
+from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
-from synth.analysis.sampled_loop import Piece, SampledDataProblem, SampledLoop
+from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, SampledLoop
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
@@ -91,14 +91,14 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
     return () if bound.holds else (f"{claimed}, and its proof does not hold with this vehicle",)
 
 
-def pieces_of(how: Implementation, period: float) -> tuple[Piece, ...]:
+def pieces_of(how: Implementation, period: float) -> tuple[HoldInterval, ...]:
     """Returns the consecutive parts of a sample period [s]: two if the delay has a fraction of a period."""
-    return tuple(Piece(share * period, late) for share, late in how.held)
+    return tuple(HoldInterval(share * period, late) for share, late in how.hold_intervals)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
-    if controller.hardware == IDEAL and vehicle.limits.actuator_bandwidth is None:
+    if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None:
         return controller.certificate.norm.value
     Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, G = on_larger_plant(plant_as_built(vehicle), Cy, controller.law.continuous().fed_back(through))

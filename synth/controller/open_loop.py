@@ -152,40 +152,40 @@ def with_lag(vehicle: Vehicle) -> LinearModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HoldSegment:
     """A part of the period in which one force is held.
 
     Attributes:
         steps: duration in timesteps.
-        inputs: from the loop's state to all inputs of `ImplementedLoop.cut`, shape (m + k, s).
-        at_once: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
+        inputs: from the loop's state to all inputs of `SampledClosedLoop.open_loop`, shape (m + k, s).
+        feedthrough: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
     """
 
     steps: int
     inputs: Array
-    at_once: Array
+    feedthrough: Array
 
 
 @dataclass(frozen=True, eq=False)
-class ImplementedLoop:
+class SampledClosedLoop:
     """A closed loop from one sample of the controller to the next.
 
     The s states are those of `open_loop.sampled`, followed by the delayed forces, the next to act first.
 
     Attributes:
-        cut: the open loop of vehicle and controller.
+        open_loop: the open loop of vehicle and controller.
         transition: shape (s, s).
         added: from a disturbance of the inputs computed at a sample to the next state, shape (s, m + k).
         parts: of the period, in their order; more than one if the delay has a fraction of a sample.
     """
 
-    cut: OpenLoop
+    open_loop: OpenLoop
     transition: Array
     added: Array
-    parts: tuple[Held, ...]
+    parts: tuple[HoldSegment, ...]
 
     @property
-    def by_step(self) -> list[Held]:
+    def by_step(self) -> list[HoldSegment]:
         """The held part at every timestep of the period."""
         return [part for part in self.parts for _ in range(part.steps)]
 
@@ -227,7 +227,7 @@ class LoopModel:
         return continuous(self.vehicle, self.controller)
 
     @cached_property
-    def closed_loop(self) -> ImplementedLoop:
+    def closed_loop(self) -> SampledClosedLoop:
         """The closed loop as implemented."""
         return _implemented(self.open_loop, self.vehicle.implementation, self.timestep)
 
@@ -237,16 +237,16 @@ class LoopModel:
         return sampled_growth(self.closed_loop.transition) ** (1 / self.steps)
 
 
-def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> ImplementedLoop:
+def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> SampledClosedLoop:
     held = steps_held(how, timestep)
     n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
     force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
-    size, rest = n + how.waiting * m, how.waiting * m
+    size, rest = n + how.pending_forces * m, how.pending_forces * m
     asked, kept = np.hstack([cut.asked, np.zeros((m, rest))]), np.hstack([cut.kept, np.zeros((k, rest))])
-    acting = [np.eye(m, size, n + (how.waiting - late) * m) if late else asked for _, late in held]
+    acting = [np.eye(m, size, n + (how.pending_forces - late) * m) if late else asked for _, late in held]
     now = [np.zeros_like(force) if late else force for _, late in held]
     parts = tuple(
-        Held(steps, cut.inputs(acts, kept, acting[-1]), cut.inputs(at_once, rate, now[-1]))
+        HoldSegment(steps, cut.inputs(acts, kept, acting[-1]), cut.inputs(at_once, rate, now[-1]))
         for (steps, _), acts, at_once in zip(held, acting, now, strict=True)
     )
     transition, added = np.zeros((size, size)), np.zeros((size, m + k))
@@ -254,9 +254,9 @@ def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> Impleme
     for part in parts:
         Phi, Gamma = held_inputs(cut.model.A, part.steps * timestep, linalg.expm, cut.model.B)
         transition[:n] = Phi @ transition[:n] + Gamma @ part.inputs
-        added[:n] = Phi @ added[:n] + Gamma @ part.at_once
+        added[:n] = Phi @ added[:n] + Gamma @ part.feedthrough
     if rest:
         transition[n : size - m, n + m :] = np.eye(rest - m)
         transition[size - m :, :n] = cut.asked
         added[size - m :] = force
-    return ImplementedLoop(cut, transition, added, parts)
+    return SampledClosedLoop(cut, transition, added, parts)

@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.laws.linear import LinearLaw
-from models.vehicle.controllers import Hardware
+from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.plant.augmented import System, append, gain, on_larger_plant, with_weights
 from synth.plant.generalized import Feedback, GeneralizedPlant
@@ -24,41 +24,43 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `through` u + Dyw w.
+    """The plant and measurements that a controller is designed for and judged with: y = C_y x + `feedthrough` u + Dyw w.
 
     Attributes:
         plant: n states, m inputs, r disturbances, of which loads and then the measurement noises are the last.
         Cy: shape (q, n).
-        through: feedthrough from the forces to the measurements, shape (q, m).
+        feedthrough: feedthrough from the forces to the measurements, shape (q, m).
         Dyw: shape (q, r); None without noise and without loads in the measurements.
         forces: input by index of each measurement that is a force without lag, and so independent of the state.
     """
 
     plant: GeneralizedPlant
     Cy: Array
-    through: Array
+    feedthrough: Array
     Dyw: Array | None = None
     forces: Mapping[int, int] = field(default_factory=dict)
 
     @property
-    def of_state(self) -> list[int]:
+    def state_measurements(self) -> list[int]:
         """Indices of the measurements that are not in `forces`."""
         return [i for i in range(len(self.Cy)) if i not in self.forces]
 
-    def rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
+    def select_rows(self, kept: Sequence[int]) -> tuple[Array, Array | None]:
         """Returns C_y and Dyw of some of the measurements."""
         return self.Cy[kept], self.Dyw[kept] if self.Dyw is not None else None
 
-    def closed(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
+    def closed_loop(self, law: LinearLaw) -> tuple[GeneralizedPlant, Feedback]:
         """Returns the plant with a law's states, and the law as a gain on it; a discrete law by its Tustin counterpart.
 
         Raises:
             InputError: the loop through the measurements has no solution, or the law no counterpart.
         """
-        return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.through), self.Dyw)
+        return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.feedthrough), self.Dyw)
 
 
-def problem(vehicle: Vehicle, measured: Sequence[str], hardware: Hardware, plant: GeneralizedPlant | None = None) -> Problem:
+def problem(
+    vehicle: Vehicle, measured: Sequence[str], hardware: DesignConditions, plant: GeneralizedPlant | None = None
+) -> Problem:
     """Returns the problem that a controller with these measured signals is designed for and judged with.
 
     Args:
@@ -176,11 +178,11 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     scaled by the rate of wheel hop (`LinearModel.twist_rate`): the bound holds for both together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
-    directions = twists(model)
+    directions = road_twist_inputs(model)
     return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
 
 
-def twists(model: LinearModel) -> Array:
+def road_twist_inputs(model: LinearModel) -> Array:
     """Returns the combinations of road heights under the wheels that act by their height, orthonormal, shape (k, r)."""
     _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
     return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]

@@ -12,14 +12,14 @@ from models.common.errors import listing
 from models.common.printed import Column, finite, matrix, percent
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw
-from models.vehicle.controllers import IDEAL
+from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.record import SAMPLED_NORM
 from synth.analysis.specification import ABOVE, SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.problem import twists
+from synth.controller.problem import road_twist_inputs
 
 SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
 ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
@@ -35,7 +35,7 @@ SLOWEST_POLE = Column[Certificate]("slowest pole", lambda one: one.own.worst.rea
 
 def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm | None:
     """Returns the norm of a loop as implemented, or None if `[implementation]` has neither sample period nor delay."""
-    if vehicle.implementation.prompt:
+    if vehicle.implementation.undelayed:
         return None
     from synth.controller.implementation_norm import norm_as_implemented
 
@@ -74,8 +74,8 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
         return [f"sampled norm infinite: UNSTABLE with {built_words(vehicle)}"]
     ideal = controller.certificate.norm.value
     # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
-    alike = math.isfinite(ideal) and ideal and controller.hardware == IDEAL
-    more = f", {against(norm.value, ideal)} the ideal loop's" if alike else ""
+    alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
+    more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
     seen = "frequencies" if norm.by_sweep else "level sets"
     heard = ", with the noise of its measurements" if any(controller.hardware.noise) else ""
     lines = [
@@ -90,12 +90,12 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
 def built_words(vehicle: Vehicle) -> str:
     """Returns the linear parts of an implementation, which its norm takes into account, in words."""
     lag = Limits(actuator_bandwidth=vehicle.limits.actuator_bandwidth)
-    return ", ".join((*vehicle.implementation.clear.words, *lag.words(())))
+    return ", ".join((*vehicle.implementation.without_noise.phrases, *lag.phrases(())))
 
 
 def sampled_lines(vehicle: Vehicle) -> list[str]:
     """Returns the explanation of the column "sampled" in a table of norms, if it has one."""
-    if vehicle.implementation.prompt:
+    if vehicle.implementation.undelayed:
         return []
     return [f"sampled is the norm of the loop as built, with the motion between its samples: {built_words(vehicle)}"]
 
@@ -111,37 +111,37 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     return (f"the sampled norm {norm.value:.9g} and what a road reaches of it differ by {norm.gap:.0e}",)
 
 
-def only_without_computer(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
+def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns the certificate failures to ignore: instability of the continuous loop if the sampled loop is stable.
 
     The sampled loop, if there is one, decides, as it is the one that drives.
     """
-    held = norm is not None and norm.stable and not vehicle.implementation.prompt
+    held = norm is not None and norm.stable and not vehicle.implementation.undelayed
     return (certificate.stability.words,) if held and not certificate.stable else ()
 
 
-def failures_as_it_runs(
+def failures_of_sampled_loop(
     vehicle: Vehicle, certificate: Certificate, failures: Iterable[str], norm: SampledNorm | None
 ) -> tuple[str, ...]:
     """Returns the failures of the loop as implemented: those of the continuous loop that sampling does not cure, and its own."""
-    excused = only_without_computer(vehicle, certificate, norm)
+    excused = instability_cured_by_sampling(vehicle, certificate, norm)
     return (*(failure for failure in failures if failure not in excused), *norm_failures(norm))
 
 
-def still_false(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
+def remaining_false_claims(vehicle: Vehicle, controller: Controller, wrong: tuple[str, ...]) -> tuple[str, ...]:
     """Returns the false claims of a certificate, except instability that sampling cures."""
     if not wrong or controller.certificate.stable:
         return wrong
-    excused = only_without_computer(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
+    excused = instability_cured_by_sampling(vehicle, controller.certificate, norm_if_implemented(vehicle, controller))
     return tuple(each for each in wrong if each not in excused)
 
 
-def notes_as_it_runs(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
+def notes_on_sampled_loop(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:
     """Returns a note if only sampling makes the loop stable."""
-    return tuple(f"without a computer its loop is {words}" for words in only_without_computer(vehicle, certificate, norm))
+    return tuple(f"without a computer its loop is {words}" for words in instability_cured_by_sampling(vehicle, certificate, norm))
 
 
-def against(value: float, other: float) -> str:
+def relative_difference_text(value: float, other: float) -> str:
     """Returns the difference of two values in words, in percent of the other."""
     share = value / other - 1
     return "equal to" if abs(share) <= SAME else f"{percent(abs(share))} {'below' if share < 0 else 'above'}"
@@ -205,7 +205,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
         "pitch": "pitch_centre_height",
     }  # of a body whose weight feels how the road stands
     felt = [way for way, parameter in axes.items() if parameter in vehicle.parameters]
-    felt += ["twist"] if len(twists(model)) > len(felt) else []
+    felt += ["twist"] if len(road_twist_inputs(model)) > len(felt) else []
     return [
         f"w is the road's velocity under every wheel and, as no car forgets it, the height of its {listing(felt)}, of which "
         f"1 m counts as {model.twist_rate:.4g} m/s (models/README.md)"
@@ -214,7 +214,7 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
-    asked = [one.name for one in controllers if one.hardware != IDEAL]
+    asked = [one.name for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
     but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
     texts = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
@@ -285,7 +285,10 @@ def judged_lines(controller: Controller) -> list[str]:
 
 def notes(controller: Controller) -> tuple[str, ...]:
     """Returns notes: degenerate problem, fallback method, distance from the optimum, redundant measurements."""
-    texts = [*judged_lines(controller), *(text for text in (controller.case, controller.instead, *controller.remarks) if text)]
+    texts = [
+        *judged_lines(controller),
+        *(text for text in (controller.degeneracy, controller.fallback_method, *controller.remarks) if text),
+    ]
     if controller.state_step_gap > SHORT:
         gap = percent(controller.state_step_gap)
         texts.append(f"from an X {gap} short of the best state feedback; from the best there is no design")

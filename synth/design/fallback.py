@@ -13,7 +13,7 @@ from dataclasses import replace
 from models.common.arrays import Array
 from models.common.printed import percent
 from synth.analysis.lower_bound import LowerBound
-from synth.design.two_step import Design, measurement, two_step_design, widened
+from synth.design.two_step import Design, as_measurement_matrix, two_step_design, with_redundant_rows
 from synth.lmi.central_path import CentralPoint
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
@@ -68,7 +68,7 @@ def two_steps_or_descent(
         reason = error
     from synth.design.static import LARGEST_GAIN, descended
 
-    rows, kept = measurement(plant, Cy)
+    rows, kept = as_measurement_matrix(plant, Cy)
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else str(reason)
     noise = Dyw[kept] if Dyw is not None else None
     try:
@@ -81,4 +81,4 @@ def two_steps_or_descent(
     how = f"by descent on the norm from {by_descent.origin}, no gain larger than {LARGEST_GAIN:g}"
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
-    return widened(Design(by_descent.gain, certificate, instead=instead), kept, len(rows), 0.0)
+    return with_redundant_rows(Design(by_descent.gain, certificate, instead=instead), kept, len(rows), 0.0)

@@ -27,7 +27,7 @@ from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_m
 from synth.lmi.sdp import first_step, second_step, together
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrices, real_matrix
 from synth.plant.numerics import DesignError, numerics
-from synth.plant.units import Scaled, own_units, reachable
+from synth.plant.units import NormalisedSystem, own_units, reachable
 
 SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
 
@@ -176,11 +176,11 @@ class _Problem:
         rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
         blocks = together(self.pattern)
         eye = np.eye(n)
-        scaled = Scaled(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
+        scaled = NormalisedSystem(self.plants, rate, eye[:, :0], eye, np.ones((n, n)))
         W = scaled.T @ first_step(scaled.plants, SOLVED_AT, self.Cy @ scaled.T, blocks).W @ scaled.T.T
         Q = nullspace(self.Cy)
         R = r_matrix(self.Cy, Q, l_matrix(W.T, self.Cy, Q))
-        scaled, a = Scaled(self.plants, rate, Q, R, blocks), Q.shape[1]
+        scaled, a = NormalisedSystem(self.plants, rate, Q, R, blocks), Q.shape[1]
         second = second_step(scaled.plants, SOLVED_AT, eye[:, :a], eye[:, a:], self.pattern)
         K = np.where(self.pattern, scaled.force * second.K @ np.linalg.inv(scaled.measured), 0.0)
         return self.input_units[:, None] * K / self.lengths, second.eta**-0.5 / scaled.gain

@@ -27,7 +27,7 @@ import numpy as np
 from models.common.arrays import Array
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
-from synth.analysis.stability import immovable, obstacles
+from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import Refinement, from_some, refine
 from synth.design.two_step import state_path
@@ -174,7 +174,7 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
     try:
         K, norm, level, instead = _gain(few, near, of_kept)
     except DesignError as error:
-        reasons = obstacles(slow, few.rows) or immovable(slow, few.rows)
+        reasons = stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)
         raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
     gain = np.zeros((len(K), len(problem.Cy)))
     gain[:, kept] = K

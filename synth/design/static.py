@@ -27,7 +27,7 @@ from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.design.descent.coordinates import alike
+from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, quasi_newton
 from synth.design.descent.refine import refine
@@ -285,7 +285,7 @@ class _Search:
 
     def whitened(self, x: Array, rounds: int) -> Array:
         """A quick descent in coordinates where all directions count alike."""
-        return self._quick(x, rounds, alike(self.landscape, x))
+        return self._quick(x, rounds, balanced_coordinates(self.landscape, x))
 
     def _quick(self, start: Array, rounds: int, M: Array) -> Array:
         """A descent of log norm over t, from start + M t."""

@@ -23,7 +23,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
-from synth.lmi.unobservable import RANK, hidden, nulling, unseen
+from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import own_units, size
@@ -53,7 +53,7 @@ class WellPosedProblem:
 
 
 @functools.lru_cache(maxsize=2)  # both steps of a design ask for it, and plants do not change
-def posed(plant: GeneralizedPlant) -> WellPosedProblem:
+def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     """Returns the problem (22) of a plant, or a regularised one if it is degenerate; neither depends on units.
 
     Raises:
@@ -65,7 +65,7 @@ def posed(plant: GeneralizedPlant) -> WellPosedProblem:
     scale, forces = own_units(plant).exact
     step, form = plant.dt or 0.0, plant.differences
     own, nothing = form.in_coordinates(np.diag(scale)).with_inputs(np.diag(forces)), np.zeros_like(plant.B.T)
-    blind = hidden(own, nothing)[1]  # what z does not see without control
+    blind = output_nulling_subspace(own, nothing)[1]  # what z does not see without control
     alone = nothing if is_stable(plant.A, plant.dt) else None
     strength = size(own.Bw) * (plant.dt or 1.0)
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
@@ -89,7 +89,7 @@ def posed(plant: GeneralizedPlant) -> WellPosedProblem:
     return WellPosedProblem(beside, said, best if stable else None, f"with this gain w reaches z {how}")
 
 
-def free_force(plant: GeneralizedPlant) -> list[str]:
+def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
     """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
@@ -103,7 +103,7 @@ def free_force(plant: GeneralizedPlant) -> list[str]:
     return []
 
 
-def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
+def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
     """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
 
     Args:
@@ -112,8 +112,8 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
-    for F in nulling(balanced):
-        V, A = hidden(balanced, F)[1], balanced.closed_loop(F).A
+    for F in output_nulling_gains(balanced):
+        V, A = output_nulling_subspace(balanced, F)[1], balanced.closed_loop(F).A
         poles, vectors = np.linalg.eig(V.T @ A @ V) if V.shape[1] else (np.zeros(0), V)
         rounding = RANK * size(A)
         if dt is None:
@@ -144,7 +144,7 @@ def standing(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
 def _seen(plant: GeneralizedPlant, step: float) -> tuple[Array, GeneralizedPlant, Array]:
     """Returns coordinates (n, k) and plant of the part that `unseen` leaves for (22), and the gain that hides the rest."""
     kept, parts = np.eye(len(plant.A)), []
-    while (part := unseen(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
+    while (part := remove_unobservable(plant, np.zeros((len(plant.A), 0)), np.eye(len(plant.A)), step)) is not None:
         kept, plant, parts = kept @ part.Z[:, : len(part.rest.A)], part.rest, [*parts, part]
     F = np.zeros_like(plant.B.T)
     for part in reversed(parts):
@@ -225,22 +225,22 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
             or it could not be followed.
     """
-    problem, own = posed(plant).plant, own_units(plant)
-    modes = standing(problem, states)
+    problem, own = well_posed(plant).plant, own_units(plant)
+    modes = unobservable_marginal_modes(problem, states)
     if modes:  # a path without an end may be followed for a while
-        from synth.analysis.stability import obstacles
+        from synth.analysis.stability import stabilisability_failures
 
-        if reached_by_none := "; ".join(obstacles(plant, None, states)):
+        if reached_by_none := "; ".join(stabilisability_failures(plant, None, states)):
             raise InfeasibleError(reached_by_none)
         raise DesignError(modes[0])
     try:
         return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem))]
     except InfeasibleError as error:
-        from synth.analysis.stability import obstacles
+        from synth.analysis.stability import stabilisability_failures
 
-        raise InfeasibleError("; ".join(obstacles(plant, None, states)) or str(error)) from error
+        raise InfeasibleError("; ".join(stabilisability_failures(plant, None, states)) or str(error)) from error
     except DesignError as error:
-        raise type(error)("; ".join(free_force(plant)) or str(error)) from error
+        raise type(error)("; ".join(unpenalised_inputs(plant)) or str(error)) from error
 
 
 @numerics()
@@ -254,15 +254,17 @@ def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), low
     Raises:
         InfeasibleError, DesignError: as `state_path`, or no certificate holds.
     """
-    problem, everything = posed(plant), np.eye(len(plant.A))
+    problem, everything = well_posed(plant), np.eye(len(plant.A))
     if problem.best is not None:
         from synth.analysis.bounding import certify_tightly
 
         return Design(problem.best, certify_tightly(plant, problem.best, lower_bound), case=problem.best_case)
-    return replace(furthest(plant, everything, path or state_path(plant), lower_bound), case=problem.case)
+    return replace(last_certified_gain(plant, everything, path or state_path(plant), lower_bound), case=problem.case)
 
 
-def furthest(plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None) -> Design:
+def last_certified_gain(
+    plant: GeneralizedPlant, Cy: Array, path: Sequence[CentralPoint], lower_bound: LowerBound | None = None
+) -> Design:
     """The gain furthest along a central path whose certificate holds, short of those beyond any actuator.
 
     Where every proof is of a gain beyond them, as with a plant that hardly moves by itself, the slowest stands for the plant.
@@ -333,8 +335,8 @@ def two_step_design(
         >>> design.gain.shape, f"{design.certificate.norm.value:.4f}", design.certificate.failures
         ((1, 1), '0.2500', ())
     """
-    Cy, kept = measurement(plant, Cy)
-    problem = posed(plant)
+    Cy, kept = as_measurement_matrix(plant, Cy)
+    problem = well_posed(plant)
     units = own_units(plant, Cy)
     rows, measured = units.rows(Cy[kept])
     if problem.best is not None:
@@ -345,7 +347,7 @@ def two_step_design(
 
             K = np.linalg.solve(measured.T, on_rows.T).T
             best = Design(K, certify_tightly(plant, Feedback(K, Cy[kept]), lower_bound), case=problem.best_case)
-            return widened(best, kept, len(Cy), 0.0)
+            return with_redundant_rows(best, kept, len(Cy), 0.0)
     fits(unknowns(problem.plant), MOST, "the two steps are gone")
     path = path or state_path(plant, states)
     own, Q = units.into(problem.plant), nullspace(rows)
@@ -355,19 +357,19 @@ def two_step_design(
         try:
             L = l_matrix(start.X / np.outer(units.states, units.states), rows, Q)
             points = [point.in_units(units.states, units.inputs, measured) for point in output_feedback(own, rows, L, Q)]
-            found = furthest(plant, Cy[kept], points, lower_bound)
+            found = last_certified_gain(plant, Cy[kept], points, lower_bound)
         except DesignError as error:
             failures.append(error)
             continue
-        found = widened(replace(found, case=problem.case), kept, len(Cy), start.gamma / path[-1].gamma - 1)
+        found = with_redundant_rows(replace(found, case=problem.case), kept, len(Cy), start.gamma / path[-1].gamma - 1)
         if not found.certificate.beyond_actuators:
             return found
         beyond.append(found)
     if beyond:
         return min(beyond, key=lambda design: design.certificate.speed_up)
-    from synth.analysis.stability import immovable, obstacles
+    from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 
-    if reasons := "; ".join(obstacles(plant, Cy, states) or immovable(plant, Cy)):
+    if reasons := "; ".join(stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)):
         raise InfeasibleError(reasons)
     broken = [error for error in failures if not isinstance(error, InfeasibleError)]
     first, *_ = [*broken, *failures]  # only where all are infeasible it is proved that there is none
@@ -377,22 +379,24 @@ def two_step_design(
 @numerics()
 def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | None = None) -> Design:
     """Remark 4: (25) with L = 0, in one step."""
-    Cy, kept = measurement(plant, Cy)
-    problem, units = posed(plant), own_units(plant, Cy)
+    Cy, kept = as_measurement_matrix(plant, Cy)
+    problem, units = well_posed(plant), own_units(plant, Cy)
     rows, measured = units.rows(Cy[kept])
     Q = nullspace(rows)
     points = output_feedback(units.into(problem.plant), rows, np.zeros((Q.shape[1], len(kept))), Q)
     path = [point.in_units(units.states, units.inputs, measured) for point in points]
-    return widened(replace(furthest(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0)
+    return with_redundant_rows(
+        replace(last_certified_gain(plant, Cy[kept], path, lower_bound), case=problem.case), kept, len(Cy), 0.0
+    )
 
 
-def measurement(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
+def as_measurement_matrix(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
     """C_y, checked, and which of its rows do not follow from those before them."""
     Cy = measurement_matrices(plant, Cy)[0]
     return Cy, independent_rows(plant, Cy)
 
 
-def widened(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:
+def with_redundant_rows(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:
     """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
     gain = np.zeros((len(design.gain), q))
     gain[:, kept] = design.gain

@@ -31,7 +31,7 @@ from models.common.threads import one_thread
 from synth.analysis.certificate import bounded_real_matrix
 from synth.lmi.barrier import Barrier, Derivatives, Factored, Raised, boundary, newton
 from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
-from synth.lmi.unobservable import Unseen, unseen
+from synth.lmi.unobservable import UnobservableReduction, remove_unobservable
 from synth.plant.generalized import GeneralizedPlant, check_posed, fed_back
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
 from synth.plant.units import reachable, size
@@ -128,7 +128,7 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
     check_posed(plant)
     if not len(plant.A):
         raise DesignError("a gain can make all states unobservable in z, so every such gain is optimal; weight a state in z")
-    part = unseen(plant, Q, R, step)
+    part = remove_unobservable(plant, Q, R, step)
     if part is not None:  # X may grow there without bound: the path is that of the other states
         for point in _in_differences(part.rest, part.Q, part.R, mu, step):
             yield _put_back(part, point)
@@ -154,7 +154,7 @@ def _border(step: float) -> str:
     return "unit circle" if step else "imaginary axis"
 
 
-def _put_back(part: Unseen, point: CentralPoint) -> CentralPoint:
+def _put_back(part: UnobservableReduction, point: CentralPoint) -> CentralPoint:
     """Returns a point of the path without the unobservable states as a point for the whole plant."""
     try:
         proof = part.proof(point.K, point.X if point.proof is None else point.proof, point.eta)

@@ -27,7 +27,7 @@ UNDRIVEN = 1e-6  # variance of a state that nothing drives, relative to the mean
 
 
 @dataclass(frozen=True, eq=False)
-class Unseen:
+class UnobservableReduction:
     """A plant without its stable states that are unobservable in z, and the way back.
 
     Attributes:
@@ -90,7 +90,7 @@ class Unseen:
         return from_differences(self.whole.closed_loop(gain), self.step)
 
 
-def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen | None:
+def remove_unobservable(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> UnobservableReduction | None:
     """Removes states that can be made unobservable from z without changing (12). Returns None if there are none.
 
     Args:
@@ -102,8 +102,8 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen |
     T = np.hstack([Q, R])
     lengths = np.linalg.norm(T / balance(plant.A)[1][:, None], axis=0)  # ranks are decided in balanced coordinates
     moved = plant.in_coordinates(T / lengths)
-    for F in nulling(moved):
-        V = hidden(moved, F, step)[0]
+    for F in output_nulling_gains(moved):
+        V = output_nulling_subspace(moved, F, step)[0]
         in_q, in_r = _structured(moved, F, V, a)
         out_q, out_r = _complement(in_q[:a]), _complement(in_r[a:])
         k, left = out_q.shape[1], in_q.shape[1] + in_r.shape[1]
@@ -122,11 +122,11 @@ def unseen(plant: GeneralizedPlant, Q: Array, R: Array, step: float) -> Unseen |
         rest = GeneralizedPlant(A, whole.B[:n], whole.Bw[:n], whole.C[:, :n], whole.D, whole.Dw)
         kept = np.eye(n)
         narrow, F_k = out_r.T * lengths[a:], F_r[:, a:] * lengths[a:]
-        return Unseen(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
+        return UnobservableReduction(rest, kept[:, :k], kept[:, k:], T / lengths @ Z, whole, narrow, F_k, step)
     return None
 
 
-def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
+def output_nulling_gains(plant: GeneralizedPlant) -> Iterator[Array]:
     """Yields gains that may make states unobservable in z: zero, and, if z weights every force, -D^+ C."""
     yield np.zeros_like(plant.B.T)
     W = plant.independent_inputs()
@@ -137,7 +137,7 @@ def nulling(plant: GeneralizedPlant) -> Iterator[Array]:
             yield F
 
 
-def hidden(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
+def output_nulling_subspace(plant: GeneralizedPlant, F: Array, step: float = 0.0) -> tuple[Array, Array]:
     """Returns orthonormal bases of the states unobservable in z under u = F x: the stable ones, and all; shapes (n, k)."""
     n = len(plant.A)
     loop = plant.closed_loop(F) if F.any() else plant

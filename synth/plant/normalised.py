@@ -18,7 +18,7 @@ from synth.plant.units import OwnUnits, independent, nearest_power, orthonormal_
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class NormalisedPlant:
     """A plant and its measurements in the plant's own units.
 
     Attributes:
@@ -46,7 +46,7 @@ class Measured:
     rows: Array
 
     @classmethod
-    def of(cls, plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> "Measured":
+    def of(cls, plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> "NormalisedPlant":
         """Returns the plant and its measurements in the plant's own units.
 
         Args:

@@ -238,7 +238,7 @@ def size(matrix: Array) -> float:
     return float(np.linalg.svd(matrix, compute_uv=False).max(initial=0.0)) or 1.0
 
 
-class Scaled:
+class NormalisedSystem:
     """Plants in the coordinates of [Q R], in units in which all numbers of the first have size one, and time in 1 / rate.
 
     Args:

@@ -12,13 +12,13 @@ from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.combinations import check_command, goes
-from models.vehicle.controllers import IDEAL, ControllerEntry, Hardware
+from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import Controller, certified, checked, on_readings
+from synth.controller.controller import Controller, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
-from synth.controller.report import false_norm, norm_if_implemented, still_false
+from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
 from synth.lmi.central_path import CentralPoint
@@ -51,8 +51,8 @@ def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Contro
         optimum_gap=design.optimum_gap,
         moved=design.moved,
         redundant=redundant,
-        case="; ".join(said for said in (design.case, beside) if said),
-        instead=design.instead,
+        degeneracy="; ".join(said for said in (design.case, beside) if said),
+        fallback_method=design.instead,
         hardware=entry.hardware,
     )
 
@@ -65,7 +65,7 @@ class SharedDesignData:
         states: names of its states.
     """
 
-    def __init__(self, vehicle: Vehicle, hardware: Hardware = IDEAL) -> None:
+    def __init__(self, vehicle: Vehicle, hardware: DesignConditions = NOMINAL) -> None:
         """Args:
         vehicle: the vehicle.
         hardware: its actuators' lag, and its loads.
@@ -97,7 +97,7 @@ class SharedDesignData:
         key = tuple(measured), noise
         if key not in self._bounds:
             posed = self.problem(*key)
-            Cy, Dyw = posed.rows(posed.of_state)
+            Cy, Dyw = posed.select_rows(posed.state_measurements)
             everything = not len(Cy) or (key[0] == self.states and Dyw is None)
             try:
                 path = self.state_path
@@ -110,20 +110,20 @@ class SharedDesignData:
 class Designer:
     """Designs the controllers of one vehicle. The state-feedback step (22) is shared by them all, and done when first needed.
 
-    With `search` gains that are given are held against each vehicle's own best, too, which takes designs (`promises_of`).
+    With `search` given gains are compared with each vehicle's own best, too, which takes designs (`verify_specifications`).
     """
 
     @at_the_door
     def __init__(self, vehicle: Vehicle, search: bool = True) -> None:
         self.vehicle, self.search = vehicle, search
-        self._shared: dict[Hardware, SharedDesignData] = {IDEAL: SharedDesignData(vehicle)}
+        self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
         self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
 
     def __repr__(self) -> str:
         """Returns the kind and the file of its vehicle."""
         return f"Designer of {self.vehicle.shown[0]}"
 
-    def shared(self, hardware: Hardware = IDEAL) -> SharedDesignData:
+    def shared(self, hardware: DesignConditions = NOMINAL) -> SharedDesignData:
         """Returns the data that designs for these actuators and loads share."""
         key = replace(hardware, noise=())
         if key not in self._shared:
@@ -150,11 +150,11 @@ class Designer:
         """Lower bound from the invariant point, which holds for any measurements."""
         return self.shared().beyond_control
 
-    def problem(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> Problem:
+    def problem(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> Problem:
         """Returns the problem that a controller with these measured signals is designed for and judged with."""
         return self.shared(hardware).problem(measured, hardware.noise)
 
-    def lower_bound(self, measured: Sequence[str], hardware: Hardware = IDEAL) -> LowerBound:
+    def lower_bound(self, measured: Sequence[str], hardware: DesignConditions = NOMINAL) -> LowerBound:
         """Returns the lower bound for controllers of any order with these signals; without signals, for full state feedback."""
         return self.shared(hardware).lower_bound(measured, hardware.noise)
 
@@ -177,14 +177,14 @@ class Designer:
 
     @at_the_door
     def design(
-        self, name: str, zero_l: bool = False, told: Callable[[float, bool], None] = lambda goal, within: None
+        self, name: str, zero_l: bool = False, on_progress: Callable[[float, bool], None] = lambda goal, within: None
     ) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
             name: of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
-            told: called with what a design for goals has reached, as it goes on.
+            on_progress: called with what a design for goals has reached, as it goes on.
 
         Raises:
             InputError: no controller has that name.
@@ -209,7 +209,7 @@ class Designer:
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
-                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, told)
+                return goals_design(self.vehicle, entry, entry.goals, posed, lower_bound, on_progress)
             if entry.sampled:
                 from synth.vehicle.sampled_data import sampled_design
 
@@ -235,7 +235,7 @@ class Designer:
         return designed(self.vehicle, entry, found)
 
     @at_the_door
-    def given(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
+    def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
         """Certifies a known law, from what is measured to the forces, under any name, as it is.
 
         Raises:
@@ -249,27 +249,29 @@ class Designer:
     def _given(self, entry: ControllerEntry, law: LinearLaw) -> Controller:
         posed, hardware = self.problem(entry.measured, entry.hardware), entry.hardware
         try:
-            certificate, wrong = certified(posed, entry, self.lower_bound(entry.measured, hardware))
+            certificate, wrong = certify_law(posed, entry, self.lower_bound(entry.measured, hardware))
         except InputError as error:
-            raise self.vehicle.found_wrong(error) from error
+            raise self.vehicle.located(error) from error
         controller = Controller(entry.name, entry.measured, law, False, certificate, hardware=hardware)
         if entry.goals is not None:
-            from synth.vehicle.multi_objective import promises_of
+            from synth.vehicle.multi_objective import verify_specifications
 
-            controller = replace(controller, promises=promises_of(self.vehicle, entry, entry.goals, law, self.search))
+            controller = replace(
+                controller, specifications=verify_specifications(self.vehicle, entry, entry.goals, law, self.search)
+            )
         if entry.certificate:
             from synth.controller.implementation_norm import false_sampled_bound
 
             wrong += false_sampled_bound(self.vehicle, entry)
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
-        return replace(controller, false_claims=still_false(self.vehicle, controller, wrong))
+        return replace(controller, false_claims=remaining_false_claims(self.vehicle, controller, wrong))
 
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
         from synth.design.full_order.by_name import named_design
         from synth.vehicle.quadratic import white_noise
 
-        hardware, (Cy, Dyw) = entry.hardware, posed.rows(posed.of_state)
+        hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
         designed = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run)
@@ -330,9 +332,9 @@ class Designer:
             InputError: the certificate is malformed.
         """
         try:
-            return checked(self.problem(entry.measured, entry.hardware), entry)
+            return verify_record(self.problem(entry.measured, entry.hardware), entry)
         except InputError as error:
-            raise self.vehicle.found_wrong(error) from error
+            raise self.vehicle.located(error) from error
 
     def _entry(self, name: str) -> ControllerEntry:
         """Returns the entry to be designed or certified under a name."""
@@ -344,9 +346,11 @@ class Designer:
         return self.vehicle.linear_entry(name)
 
 
-def given(vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: Hardware = IDEAL) -> Controller:
-    """Certifies a known law; `Designer.given` shares work between several."""
-    return Designer(vehicle).given(name, measured, law, hardware)
+def certify_given(
+    vehicle: Vehicle, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL
+) -> Controller:
+    """Certifies a known law; `Designer.certify` shares work between several."""
+    return Designer(vehicle).certify(name, measured, law, hardware)
 
 
 def design(vehicle: Vehicle, name: str) -> Controller:

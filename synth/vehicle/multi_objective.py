@@ -21,10 +21,10 @@ from synth.analysis.specification import Specification
 from synth.controller.controller import Controller, InterruptedDesign
 from synth.controller.problem import Problem, measurements, problem
 from synth.design.multi_model import slack_design
-from synth.design.multi_objective.design import GoalDesign, Interrupted, design_for_goals
-from synth.design.multi_objective.objectives import Signal
-from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
-from synth.design.multi_objective.road_response import Drive, Driven
+from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, multi_objective_design
+from synth.design.multi_objective.objectives import BoundedSignal
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import Told
 from synth.design.two_step import two_step_design
 from synth.plant.numerics import DesignError
@@ -49,7 +49,7 @@ def family_of(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> list[Ve
     return members
 
 
-def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
+def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
     """Returns the problem of a section with goals, without the individual optima of its members.
 
     Raises:
@@ -58,17 +58,17 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goal
     try:
         return _goal_problem(vehicle, entry, goals)
     except InputError as error:
-        raise vehicle.found_wrong(error) from error
+        raise vehicle.located(error) from error
 
 
-def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> GoalProblem:
+def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
     vehicles = family_of(vehicle, entry, goals)
     norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
     bounded = [(f"[controllers.{entry.name}] bounds[{i}]", bound) for i, bound in enumerate(goals.bounds)]
     peaks = [(bound, _road(where, vehicle, bound)) for where, bound in bounded if isinstance(bound, PeakBound)]
     energies = [(where, bound) for where, bound in bounded if isinstance(bound, EnergyBound)]
     members = tuple(
-        Member(
+        FamilyMember(
             tuple(_posed(each, entry, norm) for norm in norms),
             tuple(_driven(each, entry, bound, road) for bound, road in peaks),
             tuple(_signal(where, weighing(each, goals.minimise), entry, bound) for where, bound in energies),
@@ -76,19 +76,19 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Goa
         for each in vehicles
     )
     bounds = [
-        NormGoal(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
+        NormSpecification(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
         for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
     ]
     inputs, tolerance = vehicle.linear_model.inputs, goals.tolerance
     m, q = len(inputs), len(entry.measured)
-    errors = Errors(
+    errors = GainErrors(
         np.array([tolerance.get(signal, 0.0) for signal in entry.measured]),
         np.array([tolerance.get(force, tolerance.get(FORCE, 0.0)) for force in inputs]),
     )
     structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
-    return GoalProblem(
+    return MultiObjectiveProblem(
         members,
-        NormGoal(0, goals.minimise.rates),
+        NormSpecification(0, goals.minimise.rates),
         errors,
         structure,
         norms=tuple(bounds),
@@ -103,13 +103,13 @@ def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
     return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={})
 
 
-def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> Posed:
+def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> MeasuredPlant:
     """A vehicle with the z of a norm."""
     posed = problem(weighing(vehicle, norm), entry.measured, entry.hardware)
-    return Posed(posed.plant, posed.Cy, posed.Dyw, posed.through if np.any(posed.through) else None)
+    return MeasuredPlant(posed.plant, posed.Cy, posed.Dyw, posed.feedthrough if np.any(posed.feedthrough) else None)
 
 
-def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> Driven:
+def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Road) -> RoadLoop:
     """A vehicle on the road of a bound."""
     bandwidth = entry.hardware.bandwidth
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
@@ -122,17 +122,17 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
 
     later = delays(road, vehicle)
     kinks = np.unique([kink + delay for kink in road.kinks for delay in later])
-    drive = Drive(
+    drive = RoadExcitation(
         lambda t: heights(np.ascontiguousarray(t).tobytes()),
         lambda t: under_wheels(road.velocity, road, vehicle, t),
         kinks,
         road.duration + max(later),
     )
     name = f"{bound.signal} over {bound.road} <= {bound.at_most:g}"
-    return Driven(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
+    return RoadLoop(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
 
 
-def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> Signal:
+def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
     """The signal of a bound for roads of given energy, on the states of what is minimised."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
     if np.any(model.Cr[model.outputs.index(bound.signal)]):
@@ -147,7 +147,7 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
         )
     c, g = measurements(vehicle, [bound.signal], bandwidth)
     name = f"{bound.signal} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
-    return Signal(c[0], g[0], bound.at_most, bound.energy**0.5, name)
+    return BoundedSignal(c[0], g[0], bound.at_most, bound.energy**0.5, name)
 
 
 def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
@@ -177,25 +177,25 @@ def goals_design(
     goals: Goals,
     posed: Problem,
     lower_bound: LowerBound,
-    told: Told,
+    on_progress: Told,
 ) -> Controller:
     """The controller of a section with goals.
 
     Args:
         posed: the problem of its certificate: z of `[performance]` at all frequencies.
-        told: called with what is reached, as it is.
+        on_progress: called with what is reached, as it is.
 
     Raises:
         DesignError: no controller was found.
         InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
     asked = goal_problem(vehicle, entry, goals)
-    bests = with_bests(asked) if goals.family else asked  # said of every family, minimised where that is asked for
+    bests = with_individual_optima(asked) if goals.family else asked  # said of every family, minimised where that is asked for
     stopped = ""
     try:
-        design = searched(bests if goals.over == REGRET else asked, told)
-    except Interrupted as error:
-        design, stopped = error.best, "interrupted: the best within all bounds until then"
+        design = run_search(bests if goals.over == REGRET else asked, on_progress)
+    except InterruptedSearch as error:
+        design, stopped = error.incumbent, "interrupted: the best within all bounds until then"
     try:
         made = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
     except KeyboardInterrupt as error:
@@ -204,7 +204,7 @@ def goals_design(
     if stopped:
         raise InterruptedDesign(made, stopped)
     try:
-        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *price(asked, design)))
+        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *cost_of_structure(asked, design)))
     except KeyboardInterrupt as error:
         raise InterruptedDesign(made, "interrupted: what its structure costs is not known") from error
 
@@ -215,13 +215,13 @@ def _controller(
     goals: Goals,
     posed: Problem,
     lower_bound: LowerBound,
-    asked: GoalProblem,
-    design: GoalDesign,
+    problem: MultiObjectiveProblem,
+    design: MultiObjectiveDesign,
     judged: bool = True,
 ) -> Controller:
     """The controller of a gain, certified, with what it keeps where that is judged."""
     law = static_law(design.gain)
-    certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
+    certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     return Controller(
         entry.name,
         entry.measured,
@@ -230,7 +230,7 @@ def _controller(
         certificate=certificate,
         remarks=(*remarks(design), *_beside(goals, certificate)),
         hardware=entry.hardware,
-        promises=Verification(vehicle, entry, goals, asked, design.gain).promises() if judged else (),
+        specifications=Verification(vehicle, entry, goals, problem, design.gain).promises() if judged else (),
     )
 
 
@@ -244,7 +244,7 @@ def _beside(goals: Goals, certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def promises_of(
+def verify_specifications(
     vehicle: Vehicle, entry: ControllerEntry, goals: Goals, law: LinearLaw, search: bool
 ) -> tuple[Specification, ...]:
     """Verifies a given gain against the goals of its section.
@@ -257,11 +257,11 @@ def promises_of(
     """
     asked = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:
-        asked = with_bests(asked)
+        asked = with_individual_optima(asked)
     return Verification(vehicle, entry, goals, asked, law.D).promises()
 
 
-def price(asked: GoalProblem, design: GoalDesign) -> tuple[str, ...]:
+def cost_of_structure(asked: MultiObjectiveProblem, design: MultiObjectiveDesign) -> tuple[str, ...]:
     """Returns a note on the cost of a structure, compared with a full gain; empty if the structure is full.
 
     Args:
@@ -271,11 +271,11 @@ def price(asked: GoalProblem, design: GoalDesign) -> tuple[str, ...]:
     whole = replace(asked, structure=np.ones_like(asked.structure))
     if np.all(asked.structure):
         return ()
-    goal = min(design_for_goals(whole, [design.gain, *_two_steps(whole)]).goal, design.goal)
+    goal = min(multi_objective_design(whole, [design.gain, *_two_steps(whole)]).goal, design.goal)
     return (f"its structure costs {percent(design.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
 
 
-def with_bests(asked: GoalProblem) -> GoalProblem:
+def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProblem:
     """The same, of the largest ratio to what each member has by itself, within the same bounds.
 
     Raises:
@@ -284,18 +284,18 @@ def with_bests(asked: GoalProblem) -> GoalProblem:
     bests = []
     for i in range(len(asked.members)):
         try:
-            bests.append(searched(asked.alone(i)).goal)
+            bests.append(run_search(asked.alone(i)).goal)
         except DesignError as error:
             raise DesignError(f"family[{i}] by itself: {error}") from error
     return replace(asked, bests=tuple(bests))
 
 
-def searched(asked: GoalProblem, told: Told = lambda goal, within: None) -> GoalDesign:
+def run_search(asked: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
     """Runs the search, started from two-step designs of some members and from its own starts."""
-    return design_for_goals(asked, _two_steps(asked), told, lambda: _slack(asked))
+    return multi_objective_design(asked, _two_steps(asked), on_progress, lambda: _slack(asked))
 
 
-def _slack(asked: GoalProblem) -> list[Array]:
+def _slack(asked: MultiObjectiveProblem) -> list[Array]:
     """The gain of the two steps with a slack variable, for all members at once."""
     plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
     try:
@@ -305,7 +305,7 @@ def _slack(asked: GoalProblem) -> list[Array]:
         return []
 
 
-def _of_state(posed: Posed) -> Array:
+def _of_state(posed: MeasuredPlant) -> Array:
     """Returns True for the measurements that say something of the state, shape (q,): of forces alone nothing is designed."""
     return np.any(posed.Cy != 0, axis=1)
 
@@ -317,7 +317,7 @@ def _whole(few: Array, kept: Array) -> Array:
     return gain
 
 
-def _two_steps(asked: GoalProblem) -> list[Array]:
+def _two_steps(asked: MultiObjectiveProblem) -> list[Array]:
     """The gains of the two steps, of the first, middle and last member."""
     count, gains = len(asked.members), []
     for i in sorted({0, count // 2, count - 1}):
@@ -330,11 +330,12 @@ def _two_steps(asked: GoalProblem) -> list[Array]:
     return gains
 
 
-def remarks(design: GoalDesign) -> tuple[str, ...]:
+def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
     """Returns notes on a search."""
-    if design.refused is None:
+    if design.rejected_improvement is None:
         return ("designed for its goals, by descent from the two steps and other starts",)
     return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: {percent(design.refused)} less for "
+        f"designed for its goals, by descent from the two steps and other starts; refused: "
+        f"{percent(design.rejected_improvement)} less for "
         "up to twice the gain",
     )

@@ -9,7 +9,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import on_readings
 from synth.controller.problem import Problem, plant_states, problem
-from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, widened
+from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, with_extra_disturbances
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
@@ -18,11 +18,11 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
     """
     how = vehicle.implementation
-    levels = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.of_state]
+    levels = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
     return levels if any(levels) else None
 
 
-def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesign:
+def quadratic_optimum(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesign:
     """Returns the quadratic design of a section, with its law on sensor readings.
 
     Args:
@@ -33,14 +33,14 @@ def best_in_the_mean(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesig
         InputError, DesignError: as `quadratic_design` and `on_readings`.
     """
     posed = problem(vehicle, entry.measured, entry.hardware)
-    Cy, Dyw = posed.rows(posed.of_state)
+    Cy, Dyw = posed.select_rows(posed.state_measurements)
     states, noise = plant_states(vehicle, entry.hardware.bandwidth), white_noise(vehicle, entry, posed)
     optimum = quadratic_design(entry.design, posed.plant, Cy, states, noise, Dyw)
     return replace(optimum, law=on_readings(optimum.law, posed))
 
 
-def mean_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
-    """The H2 norm that `best_in_the_mean` makes the smallest, of any law on what the sensors read whose loop is stable.
+def h2_norm_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
+    """The H2 norm that `quadratic_optimum` makes the smallest, of any law on what the sensors read whose loop is stable.
 
     Raises:
         InputError: its loop has no solution.
@@ -50,7 +50,7 @@ def mean_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
     if entry.design == "lqg" and noise is not None:
         q, r = len(posed.Cy), posed.plant.Bw.shape[1]
         Dyw = np.zeros((q, r + len(noise)))
-        Dyw[posed.of_state, r:] = np.diag(noise)
-        posed = replace(posed, plant=widened(posed.plant, r + len(noise)), Dyw=Dyw)
-    plant, G = posed.closed(law)
+        Dyw[posed.state_measurements, r:] = np.diag(noise)
+        posed = replace(posed, plant=with_extra_disturbances(posed.plant, r + len(noise)), Dyw=Dyw)
+    plant, G = posed.closed_loop(law)
     return h2_norm(plant.closed_loop(G))

@@ -52,7 +52,7 @@ def refined(
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
     """
     kept = independent_rows(posed.plant, posed.Cy)
-    (Cy, Dyw), origin = posed.rows(kept), ""
+    (Cy, Dyw), origin = posed.select_rows(kept), ""
     if start is None:
         from synth.design.static import static_output_feedback
 
@@ -66,7 +66,7 @@ def refined(
     certificate = certify_tightly(
         *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
     )
-    law = static_law(gain).fed_back(-posed.through)
+    law = static_law(gain).fed_back(-posed.feedthrough)
     controller = Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)
     return RefinedController(controller, start, origin, refinement)
 
@@ -77,7 +77,7 @@ def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
     if gap is not None and gap <= SEEN:
         return 0.0
     kept = independent_rows(posed.plant, posed.Cy)
-    Cy, Dyw = posed.rows(kept)
+    Cy, Dyw = posed.select_rows(kept)
     share = worth_refining(posed.plant, Cy, _gain(vehicle, controller, posed, kept), Dyw)
     return share if share > SEEN else 0.0
 

@@ -44,7 +44,9 @@ def sampled_design(
     return replace(
         made,
         redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
-        instead=f"not by the two steps but by descent on the sampled norm, for {designed.instead}" if designed.instead else "",
+        fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
+        if designed.instead
+        else "",
     )
 
 
@@ -84,7 +86,7 @@ def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound,
         DesignError: the ideal loop does not exist, or rounding leaves no certificate.
     """
     try:
-        certificate = certify_tightly(*posed.closed(law), lower_bound, by_itself=posed.plant)
+        certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"the law for the sampled loop has no ideal loop: {error}") from error
     return Controller(

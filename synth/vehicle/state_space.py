@@ -10,12 +10,12 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.laws.linear import LinearLaw
-from models.vehicle.controllers import IDEAL, read_controllers
+from models.vehicle.controllers import NOMINAL, read_controllers
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, check_fits
 from synth.controller.problem import plant_states
 from synth.plant.generalized import GeneralizedPlant
-from synth.vehicle.designer import given
+from synth.vehicle.designer import certify_given
 
 if TYPE_CHECKING:
     import control
@@ -124,7 +124,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
     section = {name: {"measured": list(measured), **law.record}}
     entry = read_controllers(section, vehicle.linear_model, vehicle.limits, vehicle.implementation, vehicle.kind)[name]
     vehicle.check_entry(entry)
-    return given(vehicle, entry.name, entry.measured, law)
+    return certify_given(vehicle, entry.name, entry.measured, law)
 
 
 def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
@@ -201,7 +201,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
     """
     outputs = vehicle.linear_model.outputs
     plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None)
-    return _loop(plain, replace(controller, hardware=IDEAL), outputs)
+    return _loop(plain, replace(controller, hardware=NOMINAL), outputs)
 
 
 def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":

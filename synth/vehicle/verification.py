@@ -18,8 +18,8 @@ from synth.analysis.stability import stability
 from synth.analysis.uncertainty_box import Box, ScaledGain
 from synth.design.multi_objective.band_filter import in_band
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
-from synth.design.multi_objective.peak import largest_over_road
-from synth.design.multi_objective.problem import Errors, GoalProblem, NormGoal, Posed
+from synth.design.multi_objective.peak import peak_over_road
+from synth.design.multi_objective.problem import GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
 from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout, stable_throughout, stable_with_errors
@@ -34,18 +34,18 @@ NEAR = 1.01  # times what is met: a bound that is so close needs no other
 
 
 @dataclass(frozen=True, eq=False)
-class Worst:
+class WorstCase:
     """A norm with the worst errors, between two bounds.
 
     Attributes:
-        found: the largest norm found.
-        proved: proved upper bound; infinite if none is known.
-        errors: with which `found` occurs.
+        lower: the largest norm found.
+        upper: proved upper bound; infinite if none is known.
+        errors: with which `lower` occurs.
     """
 
-    found: float
-    proved: float
-    errors: Errors
+    lower: float
+    upper: float
+    errors: GainErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class Verification:
     vehicle: Vehicle
     entry: ControllerEntry
     goals: Goals
-    asked: GoalProblem
+    asked: MultiObjectiveProblem
     K: Array
-    known: dict[NormGoal, list[Worst]] = field(default_factory=dict)
+    known: dict[NormSpecification, list[WorstCase]] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -99,7 +99,7 @@ class Verification:
             )
         return tuple(specifications)
 
-    def largest(self, norm: NormOf, asked: NormGoal, at_most: float | None = None) -> list[Specification]:
+    def largest(self, norm: NormOf, asked: NormSpecification, at_most: float | None = None) -> list[Specification]:
         """A norm over the family without errors, and with the worst ones."""
         of = [_norm(member.posed[asked.which], self.K, asked) for member in self.asked.members]
         i = int(np.argmax([value for value, _, _ in of]))
@@ -112,18 +112,18 @@ class Verification:
         if not self.asked.has_errors:
             return specifications
         wholes = self.worst(asked)
-        i = int(np.argmax([whole.found for whole in wholes]))
+        i = int(np.argmax([whole.lower for whole in wholes]))
         names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
         off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
         where = ", ".join(text for text in (self.names[i], *(f"{name} {100 * e:+.3g} %" for name, e in off if e)) if text)
-        proved = max(whole.proved for whole in wholes)
-        return [*specifications, Specification(f"{what}, with errors", wholes[i].found, proved, at_most, where=where)]
+        proved = max(whole.upper for whole in wholes)
+        return [*specifications, Specification(f"{what}, with errors", wholes[i].lower, proved, at_most, where=where)]
 
     def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
         asked = self.asked
         if asked.has_errors:
-            of = [(each.found, each.proved) for each in self.worst(asked.minimise)]
+            of = [(each.lower, each.upper) for each in self.worst(asked.minimise)]
         else:
             of = [_norm(member.posed[0], self.K, asked.minimise)[:2] for member in asked.members]
         ratios = [value / best for (value, _), best in zip(of, bests, strict=True)]
@@ -132,7 +132,7 @@ class Verification:
         with_errors = ", with errors" if asked.has_errors else ""
         return Specification(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
 
-    def worst(self, asked: NormGoal) -> list[Worst]:
+    def worst(self, asked: NormSpecification) -> list[WorstCase]:
         """The norm of every member with the worst errors."""
         if asked not in self.known:
             whole = asked.band == EVERYWHERE
@@ -144,7 +144,7 @@ class Verification:
         """Number of members of the family."""
         return len(self.asked.members)
 
-    def worst_whole(self, i: int, asked: NormGoal) -> Worst:
+    def worst_whole(self, i: int, asked: NormSpecification) -> WorstCase:
         """The norm of a member at all frequencies with the worst errors."""
         posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
         worst = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
@@ -152,24 +152,24 @@ class Verification:
         if not proved <= enough and posed.plant.dt is None and not worst.unstable:
             gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
             proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, worst.found))
-        return Worst(worst.found, proved, Errors(worst.readings, worst.forces))
+        return WorstCase(worst.found, proved, GainErrors(worst.readings, worst.forces))
 
-    def worst_in_band(self, i: int, asked: NormGoal) -> Worst:
+    def worst_in_band(self, i: int, asked: NormSpecification) -> WorstCase:
         """Returns the worst norm of a member in a band, proved by a parameter-dependent matrix or behind a filter."""
         posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
         best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
-        tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.none]
+        tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.no_errors]
         unit = max(_norm(each.on(posed), self.K, asked)[0] for each in tried)
         gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
         box = box_of(gain, tolerance.sensors, tolerance.forces)
         proved = np.inf if posed.plant.dt is not None else _proved(gain, box, asked.band, unit)
         if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
             behind = self.worst_of(in_band(posed, asked.band), asked.at_most if np.isfinite(asked.at_most) else None)
-            tried, proved = [Errors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
+            tried, proved = [GainErrors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
         values = [_norm(each.on(posed), self.K, asked)[0] for each in tried]
-        return Worst(max(values), proved, tried[int(np.argmax(values))])
+        return WorstCase(max(values), proved, tried[int(np.argmax(values))])
 
-    def worst_of(self, posed: Posed, enough: float | None) -> WorstNorm:
+    def worst_of(self, posed: MeasuredPlant, enough: float | None) -> WorstNorm:
         """The norm of one plant with the worst errors; a bound that would be enough is tried by itself."""
         tolerance = self.asked.tolerance
         of, d, e = (posed.plant, posed.Cy, self.K), tolerance.sensors, tolerance.forces
@@ -187,12 +187,12 @@ class Verification:
             beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
             met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
             moved = _moved(member.posed[0], rate)
-            norm = _norm(errors.on(moved), self.K, NormGoal())[0] if beyond < 1 else np.inf
+            norm = _norm(errors.on(moved), self.K, NormSpecification())[0] if beyond < 1 else np.inf
             proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
         i = int(np.argmax(met))
         return [*specifications, Specification("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
 
-    def stable(self, posed: Posed, enough: float) -> bool:
+    def stable(self, posed: MeasuredPlant, enough: float) -> bool:
         """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
         tolerance = self.asked.tolerance
         if stable_with_errors(posed.plant, posed.Cy, self.K, tolerance.sensors, tolerance.forces, posed.through):
@@ -216,7 +216,7 @@ class Verification:
 
     def peak(self, bound: PeakBound, which: int) -> Specification:
         """The largest magnitude of a signal over a road."""
-        of = [largest_over_road(member.driven[which], self.K) for member in self.asked.members]
+        of = [peak_over_road(member.driven_by[which], self.K) for member in self.asked.members]
         i = int(np.argmax([peak.value for peak in of]))
         what = f"largest {bound.signal} over {bound.road}"
         where = ", ".join(text for text in (self.names[i], f"{of[i].time:.4g} s after its start") if text)
@@ -239,7 +239,7 @@ def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
     return proof.gamma if proof is not None else np.inf
 
 
-def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]:
+def _norm(posed: MeasuredPlant, K: Array, asked: NormSpecification) -> tuple[float, float, float]:
     """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
     norm = norm_in_band(_loop(posed, K), *asked.band)
     if not norm.stability.stable:
@@ -247,21 +247,21 @@ def _norm(posed: Posed, K: Array, asked: NormGoal) -> tuple[float, float, float]
     return norm.value, norm.level, norm.peak_frequency
 
 
-def _moved(posed: Posed, rate: float) -> Posed:
+def _moved(posed: MeasuredPlant, rate: float) -> MeasuredPlant:
     """A plant whose loops are stable where those of this one decay faster than a rate, without its filters."""
     plant, own = posed.plant, len(posed.plant.A) - posed.plant.weights
     alone = GeneralizedPlant(
         plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw
     )
-    return Posed(alone, posed.Cy[:, :own], posed.Dyw, posed.through)
+    return MeasuredPlant(alone, posed.Cy[:, :own], posed.Dyw, posed.through)
 
 
-def _slowest(posed: Posed, K: Array) -> float:
+def _slowest(posed: MeasuredPlant, K: Array) -> float:
     """The largest real part of a pole of a loop; filters' own do not count."""
     own = len(posed.plant.A) - posed.plant.weights
     return max(float(np.real(pole)) for pole in stability(_loop(posed, K).A[:own, :own]).poles)
 
 
-def _loop(posed: Posed, K: Array) -> GeneralizedPlant:
+def _loop(posed: MeasuredPlant, K: Array) -> GeneralizedPlant:
     plant, G = on_larger_plant(posed.plant, posed.Cy, static_law(posed.acting(K)), posed.Dyw)
     return plant.closed_loop(G)

@@ -320,7 +320,7 @@ def test_adjustable_dampers(benchmark, name, law, count, claim):
     paired_ratio(
         benchmark,
         lambda: simulate([vehicle] * count, [one if law else gain] * count, bumps, times),
-        lambda: simulate([vehicle.pushing] * count, [gain] * count, bumps, times),
+        lambda: simulate([vehicle.with_ideal_actuators] * count, [gain] * count, bumps, times),
         9,
         claim,
         time.process_time,

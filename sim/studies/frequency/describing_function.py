@@ -113,7 +113,7 @@ def describing_function(
     Arguments and errors as for `sim.studies.frequency.identification.identify`; and the law may fail.
     """
     check(vehicle, (), amplitude, timestep)
-    without, vehicle = vehicle.implementation.blur, ideal_measurements(vehicle)
+    without, vehicle = vehicle.implementation.noise_text, ideal_measurements(vehicle)
     steps = steps_per_sample(vehicle.implementation, timestep)
     period = round(1 / LOWEST / timestep / steps) * steps  # as that of the chirp
     omega = 2 * np.pi / (period * timestep) * np.unique(np.round(np.geomspace(1, HIGHEST / LOWEST, SINUSOIDS)))

@@ -86,8 +86,8 @@ def sweep_figure(
         )
     ended = sorted({name for one in (*sweeps, *own) for name in one.ended})
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
-    loop = "continuous" if how.prompt else f"as built, {', '.join(how.clear.words)}"
-    without = f" without its {how.blur}" if how.blurred else ""
+    loop = "continuous" if how.undelayed else f"as built, {', '.join(how.without_noise.phrases)}"
+    without = f" without its {how.noise_text}" if how.has_measurement_noise else ""
     crosses = "; crosses: the fundamental that a law that is not linear makes of one sinusoid at a time" if own else ""
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
@@ -100,7 +100,7 @@ def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed:
     """Returns the frequencies of a drawn line [rad/s], shape (F,), dense about its extremes, and its magnitudes, shape (F, S)."""
 
     def magnitudes(omega: Array) -> Array:
-        if vehicle.implementation.prompt:
+        if vehicle.implementation.undelayed:
             response = continuous_frequency_response(vehicle, controller, omega)
         else:  # no step makes this loop continuous
             response = sampled_frequency_response(vehicle, controller, omega, timestep)

@@ -181,7 +181,7 @@ def difference(response: Array, reference: Array, units: Sequence[str]) -> Array
 
 def ideal_measurements(vehicle: Vehicle) -> Vehicle:
     """The vehicle without noise and quantisation of `[implementation]`: those have no frequency response."""
-    return replace(vehicle, implementation=vehicle.implementation.clear)
+    return replace(vehicle, implementation=vehicle.implementation.without_noise)
 
 
 def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, timestep: float, speed: Positive) -> list[Lines]:

@@ -93,7 +93,7 @@ def sweep(
     lines = identify(near, controllers, amplitude, timestep, speed)
     progress(EXTREMES)
     most = extremes(near, controllers, amplitude, timestep, speed)
-    loads = minimum_loads(vehicle.pushing, controllers, timestep)
+    loads = minimum_loads(vehicle.with_ideal_actuators, controllers, timestep)
     off = [line.controller for line in lines if _off(line)[0] > _off(line)[1] and not line.ended]
     small: dict[str, Lines] = {}
     if off and amplitude * SMALLER >= LEAST_AMPLITUDE and has_geometry(near):
@@ -102,8 +102,8 @@ def sweep(
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
         norm = norm_if_implemented(ideal, controller.quiet, timestep)
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
-        blur = vehicle.implementation.blur
-        sweeps.append(Sweep(line, extreme, norm, road, load, blur, small.get(controller.name)))
+        noise_text = vehicle.implementation.noise_text
+        sweeps.append(Sweep(line, extreme, norm, road, load, noise_text, small.get(controller.name)))
     return sweeps
 
 

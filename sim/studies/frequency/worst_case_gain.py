@@ -55,7 +55,7 @@ from sim.studies.frequency.identification import (
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
-from synth.controller.problem import twists
+from synth.controller.problem import road_twist_inputs
 
 
 @dataclass(frozen=True)
@@ -372,7 +372,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     last = Response(time[-count - 1 :], response.signals, response.values[-count - 1 :])
     size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
     gain = math.sqrt(mean_square(vehicle, last)) / size
-    twisted = len(twists(vehicle.linear_model)) > 0
+    twisted = len(road_twist_inputs(vehicle.linear_model)) > 0
     return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response, has_anti_windup(controller)))
 
 
@@ -405,7 +405,7 @@ def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> 
 
     # What is driven is measured by the velocities and, where heights act as such, by the twists that they make.
     model = vehicle.linear_model
-    twist = model.twist_rate / positive[:, None, None] * twists(model)
+    twist = model.twist_rate / positive[:, None, None] * road_twist_inputs(model)
     roots = np.linalg.cholesky(np.eye(wheels) + np.swapaxes(twist, 1, 2) @ twist)
     whitened = np.einsum("zlr,lrs->zls", np.concatenate(rows), np.swapaxes(np.linalg.inv(roots), 1, 2))
     _, sizes, best = np.linalg.svd(whitened.reshape(len(whitened), -1) / math.sqrt(2), full_matrices=False)

@@ -96,10 +96,10 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     if not is_linear(vehicle, controller) or whole.radius >= 1:
         return {}
     implemented = whole.closed_loop
-    loop, cut, model = implemented.transition, implemented.cut, implemented.cut.model
+    loop, cut, model = implemented.transition, implemented.open_loop, implemented.open_loop.model
     C = np.hstack([model.C, np.zeros((len(model.C), len(loop) - model.C.shape[1]))]) + model.D @ implemented.parts[0].inputs
     raised = -np.linalg.solve(model.A + model.B @ cut.inputs(cut.asked), model.Br)
-    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.waiting)])
+    raised = np.vstack([raised, *([cut.asked @ raised] * vehicle.implementation.pending_forces)])
 
     period = whole.period
     sample = round(start / period)
@@ -182,7 +182,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         timestep: of the sampled loop [s].
         window: duration of the measurement [s].
     """
-    if not is_linear(vehicle, controller) or LoopModel(vehicle.straight, controller, timestep).radius >= 1:
+    if not is_linear(vehicle, controller) or LoopModel(vehicle.linearised, controller, timestep).radius >= 1:
         return None
     line = equivalent(vehicle, controller, road, timestep)
     if line is None:

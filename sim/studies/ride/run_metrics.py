@@ -153,7 +153,7 @@ def measure_run(run: Run, first: Index) -> RunMetrics:
     if (spectrum := road.spectrum) is not None and isinstance(controller, Controller):
         expected = expect(vehicle, controller, spectrum, timestep, (len(time) - first) * timestep)
         transient = settled(
-            expected.line.vehicle if expected else vehicle.straight, controller, spectrum, timestep, float(time[first])
+            expected.line.vehicle if expected else vehicle.linearised, controller, spectrum, timestep, float(time[first])
         )
     mujoco: Mapping[str, float] = {}
     sampled: Mapping[str, float] = {}
@@ -182,7 +182,7 @@ def beside(vehicle: Vehicle) -> list[str]:
     lines = []
     if vehicle.limits.stops(vehicle.kind.suspensions) or vehicle.limits.actuator_force is not None:
         lines.append("sampled and expected numbers are for a vehicle without bump stops and force limits")
-    if blur := vehicle.implementation.blur:
+    if blur := vehicle.implementation.noise_text:
         lines.append(f"MuJoCo's numbers include the {blur} of the measurements, sampled and expected ones do not")
     return lines
 

@@ -277,7 +277,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     slopes, means = np.array([one.curve.slope for one in curves]), np.zeros(len(curves))
     for rounds in range(1, MOST_ROUNDS + 1):
         shared = {name: float(np.mean(slopes[[i for i, other in enumerate(names) if other == name]])) for name in names}
-        linear = replace(vehicle.straight, parameters={**vehicle.parameters, **shared})
+        linear = replace(vehicle.linearised, parameters={**vehicle.parameters, **shared})
         if LoopModel(linear, controller, timestep).radius >= 1:
             return None
         deviations = _deviations(linear, controller, road, timestep, signals)

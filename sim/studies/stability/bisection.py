@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.studies.stability.growth_test import Growth, Trial, grow, silent
+from sim.studies.stability.growth_test import Growth, Trial, grows, no_progress
 
 GAIN_WIDTH = 2e-3  # relative; how far a real number is narrowed down
 AROUND = 0.25, 0.6, 0.9, 0.98, 1.02, 1.2  # times what is expected
@@ -80,8 +80,8 @@ class Bisection:
         return sorted(set(amounts) - set(self.tried))
 
 
-def run_searches(searches: Sequence[Bisection], timestep: float, progress: Callable[[str], None] = silent) -> None:
+def run_searches(searches: Sequence[Bisection], timestep: float, progress: Callable[[str], None] = no_progress) -> None:
     """Runs searches to their ends, one round of all of them in one batch."""
     while asked := [(search, amount) for search in searches for amount in search.next()]:
-        for (search, amount), growth in zip(asked, grow([s.trial(a) for s, a in asked], timestep, progress), strict=True):
+        for (search, amount), growth in zip(asked, grows([s.trial(a) for s, a in asked], timestep, progress), strict=True):
             search.tried[amount] = growth

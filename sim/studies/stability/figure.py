@@ -17,7 +17,7 @@ from sim.studies.stability.margin_search import LoopMargins
 from sim.studies.stability.robustness import Robustness
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
-from synth.design.uncertainty.fragility import whose, worst_met
+from synth.design.uncertainty.fragility import whose, worst_error_found
 
 POINTS = 30  # of a predicted curve
 AMOUNTS = 16  # of errors at which the worst norm is looked for
@@ -105,21 +105,25 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     """The worst norm over the size of errors: what is met, what is proved of all of them, and where MuJoCo decays and grows."""
     predicted, search = fragile.predicted, fragile.edge.search
     norm, stable = predicted.norm, predicted.stable
-    end = min(1.2 * stable.found, 1.0)
-    known = [one.found for one in predicted.within.values() if one.found < end]
-    amounts = np.unique([*np.linspace(0.0, min(stable.found, 1.0), AMOUNTS), *known])
-    met = np.array([worst_met(fragile.gain, amount) for amount in amounts])
+    end = min(1.2 * stable.smallest_violation, 1.0)
+    known = [one.smallest_violation for one in predicted.within.values() if one.smallest_violation < end]
+    amounts = np.unique([*np.linspace(0.0, min(stable.smallest_violation, 1.0), AMOUNTS), *known])
+    met = np.array([worst_error_found(fragile.gain, amount) for amount in amounts])
     curves = [Curve(100 * amounts, np.where(np.isfinite(met), met, np.nan), "worst norm met", MET)]
-    steps = sorted((one.proved, one.bound) for one in (*predicted.within.values(), stable) if one.proved)
+    steps = sorted((one.proved_margin, one.bound) for one in (*predicted.within.values(), stable) if one.proved_margin)
     edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
     curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))
     low, high = norm - 0.15 * (SHOWN - 1) * norm, SHOWN * norm
-    if math.isfinite(stable.found):
-        curves.append(Curve(np.full(2, 100 * stable.found), np.array([low, high]), "unstable from here", "#000000", width=0.8))
+    if math.isfinite(stable.smallest_violation):
+        curves.append(
+            Curve(np.full(2, 100 * stable.smallest_violation), np.array([low, high]), "unstable from here", "#000000", width=0.8)
+        )
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
         curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
-    numbers = [f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.found, fragile.edge.found)]
+    numbers = [
+        f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
+    ]
     title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import Trial, silent
+from sim.studies.stability.growth_test import Trial, no_progress
 from sim.studies.stability.margin_search import GainMargin
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
@@ -63,12 +63,12 @@ class FragilityFound:
 
 
 def find_fragility(
-    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = silent
+    vehicle: Vehicle, controller: Controller, timestep: float, progress: Callable[[str], None] = no_progress
 ) -> FragilityFound:
     """The errors that a loop bears, with an actuator's lag if the vehicle's have one; physics runs along the worst of them."""
     lag = replace(controller.hardware, bandwidth=vehicle.limits.actuator_bandwidth or controller.hardware.bandwidth)
     posed, law = problem(vehicle, controller.measured, lag), controller.law.continuous()
-    gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.through)
+    gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.feedthrough)
     predicted = fragility(gain)
 
     def trial(amount: float) -> Trial:
@@ -76,18 +76,18 @@ def find_fragility(
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
     coarse, fine = Bisection(trial, at, most=MOST), Bisection(trial, at_half, most=MOST)
-    edge = FragilityEdge(predicted.stable.found, (at, at_half), coarse, fine)
+    edge = FragilityEdge(predicted.stable.smallest_violation, (at, at_half), coarse, fine)
     run_searches([coarse], timestep, progress)
     if edge.doubtful:
         run_searches([fine], timestep / 2, progress)
     ideal = controller.problem(vehicle)
-    return FragilityFound(gain, predicted, edge, rounding(controller.law, ideal.closed, ideal.plant), timestep)
+    return FragilityFound(gain, predicted, edge, rounding(controller.law, ideal.closed_loop, ideal.plant), timestep)
 
 
 def with_errors(controller: Controller, predicted: Fragility, amount: float) -> Controller:
     """A controller whose readings and forces are off as in the worst errors, so far at most."""
     worst = predicted.stable
-    size = amount / min(worst.found, MOST)
+    size = amount / min(worst.smallest_violation, MOST)
     return replace(controller, law=controller.law.read_as(1 + size * worst.readings).scaled(1 + size * worst.forces))
 
 

@@ -72,11 +72,11 @@ class Growth:
     rate: float = math.nan
 
 
-def silent(message: str) -> None:
+def no_progress(message: str) -> None:
     """Ignores progress."""
 
 
-def grow(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = silent) -> list[Growth]:
+def grows(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = no_progress) -> list[Growth]:
     """Tests runs for growth, and finds their rates. Unsettled runs start anew, and run until they settle."""
     growths_by_trial: dict[int, Growth] = {}
     for least in (SHORTEST, LONGEST):

@@ -12,7 +12,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
 from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import LONGEST, Trial, silent
+from sim.studies.stability.growth_test import LONGEST, Trial, no_progress
 from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
 from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
 from synth.controller.controller import Controller, check_fits
@@ -121,7 +121,7 @@ def _close(predicted: float, found: float, within: float) -> bool:
 
 
 def find_margins(
-    vehicle: Vehicle, controller: Controller, timestep: Positive, progress: Callable[[str], None] = silent
+    vehicle: Vehicle, controller: Controller, timestep: Positive, progress: Callable[[str], None] = no_progress
 ) -> dict[str, LoopMargins]:
     """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
 
@@ -158,7 +158,7 @@ def find_margins(
     return margins
 
 
-def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = silent) -> None:
+def find_all(loops: Sequence[LoopMargins], timestep: float, progress: Callable[[str], None] = no_progress) -> None:
     """Runs the searches of any loops, of several controllers too, to their ends: those of one round in one batch."""
     gains = [gain for one in loops for gain in (one.gain, one.gain_lower)]
     others = [search for one in loops for search in (one.delay, one.sample_period)]

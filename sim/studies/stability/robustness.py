@@ -20,7 +20,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.runs.prediction import predict
 from sim.runs.run import compare_runs, sample_times
-from sim.studies.stability.growth_test import Trial, grow, silent
+from sim.studies.stability.growth_test import Trial, grows, no_progress
 from synth.analysis.norm import hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
@@ -80,7 +80,7 @@ def varied_text(kind: VehicleKind) -> str:
 
 
 def robustness(
-    vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, progress: Callable[[str], None] = silent
+    vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, progress: Callable[[str], None] = no_progress
 ) -> list[Robustness | None]:
     """Returns the worst norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
 
@@ -92,7 +92,7 @@ def robustness(
     corners = list(itertools.product(*((each.smallest, each.largest) for each in varied)))
     others = [_with_factors(vehicle, corner) for corner in corners]
     trials = [Trial(other, controller) for controller in controllers for other in others]
-    physics = zip(grow(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
+    physics = zip(grows(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
     results: list[Robustness | None] = []
     for controller in controllers:
         norm = functools.partial(_norm, vehicle, controller)

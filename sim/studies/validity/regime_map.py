@@ -183,8 +183,8 @@ def _run(
     column = np.array([columns[key] for key in keys])
 
     # Of bumps one metre high: all else is proportional to it.
-    loop = LoopModel(vehicle.straight, controller, float(time[1]))
-    metres = [RoadInput(vehicle.straight, Bump(1.0, *key), time) for key in columns]
+    loop = LoopModel(vehicle.linearised, controller, float(time[1]))
+    metres = [RoadInput(vehicle.linearised, Bump(1.0, *key), time) for key in columns]
     unit = sampled_responses(loop, metres)
     outputs = [i for i, name in enumerate(unit.names) if name in vehicle.linear_model.outputs]
     linear = np.moveaxis(unit.values, 0, 2)[:, outputs]
@@ -201,7 +201,7 @@ def _run(
         used[:, end], times[..., end] = 0.0, np.inf
     predicted = first_end(times)
     inputs = [RoadInput(vehicle, loaded(bump, loads), time) for bump in bumps]
-    flat = sampled_response(loop, RoadInput(vehicle.straight, loaded(Flat(), loads), time))  # what loads alone do is added
+    flat = sampled_response(loop, RoadInput(vehicle.linearised, loaded(Flat(), loads), time))  # what loads alone do is added
     push = flat.values[:, outputs, None]
 
     watched, apart = MonitoredBatch([controller] * count, inputs), np.zeros((len(outputs), count))

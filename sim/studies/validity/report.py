@@ -81,7 +81,9 @@ def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
         return []
     linear = built_words(vehicle)
     lines = [f"linear analysis is of the loop as built: {linear}"] if linear else []
-    return lines + ([f"{how.blur} is in MuJoCo alone, and makes most of the error over small bumps"] if how.blurred else [])
+    if not how.has_measurement_noise:
+        return lines
+    return [*lines, f"{how.noise_text} is in MuJoCo alone, and makes most of the error over small bumps"]
 
 
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:

@@ -22,7 +22,7 @@ from synth.design.descent.landscape import Landscape
 SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or of forces; what is smaller counts as this
 
 
-def alike(landscape: Landscape, x: Array) -> Array:
+def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
     """M, shape (m q, m q): with x + M t for the point, t has these coordinates.
 
     Args:
@@ -59,7 +59,7 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
         free: which entries of a point may be other than zero, by index.
     """
     try:
-        M = alike(landscape, x)
+        M = balanced_coordinates(landscape, x)
         inverse = np.linalg.inv(M)
     except np.linalg.LinAlgError:
         return np.eye(len(x))[:, free]

@@ -17,7 +17,7 @@ from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
-from synth.design.descent.coordinates import alike
+from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.plant.numerics import up_to_rounding
 
@@ -106,7 +106,7 @@ def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[A
 
 def _rounds(landscape: Landscape, x: Array, height: float, at: float, limit: Array, rounds: int) -> Iterator[tuple[Array, float]]:
     """The points of one stage, ever lower, and the norm there."""
-    M = alike(landscape, x)
+    M = balanced_coordinates(landscape, x)
     steepest = float(np.linalg.norm(landscape.slope(x, at) @ M)) / height if height > 0 else 0.0
     M = M / (steepest or 1.0)  # a unit of t is of the size of a step
     hessian, damping = 0.1 * np.eye(len(x)), 1e-2

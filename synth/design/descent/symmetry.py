@@ -15,7 +15,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
 from synth.design.descent.landscape import Landscape
-from synth.lmi.unobservable import hidden
+from synth.lmi.unobservable import output_nulling_subspace
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import size
 
@@ -83,4 +83,6 @@ def _silent(A: Array, C: Array) -> Array:
     """An orthonormal basis of the states that C never shows while A moves them, shape (n, k)."""
     n = len(A)
     nothing = np.zeros((n, 1))
-    return hidden(GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T)[1]
+    return output_nulling_subspace(
+        GeneralizedPlant(A, nothing, nothing, C, np.zeros((len(C), 1)), np.zeros((len(C), 1))), nothing.T
+    )[1]

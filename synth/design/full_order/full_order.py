@@ -22,9 +22,9 @@ from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.stability import is_stable, obstacles
+from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.descent.refine import refine
-from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, chosen, leading
+from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, pareto_front, select
 from synth.design.full_order.stable import stable_laws
 from synth.design.static import LARGEST_GAIN, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
@@ -164,7 +164,7 @@ def full_order_design(
     """
     Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
     check_posed(plant)
-    if reasons := "; ".join(obstacles(plant, Cy, states)):
+    if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
@@ -189,12 +189,12 @@ def full_order_design(
                 return proved(near, ())
             except (InputError, np.linalg.LinAlgError) as error:
                 lost.append(error)
-        trade = leading(search.trade(fastest))
-        best = chosen(trade, fastest)
+        trade = pareto_front(search.trade(fastest))
+        best = select(trade, fastest)
         if lost or best is None or best.norm > below.gamma * (1 + WITHIN):
-            trade = leading([*trade, *descents(search, best, fastest)])
+            trade = pareto_front([*trade, *descents(search, best, fastest)])
         left = trade
-        while (best := chosen(left, fastest)) is not None:
+        while (best := select(left, fastest)) is not None:
             try:
                 return proved(best, trade)
             except (InputError, np.linalg.LinAlgError) as error:
@@ -215,10 +215,10 @@ def full_order_design(
     unconstrained = nearest()
     if not stable or not as_run(unconstrained.law).growth:
         return unconstrained
-    laws = leading([each for each in (*stable_laws(search, fits, MOST), *descents(search, None, fastest)) if fits(each)])
+    laws = pareto_front([each for each in (*stable_laws(search, fits, MOST), *descents(search, None, fastest)) if fits(each)])
     numbers = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
     undescended = f"; no descent: of a law of {numbers} numbers it would take too long, {MOST} are the most" * (numbers > MOST)
-    while (best := chosen(laws, fastest)) is not None:
+    while (best := select(laws, fastest)) is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             own = proved(best, laws)
             if not as_run(own.law).growth:

@@ -22,10 +22,10 @@ from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
-from synth.analysis.stability import balance, is_stable, obstacles
+from synth.analysis.stability import balance, is_stable, stabilisability_failures
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices, real_matrix
-from synth.plant.normalised import Measured, missing
+from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
@@ -185,10 +185,10 @@ def _design(
         noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
     """
     check_posed(plant)
-    if reasons := "; ".join(obstacles(plant, Cy, states)):
+    if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
-    shaken = plant if noise is None else widened(plant, noise.shape[1])
-    own = Measured.of(shaken, Cy, Dyw if noise is None else noise)
+    shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
+    own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
     cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
     assumed = ["a cost for forces that z hardly weighs"] if np.any(cost) else []
@@ -209,7 +209,7 @@ def _design(
     return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
 
 
-def widened(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
+def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
     """The plant with so many disturbances; those that it has not got do nothing to it."""
     more = r - plant.Bw.shape[1]
     Bw, Dw = (np.hstack([matrix, np.zeros((len(matrix), more))]) for matrix in (plant.Bw, plant.Dw))

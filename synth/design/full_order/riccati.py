@@ -45,7 +45,7 @@ from synth.analysis.norm import level_set_norm
 from synth.analysis.stability import beside_weights, is_stable, stability
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.normalised import Measured, missing
+from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
 from synth.plant.units import speed
 
@@ -221,14 +221,14 @@ class TradeOffPoint:
         return not self.stable, self.speed_up
 
 
-def leading(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
+def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
     """The controllers that no other beats in norm and speed, the slowest first."""
     points = sorted(points, key=lambda each: (each.speed_up, each.norm))
     norms = np.minimum.accumulate([np.inf, *(each.norm for each in points)])
     return [each for each, least in zip(points, norms, strict=False) if each.norm < least]
 
 
-def chosen(trade: Sequence[TradeOffPoint], fastest: float) -> TradeOffPoint | None:
+def select(trade: Sequence[TradeOffPoint], fastest: float) -> TradeOffPoint | None:
     """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
 
     Where all are, the slowest stands for the plant.
@@ -249,7 +249,7 @@ class RiccatiSearch:
     """The search for one plant."""
 
     def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
-        self.given, self.own = plant, Measured.of(plant, Cy, Dyw)
+        self.given, self.own = plant, NormalisedPlant.of(plant, Cy, Dyw)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
 

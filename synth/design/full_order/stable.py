@@ -15,8 +15,8 @@ import numpy as np
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.design.full_order.riccati import SHARES, RiccatiSearch, TradeOffPoint
-from synth.design.multi_objective.design import design_for_goals
-from synth.design.multi_objective.problem import Errors, GoalProblem, Member, NormGoal, Posed
+from synth.design.multi_objective.design import multi_objective_design
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 
@@ -64,12 +64,12 @@ def _descended(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
     )
     noise = np.vstack([own.Dyw, np.zeros((k, r))]) if own.Dyw.any() else None
     states = np.vstack([np.zeros((q, k)), np.eye(k)])
-    problem = GoalProblem(
-        members=(Member((Posed(larger, G.Cy, noise),)), Member((Posed(alone, states),))),
-        minimise=NormGoal(),
-        tolerance=Errors(np.zeros(q + k), np.zeros(m + k)),
+    problem = MultiObjectiveProblem(
+        members=(FamilyMember((MeasuredPlant(larger, G.Cy, noise),)), FamilyMember((MeasuredPlant(alone, states),))),
+        minimise=NormSpecification(),
+        tolerance=GainErrors(np.zeros(q + k), np.zeros(m + k)),
         structure=np.ones((m + k, q + k), dtype=bool),
         gain=LARGER * float(np.abs(G.K).max()),
     )
-    gain = design_for_goals(problem, [G.K]).gain
+    gain = multi_objective_design(problem, [G.K]).gain
     return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])

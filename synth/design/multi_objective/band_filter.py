@@ -12,7 +12,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band
-from synth.design.multi_objective.problem import Posed
+from synth.design.multi_objective.problem import MeasuredPlant
 from synth.plant.augmented import System, append, gain, series, transfer_function, with_weights
 
 ORDER = 4  # even: for a wide band an odd order has poles that no second-order section can represent
@@ -20,7 +20,7 @@ RIPPLE = 0.02  # dB above one, in the band
 BESIDE = 30.0  # dB below, beside it
 
 
-def in_band(posed: Posed, band: Band) -> Posed:
+def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
     """Returns a plant whose norm is at least the norm in the band; for a band of all frequencies, the plant itself.
 
     Args:
@@ -33,7 +33,7 @@ def in_band(posed: Posed, band: Band) -> Posed:
     wide = with_weights(plant, gain(np.eye(len(plant.C))), before)
     Dyw = np.zeros((len(posed.Cy), plant.Bw.shape[1])) if posed.Dyw is None else posed.Dyw
     Cy = np.hstack([posed.Cy, Dyw @ before.C])
-    return Posed(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
+    return MeasuredPlant(wide, Cy, None if posed.Dyw is None else Dyw @ before.D, posed.through)
 
 
 def band_filter(band: Band) -> System:

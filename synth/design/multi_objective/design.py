@@ -9,29 +9,29 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
-from synth.design.multi_objective.problem import Errors, GoalProblem
+from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
 from synth.plant.numerics import numerics, up_to_rounding
 
 
 @dataclass(frozen=True, eq=False)
-class GoalDesign:
+class MultiObjectiveDesign:
     """The result of a multi-objective design.
 
     Attributes:
         gain: K, shape (m, q).
         goal: the largest norm, or ratio to an individual optimum, that was found.
-        refused: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
+        rejected_improvement: relative decrease of the goal by up to twice the gain, which was rejected; None without one.
         errors: the active errors, beside no errors.
         problem: the solved problem.
     """
 
     gain: Array
     goal: float
-    refused: float | None
-    errors: tuple[Errors, ...]
-    problem: GoalProblem
+    rejected_improvement: float | None
+    errors: tuple[GainErrors, ...]
+    problem: MultiObjectiveProblem
 
     @cached_property
     def unproved(self) -> tuple[int, ...]:
@@ -42,7 +42,7 @@ class GoalDesign:
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
-            posed = member.posed[self.problem.minimise.which].unfiltered
+            posed = member.posed[self.problem.minimise.which].without_weighting
             with up_to_rounding():
                 if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces, posed.through):
                     continue
@@ -50,31 +50,31 @@ class GoalDesign:
         return tuple(members)
 
 
-class Interrupted(KeyboardInterrupt):
+class InterruptedSearch(KeyboardInterrupt):
     """Ctrl-C during a search, with the best design so far within all bounds.
 
     Attributes:
-        best: design found so far.
+        incumbent: design found so far.
     """
 
-    def __init__(self, best: GoalDesign) -> None:
+    def __init__(self, best: MultiObjectiveDesign) -> None:
         super().__init__()
-        self.best = best
+        self.incumbent = best
 
 
 @numerics()
-def design_for_goals(
-    problem: GoalProblem,
+def multi_objective_design(
+    problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    told: Told = lambda goal, within: None,
+    on_progress: Told = lambda goal, within: None,
     otherwise: Callable[[], Iterable[Array]] = lambda: (),
-) -> GoalDesign:
+) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
     Args:
         problem: goals, bounds and plants.
         starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
-        told: called with the goal, and True if all bounds are kept, at every new point.
+        on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
@@ -84,14 +84,15 @@ def design_for_goals(
 
     Example:
         >>> import numpy as np
-        >>> from synth import Errors, GeneralizedPlant, GoalProblem, Member, NormGoal, Posed, design_for_goals
+        >>> from synth import FamilyMember, GainErrors, GeneralizedPlant, MeasuredPlant
+        >>> from synth import MultiObjectiveProblem, NormSpecification, multi_objective_design
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
-        >>> member = Member((Posed(oscillator, np.array([[0.0, 1.0]])),))
-        >>> none, anywhere = Errors(np.zeros(1), np.zeros(1)), np.ones((1, 1), dtype=bool)
-        >>> problem = GoalProblem((member,), NormGoal(band=(1.0, 3.0)), none, anywhere, gain=5.0)
-        >>> design = design_for_goals(problem, starts=[[[-1.0]]])
+        >>> member = FamilyMember((MeasuredPlant(oscillator, np.array([[0.0, 1.0]])),))
+        >>> none, anywhere = GainErrors(np.zeros(1), np.zeros(1)), np.ones((1, 1), dtype=bool)
+        >>> problem = MultiObjectiveProblem((member,), NormSpecification(band=(1.0, 3.0)), none, anywhere, gain=5.0)
+        >>> design = multi_objective_design(problem, starts=[[[-1.0]]])
         >>> design.gain.round(2)
         array([[-5.]])
     """
@@ -99,7 +100,7 @@ def design_for_goals(
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
-    search = MinimaxSearch(problem, told)
+    search = MinimaxSearch(problem, on_progress)
     try:
         x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
@@ -107,5 +108,7 @@ def design_for_goals(
         if kept is None:
             raise
         x, evaluation = kept
-        raise Interrupted(GoalDesign(search.full.gain(x), evaluation.goal, None, tuple(search.met), problem)) from error
-    return GoalDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.met), problem)
+        raise InterruptedSearch(
+            MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)
+        ) from error
+    return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)

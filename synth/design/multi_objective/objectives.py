@@ -18,7 +18,7 @@ NEAR = 0.3  # share of the rate: poles this close to the slowest one also count
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
+class Linearisation:
     """F smooth functions that bound a term from below near a point.
 
     Attributes:
@@ -34,7 +34,7 @@ class Support:
     cuts: Any
 
 
-class Term(ABC):
+class Objective(ABC):
     """A function of the gain.
 
     Attributes:
@@ -50,14 +50,14 @@ class Term(ABC):
         """Returns the value in its unit, or a lower bound once that exceeds `above`; infinite if the loop is unstable."""
 
     @abstractmethod
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the functions that come within a share `depth` of the term's value at a point."""
 
     @abstractmethod
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Returns the same functions at another point."""
 
-    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
         """Returns the weighted sum of second derivatives of the touching functions, shape (N, N); unknown ones count as zero.
 
         Args:
@@ -67,7 +67,7 @@ class Term(ABC):
         return np.zeros((len(x), len(x)))
 
 
-class NormObjective(Term):
+class NormObjective(Objective):
     """The largest gain from w to z in a band, of one plant."""
 
     def __init__(self, landscape: BandLandscape, unit: float, name: str = "") -> None:
@@ -77,29 +77,29 @@ class NormObjective(Term):
         """Returns the norm in the band."""
         return self.landscape.norm(x, above * self.unit)[0] / self.unit
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the gains at all local maxima within a share of the highest one."""
         height = value * self.unit
         omega = self.landscape.summits(x, height * (1 - depth))
         return self._made(x, self.landscape.cuts(x, omega, height * (1 - 0.1 * depth)), touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Returns the gains at the same frequencies for another point, where they need not be maxima."""
         return self._made(x, support.cuts, touching=False)
 
-    def curvature(self, x: Array, support: Support, weights: Array) -> Array:
+    def curvature(self, x: Array, support: Linearisation, weights: Array) -> Array:
         """Returns the curvature of the peaks that the cuts belong to."""
         active = support.touching & (weights > 1e-3 * weights.max(initial=0.0))
         if not active.any():
             return np.zeros((len(x), len(x)))
         return self.landscape.curvature(x, support.cuts[active], weights[active]) / self.unit
 
-    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Support:
+    def _made(self, x: Array, cuts: Cuts, touching: bool) -> Linearisation:
         values, slopes = self.landscape.heights(x, cuts)
-        return Support(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
+        return Linearisation(values / self.unit, slopes / self.unit, np.full(len(values), touching), cuts)
 
 
-class Decay(Term):
+class Decay(Objective):
     """The largest real part of a pole as 2 + re(pole) / rate: 1, the bound of every term, is a real part of -rate."""
 
     def __init__(self, landscape: BandLandscape, rate: float) -> None:
@@ -111,23 +111,23 @@ class Decay(Term):
             return np.inf
         return 2 + float(self.landscape.decays(x)[0].max()) / self.rate
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the real parts of all poles near the bound."""
         return self._made(x, value - max(depth, NEAR), touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Returns the real parts of the poles at the other point."""
         return self._made(x, self.value(x) - NEAR, touching=False)
 
-    def _made(self, x: Array, above: float, touching: bool) -> Support:
+    def _made(self, x: Array, above: float, touching: bool) -> Linearisation:
         real, slopes = self.landscape.decays(x)
         values = 2 + real / self.rate
         near = values >= above
-        return Support(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
+        return Linearisation(values[near], slopes[near] / self.rate, np.full(int(near.sum()), touching), np.flatnonzero(near))
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class BoundedSignal:
     """A signal c x + g u of a plant that w does not reach at once.
 
     Attributes:
@@ -145,10 +145,10 @@ class Signal:
     name: str
 
 
-class EnergyPeak(Term):
+class EnergyPeak(Objective):
     """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
 
-    def __init__(self, landscape: BandLandscape, signal: Signal, unit: float) -> None:
+    def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
         """Args:
         landscape: of the plant.
         signal: the bounded signal.
@@ -161,17 +161,17 @@ class EnergyPeak(Term):
         """Returns the value; infinite if the loop is unstable."""
         return self._solved(x)[0]
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the function itself, which is smooth."""
         return self._made(x, touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Returns the function itself at the other point."""
         return self._made(x, touching=False)
 
-    def _made(self, x: Array, touching: bool) -> Support:
+    def _made(self, x: Array, touching: bool) -> Linearisation:
         value, slope = self._solved(x)
-        return Support(np.array([value]), slope[None], np.array([touching]), None)
+        return Linearisation(np.array([value]), slope[None], np.array([touching]), None)
 
     def _solved(self, x: Array) -> tuple[float, Array]:
         """Returns value and slope, shape (m q,)."""

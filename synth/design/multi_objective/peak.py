@@ -8,8 +8,18 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.stability import balance, is_stable
-from synth.design.multi_objective.objectives import Support, Term
-from synth.design.multi_objective.road_response import BEND, BLOCK, BLOCKS, FINE, MOST_FINE, Driven, Response, free, step_for
+from synth.design.multi_objective.objectives import Linearisation, Objective
+from synth.design.multi_objective.road_response import (
+    BEND,
+    BLOCK,
+    BLOCKS,
+    FINE,
+    MOST_FINE,
+    RoadLoop,
+    RoadResponse,
+    homogeneous_response,
+    step_for,
+)
 
 STEP = 0.1  # time step, rad of the fastest pole without control; a cubic then misses a peak by less than 1e-6 of it
 CYCLES = 2  # periods of the slowest oscillation without control, after the road, that are searched for peaks
@@ -17,10 +27,10 @@ MOST = 20_000  # steps
 SPARE = 1 + 1e-5  # factor by which a bound is tightened at first, for the unknown signal between two times
 
 
-class RoadPeak(Term):
+class RoadPeak(Objective):
     """The largest magnitude of a signal over a road, relative to its bound."""
 
-    def __init__(self, driven: Driven, scale: Array, unit: float) -> None:
+    def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
         driven: the plant on its road, and the signal.
         scale: of a gain's entries, as a landscape has them, shape (m, q).
@@ -35,7 +45,7 @@ class RoadPeak(Term):
         slowest = float(moving[moving > 1e-3 * fastest].min(initial=fastest))
         step = step_for(fastest, STEP, driven.drive.end)
         length = driven.drive.end + CYCLES * 2 * np.pi / slowest
-        self.response = Response(driven, max(step, length / MOST), length)
+        self.response = RoadResponse(driven, max(step, length / MOST), length)
         self.last: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
 
     def value(self, x: Array, above: float = np.inf) -> float:
@@ -46,7 +56,7 @@ class RoadPeak(Term):
         highest = max(float(self.response.between(sign * y, sign * slopes)[0].max()) for sign in (1, -1))
         return max(highest, float(np.abs(ends).max(initial=0.0))) / self.unit
 
-    def support(self, x: Array, value: float, depth: float) -> Support:
+    def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the signal at the times of its peaks, each with its sign."""
         _, y, slopes, ends = self._signal(x)
         touching, floor = [], (1 - max(depth, 0.2)) * value * self.unit
@@ -62,13 +72,13 @@ class RoadPeak(Term):
             touching.append((int(np.sign(ends[i])), (piece.start + piece.length) / self.response.h, abs(float(ends[i]))))
         return self._made(x, touching, touching=True)
 
-    def again(self, x: Array, support: Support) -> Support:
+    def reevaluate(self, x: Array, support: Linearisation) -> Linearisation:
         """Returns the signal at the same times."""
         _, y, slopes, _ = self._signal(x)
         again = [(sign, at, sign * self.response.at(y, slopes, at)) for sign, at, _ in support.cuts]
         return self._made(x, again, touching=False)
 
-    def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Support:
+    def _made(self, x: Array, peaks: Sequence[tuple[int, float, float]], touching: bool) -> Linearisation:
         """Returns the functions and their slopes, which integrate the effect of a change of the gain on the signal at a time."""
         slopes = np.zeros((len(peaks), *self.scale.shape))
         for row, (sign, at, _) in zip(slopes, peaks, strict=True):
@@ -76,7 +86,7 @@ class RoadPeak(Term):
             row += sign * ((1 - at + k) * self._moved(x, k) + (at - k) * self._moved(x, k + 1))
         values = np.array([height for _, _, height in peaks]) / self.unit
         slopes = (slopes * self.scale / self.unit).reshape(len(peaks), self.scale.size)
-        return Support(values, slopes, np.full(len(peaks), touching), list(peaks))
+        return Linearisation(values, slopes, np.full(len(peaks), touching), list(peaks))
 
     def _moved(self, x: Array, k: int) -> Array:
         """Returns the gradient of the signal at a time by the entries of K, shape (m, q)."""
@@ -85,7 +95,8 @@ class RoadPeak(Term):
         K = self._gain(x)
         after = driven.after(K)
         measured = states[: k + 1] @ (driven.Cy + driven.Dyu @ after @ K @ driven.Cy).T
-        seen = free(A.T, c, h, k + 1)[::-1]  # derivative of the signal by the state at each earlier time, shape (k + 1, n)
+        # Derivative of the signal by the state at each earlier time, shape (k + 1, n).
+        seen = homogeneous_response(A.T, c, h, k + 1)[::-1]
         weights = np.full(k + 1, h)
         weights[[0, -1]] /= 2
         return after.T @ (((seen * weights[:, None]) @ driven.B).T @ measured + np.outer(driven.g, measured[k]))
@@ -119,7 +130,7 @@ class Peak:
     proved: float
 
 
-def largest_over_road(driven: Driven, K: Array) -> Peak:
+def peak_over_road(driven: RoadLoop, K: Array) -> Peak:
     """Returns the largest |y| at any time from the road's start on; infinite if the loop is unstable.
 
     Between two times a signal is within h^2 / 8 max |y''| of the line through both ends. Beside a kink of the road the times are
@@ -137,7 +148,7 @@ def largest_over_road(driven: Driven, K: Array) -> Peak:
     step = step_for(float(np.abs(poles).max()), FINE, driven.drive.end)
     length = driven.drive.end + min(3 / float(-np.real(poles).max()), 0.5 * step * MOST_FINE)
     step = max(step, length / MOST_FINE)
-    response = Response(driven, step, length)
+    response = RoadResponse(driven, step, length)
     motion = response.motion(A)
     y, slopes, at_ends = response.signal(A, c, motion)
     value, time = 0.0, 0.0
@@ -160,7 +171,7 @@ def largest_over_road(driven: Driven, K: Array) -> Peak:
     return Peak(value, float(time), max(proved, later.proved, value))
 
 
-def _beside_kinks(response: Response, y: Array, at_ends: Array) -> float:
+def _beside_kinks(response: RoadResponse, y: Array, at_ends: Array) -> float:
     """Returns a bound on the signal within the steps that have a kink."""
     highest, before, into = 0.0, 0.0, -1
     slope = 0.0
@@ -170,13 +181,13 @@ def _beside_kinks(response: Response, y: Array, at_ends: Array) -> float:
         change = float(end) - before
         now = change / piece.length
         # Away from a kink the slope changes little from piece to piece; beside one the whole change is allowed for.
-        over = abs(change) if piece.beside or np.isnan(slope) else min(abs(change), BEND * abs(now - slope) * piece.length / 4)
+        over = abs(change) if piece.at_kink or np.isnan(slope) else min(abs(change), BEND * abs(now - slope) * piece.length / 4)
         highest = max(highest, max(abs(before), abs(float(end))) + over)
-        before, slope = float(end), np.nan if piece.beside else now
+        before, slope = float(end), np.nan if piece.at_kink else now
     return highest
 
 
-def _later(driven: Driven, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
+def _later(driven: RoadLoop, A: Array, c: Array, xi: Array, step: float, known: float) -> Peak:
     """Returns the peak of the free motion after the last time, if it exceeds the known one, and a bound on that motion."""
     z = driven.drive.heights(np.array([driven.drive.end + 1.0]))[0]  # the road's height from then on
     rest = np.linalg.solve(A, -(A @ driven.Bw + driven.Br) @ z)
@@ -189,7 +200,7 @@ def _later(driven: Driven, A: Array, c: Array, xi: Array, step: float, known: fl
         bound = abs(level) + reach * float(np.sqrt(max(left @ Q @ left, 0.0)))
         if bound <= max(known, value):
             return Peak(value, time, max(value, proved))
-        states = free(A, left, step, BLOCK + 1)
+        states = homogeneous_response(A, left, step, BLOCK + 1)
         signal, slopes = level + states @ c, states @ A.T @ c
         k = int(np.abs(signal).argmax())
         if abs(signal[k]) > value:

@@ -14,14 +14,14 @@ from models.laws.linear import static_law
 from synth.analysis.band_norm import check_band
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import EVERYWHERE, Band, BandLandscape
-from synth.design.multi_objective.objectives import Decay, EnergyPeak, NormObjective, Signal, Term
+from synth.design.multi_objective.objectives import BoundedSignal, Decay, EnergyPeak, NormObjective, Objective
 from synth.design.multi_objective.peak import RoadPeak
-from synth.design.multi_objective.road_response import Driven
+from synth.design.multi_objective.road_response import RoadLoop
 from synth.plant.generalized import GeneralizedPlant
 
 
 @dataclass(frozen=True, eq=False)
-class NormGoal(Checked):
+class NormSpecification(Checked):
     """Norm in a band, minimised or bounded.
 
     Attributes:
@@ -45,7 +45,7 @@ class NormGoal(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class Posed(Checked):
+class MeasuredPlant(Checked):
     """Plant with one z, and its measurements.
 
     Attributes:
@@ -84,30 +84,30 @@ class Posed(Checked):
         return G if self.through is None else static_law(G).fed_back(-self.through).D
 
     @property
-    def unfiltered(self) -> "Posed":
+    def without_weighting(self) -> "MeasuredPlant":
         """The plant without its filters, whose states are the last: a gain decides the stability of this part alone."""
         plant, own = self.plant, slice(len(self.plant.A) - self.plant.weights)
         alone = replace(plant, A=plant.A[own, own], B=plant.B[own], Bw=plant.Bw[own], C=plant.C[:, own], weights=0)
-        return Posed(alone, self.Cy[:, own], self.Dyw, self.through)
+        return MeasuredPlant(alone, self.Cy[:, own], self.Dyw, self.through)
 
 
 @dataclass(frozen=True, eq=False)
-class Member(Checked):
+class FamilyMember(Checked):
     """A plant of a family, with its signals.
 
     Attributes:
         posed: the plant with the z of each norm.
-        driven: the plant on roads, each with its bounded signal.
+        driven_by: the plant on roads, each with its bounded signal.
         signals: signals of the first of `posed` with a bound for roads of given energy.
     """
 
-    posed: Annotated[tuple[Posed, ...], AT_LEAST_ONE]
-    driven: tuple[Driven, ...] = ()
-    signals: tuple[Signal, ...] = ()
+    posed: Annotated[tuple[MeasuredPlant, ...], AT_LEAST_ONE]
+    driven_by: tuple[RoadLoop, ...] = ()
+    signals: tuple[BoundedSignal, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Errors(Checked):
+class GainErrors(Checked):
     """Relative errors of sensors and actuators: y is read as (1 + sensors) y, and (1 + forces) u acts.
 
     Attributes:
@@ -123,18 +123,18 @@ class Errors(Checked):
         """Key that is equal for equal errors."""
         return self.sensors.tobytes() + self.forces.tobytes()
 
-    def on(self, posed: Posed) -> Posed:
+    def on(self, posed: MeasuredPlant) -> MeasuredPlant:
         """Returns a plant with these errors, and its measurements."""
         u, y, plant = 1 + self.forces, 1 + self.sensors, posed.plant
         if np.all(u == 1) and np.all(y == 1):
             return posed
         plant = replace(plant, B=plant.B * u, D=plant.D * u)
         Dyw = None if posed.Dyw is None else y[:, None] * posed.Dyw
-        return Posed(plant, y[:, None] * posed.Cy, Dyw, None if posed.through is None else y[:, None] * posed.through * u)
+        return MeasuredPlant(plant, y[:, None] * posed.Cy, Dyw, None if posed.through is None else y[:, None] * posed.through * u)
 
 
 @dataclass(frozen=True, eq=False)
-class GoalProblem(Checked):
+class MultiObjectiveProblem(Checked):
     """The problem of minimising over K the largest norm over members and errors, within bounds.
 
     Attributes:
@@ -152,11 +152,11 @@ class GoalProblem(Checked):
         InputError: the parts do not fit one another.
     """
 
-    members: Annotated[tuple[Member, ...], AT_LEAST_ONE]
-    minimise: NormGoal
-    tolerance: Errors
+    members: Annotated[tuple[FamilyMember, ...], AT_LEAST_ONE]
+    minimise: NormSpecification
+    tolerance: GainErrors
     structure: Matrix
-    norms: tuple[NormGoal, ...] = ()
+    norms: tuple[NormSpecification, ...] = ()
     decay: NotNegative | None = None
     peaks: tuple[Bound, ...] = ()
     gain: Positive | None = None
@@ -169,7 +169,7 @@ class GoalProblem(Checked):
         check_shape("structure", self.structure, (m, q), "as a plant has so many inputs, and so many signals are measured")
         check_shape("tolerance.sensors", self.tolerance.sensors, (q,), "one for each measured signal")
         check_shape("tolerance.forces", self.tolerance.forces, (m,), "one for each input")
-        for name, members in (("peaks", [len(member.driven) for member in self.members]), ("bests", [len(self.members)])):
+        for name, members in (("peaks", [len(member.driven_by) for member in self.members]), ("bests", [len(self.members)])):
             given = getattr(self, name)
             if given is not None and any(len(given) != count for count in members):
                 raise InputError(f"{name} has {len(given)} numbers; expected {members[0]}, one for each that it is about")
@@ -191,12 +191,12 @@ class GoalProblem(Checked):
         return bool(np.any(self.tolerance.sensors) or np.any(self.tolerance.forces))
 
     @property
-    def none(self) -> Errors:
+    def no_errors(self) -> GainErrors:
         """No error at all."""
         m, q = self.shape
-        return Errors(np.zeros(q), np.zeros(m))
+        return GainErrors(np.zeros(q), np.zeros(m))
 
-    def corners(self, most: int) -> list[Errors]:
+    def corners(self, most: int) -> list[GainErrors]:
         """Returns the vertices of the box of errors; empty if there are too many."""
         m, q = self.shape
         sides = np.concatenate([self.tolerance.sensors, self.tolerance.forces])
@@ -207,28 +207,30 @@ class GoalProblem(Checked):
         for signs in product((-1.0, 1.0), repeat=len(free)):
             error = np.zeros(m + q)
             error[free] = signs * sides[free]
-            vertices.append(Errors(error[:q], error[q:]))
+            vertices.append(GainErrors(error[:q], error[q:]))
         return vertices
 
-    def alone(self, i: int) -> "GoalProblem":
+    def alone(self, i: int) -> "MultiObjectiveProblem":
         """Returns the same problem for one member alone."""
         return replace(self, members=(self.members[i],), bests=None)
 
-    def landscape(self, i: int, which: int, band: Band, errors: Errors, like: Landscape | None) -> BandLandscape:
+    def landscape(self, i: int, which: int, band: Band, errors: GainErrors, like: Landscape | None) -> BandLandscape:
         """Returns the landscape of a member's plant with errors."""
         posed = errors.on(self.members[i].posed[which])
         return BandLandscape(posed.plant, posed.Cy, posed.Dyw, band, like, posed.through)
 
     def nominal(self) -> BandLandscape:
         """Returns the landscape of the first member without errors, which defines the points of all."""
-        return self.landscape(0, self.minimise.which, self.minimise.band, self.none, None)
+        return self.landscape(0, self.minimise.which, self.minimise.band, self.no_errors, None)
 
 
 TIGHTER = 1e-7  # relative: margin by which bounds are kept, for rounding
 AND_FOR_ERRORS = 0.02  # relative margin of a decay with errors: at the bound itself nothing can be proved for a whole box
 
 
-def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Errors], rate: float) -> tuple[list[Term], list[Term]]:
+def objectives_of(
+    problem: MultiObjectiveProblem, full: BandLandscape, errors: Sequence[GainErrors], rate: float
+) -> tuple[list[Objective], list[Objective]]:
     """Returns the goals and the bounds of a problem for some errors.
 
     Args:
@@ -236,8 +238,8 @@ def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Error
         errors: each applies to norms and decay; peaks count without errors.
         rate: the required decay [rad/s]; 0 for none.
     """
-    goals: list[Term] = []
-    bounds: list[Term] = []
+    goals: list[Objective] = []
+    bounds: list[Objective] = []
     which, band = problem.minimise.which, problem.minimise.band
     for i, member in enumerate(problem.members):
         unit = problem.bests[i] if problem.bests is not None else 1.0
@@ -249,13 +251,13 @@ def terms_with(problem: GoalProblem, full: BandLandscape, errors: Sequence[Error
             if rate:
                 bounds.append(decay(problem, problem.landscape(i, which, band, each, full), rate))
         for signal in member.signals:
-            landscape = problem.landscape(i, which, band, problem.none, full)
+            landscape = problem.landscape(i, which, band, problem.no_errors, full)
             bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))
-        for driven, most in zip(member.driven, problem.peaks, strict=True):
+        for driven, most in zip(member.driven_by, problem.peaks, strict=True):
             bounds.append(RoadPeak(driven, full.scale, most))
     return goals, bounds
 
 
-def decay(problem: GoalProblem, landscape: BandLandscape, rate: float) -> Decay:
+def decay(problem: MultiObjectiveProblem, landscape: BandLandscape, rate: float) -> Decay:
     """Returns the bound on the slowest pole of a loop."""
     return Decay(landscape, rate * (1 + (AND_FOR_ERRORS if problem.has_errors else TIGHTER)))

@@ -26,7 +26,7 @@ ILL_CONDITIONED = 1e7  # of the eigenvectors, beyond which the recursion runs st
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class RoadExcitation:
     """A road under the wheels of a vehicle, from time 0 to its end.
 
     Attributes:
@@ -43,7 +43,7 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class RoadLoop:
     """A plant on a road: x' = A x + B u + Bw z' + Br z, y = C_y x + Dyu u, and the signal c x + g u + f z that is bounded.
 
     Attributes:
@@ -62,7 +62,7 @@ class Driven:
     c: Array
     g: Array
     f: Array
-    drive: Drive
+    drive: RoadExcitation
     name: str = "a peak"
 
     def loop(self, K: Array) -> tuple[Array, Array]:
@@ -86,17 +86,17 @@ class QuadratureInterval:
         step: index of the step.
         start, length: of the interval [s].
         nodes: heights at the nodes of the quadrature, shape (NODES, r).
-        beside: True if one of its ends is a kink.
+        at_kink: True if one of its ends is a kink.
     """
 
     step: int
     start: float
     length: float
     nodes: Array
-    beside: bool
+    at_kink: bool
 
 
-class Response:
+class RoadResponse:
     """The motion of closed loops of one plant on one road, at equidistant times.
 
     Attributes:
@@ -105,7 +105,7 @@ class Response:
         pieces: of the steps with a kink, in their order.
     """
 
-    def __init__(self, driven: Driven, step: float, length: float) -> None:
+    def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
         """Args:
         driven: the plant on its road.
         step: between times [s].
@@ -262,7 +262,7 @@ def step_for(rate: float, share: float, end: float) -> float:
     return min(step, max(end / 200, step / 8))
 
 
-def free(A: Array, x: Array, h: float, count: int) -> Array:
+def homogeneous_response(A: Array, x: Array, h: float, count: int) -> Array:
     """Returns exp(A k h) x for k = 0, 1, ..., shape (count, n), by doubling."""
     responses, power = x[None], linalg.expm(A * h)
     while len(responses) < count:

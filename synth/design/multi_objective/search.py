@@ -20,10 +20,10 @@ from synth.design.descent.minimax import quasi_newton
 from synth.design.descent.starts import survey
 from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
-from synth.design.multi_objective.peak import RoadPeak, largest_over_road
-from synth.design.multi_objective.problem import Errors, GoalProblem, decay, terms_with
+from synth.design.multi_objective.peak import RoadPeak, peak_over_road
+from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, decay, objectives_of
 from synth.design.multi_objective.sqp import KEPT, Evaluation, MinimaxProblem, descend
-from synth.design.multi_objective.worst_case import WorstErrors
+from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.plant.numerics import DesignError
 
 STABLE = -1e-4  # largest real part at which stabilisation ends, as a share of the fastest pole
@@ -73,61 +73,61 @@ Told = Callable[[float, bool], None]  # called with the goal, and True if all bo
 class MinimaxSearch:
     """The search for one problem."""
 
-    def __init__(self, problem: GoalProblem, told: Told) -> None:
+    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
         self.problem, self.full = problem, problem.nominal()
-        self.told = told
-        self.least: tuple[Array, Evaluation] | None = None
-        self.sure: Array | None = None  # the last point that was checked, and is stable with all active errors
-        self.worst = WorstErrors(problem)
+        self.on_progress = on_progress
+        self.incumbent: tuple[Array, Evaluation] | None = None
+        self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
+        self.worst = WorstCaseErrors(problem)
         self.stable_starts: list[Array] = []
         self.rate = problem.decay or 0.0  # rad/s
         self.free = np.flatnonzero(problem.structure.ravel())
-        self.met = problem.corners(MOST_VERTICES)
-        self.minimax = self.minimax_problem([problem.none, *self.met])
+        self.active_errors = problem.corners(MOST_VERTICES)
+        self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
-        """Runs the search. Returns its last point, and the refused decrease of `GoalDesign`."""
+        """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
         x, evaluation = self.best(starts, otherwise)
         refused = None
         for _ in range(TURNS):
             if not evaluation.within:
-                x, evaluation = self.admitted(x)
-            x, evaluation, refused = self.staged(x, evaluation)
-            if self.least is not None and (not evaluation.within or self.cost(*self.least) < self.cost(x, evaluation)):
-                x, evaluation = self.least
-            if not self.sharpened(x, evaluation) and not self.drawn_tighter(x):
+                x, evaluation = self.restore_feasibility(x)
+            x, evaluation, refused = self.staged_descent(x, evaluation)
+            if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
+                x, evaluation = self.incumbent
+            if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
                 break
-            self.least = None  # of fewer errors
-            x, evaluation = self.stable(x)
+            self.incumbent = None  # of fewer errors
+            x, evaluation = self.nearest_stable_point(x)
         if not evaluation.within:
-            x, evaluation = self.admitted(x)
+            x, evaluation = self.restore_feasibility(x)
         if not evaluation.within:
-            raise DesignError(self.in_the_way(x))
+            raise DesignError(self.explain_infeasibility(x))
         if self.worst.unstable(self.full.gain(x)):  # finds further ones, turn after turn
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
     def interrupted(self) -> tuple[Array, Evaluation] | None:
         """Returns the best feasible point that no error found so far destabilises, or None."""
-        for x in (self.least[0] if self.least is not None else None, self.sure):
+        for x in (self.incumbent[0] if self.incumbent is not None else None, self.safe_point):
             if x is not None and (evaluation := self.minimax.evaluate(x)).within and not self.worst.unstable(self.full.gain(x)):
                 return x, evaluation
         return None
 
-    def noted(self, x: Array) -> Evaluation:
+    def evaluate(self, x: Array) -> Evaluation:
         """Returns the evaluation of a point, and stores the point if it is the best within all bounds."""
         evaluation = self.minimax.evaluate(x)
-        self.remember(x, evaluation)
+        self.update_incumbent(x, evaluation)
         return evaluation
 
-    def remember(self, x: Array, evaluation: Evaluation) -> None:
+    def update_incumbent(self, x: Array, evaluation: Evaluation) -> None:
         """Stores a point if it is the best within all bounds."""
         if (
             evaluation.within
             and np.isfinite(evaluation.goal)
-            and (self.least is None or self.cost(x, evaluation) < self.cost(*self.least))
+            and (self.incumbent is None or self.cost(x, evaluation) < self.cost(*self.incumbent))
         ):
-            self.least = x, evaluation
+            self.incumbent = x, evaluation
 
     def norms(self) -> list[NormObjective]:
         """Returns the minimised norms of all loops."""
@@ -135,8 +135,8 @@ class MinimaxSearch:
 
     def moved(self, x: Array, evaluation: Evaluation) -> None:
         """Stores and reports a new point."""
-        self.remember(x, evaluation)
-        self.told(evaluation.goal, evaluation.within)
+        self.update_incumbent(x, evaluation)
+        self.on_progress(evaluation.goal, evaluation.within)
 
     def limit(self, gain: float | None) -> Array:
         """Returns the largest allowed entries of a point."""
@@ -144,9 +144,9 @@ class MinimaxSearch:
             return np.full(self.full.scale.size, LARGEST_GAIN)
         return self.full.point(np.full(self.full.shape, gain))
 
-    def minimax_problem(self, errors: Sequence[Errors]) -> MinimaxProblem:
+    def minimax_problem(self, errors: Sequence[GainErrors]) -> MinimaxProblem:
         """Returns the problem with all terms, for some errors."""
-        return MinimaxProblem(*terms_with(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
+        return MinimaxProblem(*objectives_of(self.problem, self.full, errors, self.rate), self.limit(self.problem.gain))
 
     def coordinates(self, x: Array) -> Array:
         """Returns the directions that the structure allows, scaled to equal weight, shape (N, free)."""
@@ -164,9 +164,9 @@ class MinimaxSearch:
             usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may rank best by being slow
             self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
             self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
-            self.least = None  # the stored point may decay more slowly
-        self.sure = ranked[0]
-        return min((self.glanced(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
+            self.incumbent = None  # the stored point may decay more slowly
+        self.safe_point = ranked[0]
+        return min((self.brief_descent(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 
     def stable_with_errors(self, points: Sequence[Array], otherwise: Callable[[], Iterable[Array]]) -> list[Array]:
         """Returns starts by increasing cost whose loops are stable with all errors found so far."""
@@ -180,10 +180,10 @@ class MinimaxSearch:
             unstable = [self.worst.unstable(self.full.gain(x)) for x in ranked[: 2 * ENTERED]]
             if kept := [x for x, errors in zip(ranked, unstable, strict=False) if not errors]:
                 return kept + ranked[2 * ENTERED :]
-            fresh = self.fresh(unstable[0])
+            fresh = self.new_errors(unstable[0])
             if not fresh:
                 break
-            self.count(fresh)
+            self.activate(fresh)
             points = ranked
         raise DesignError(UNSTABLE)
 
@@ -192,7 +192,7 @@ class MinimaxSearch:
         limit, mask = self.minimax.limit, self.problem.structure
         return [np.clip(self.full.point(np.where(mask, K, 0.0)), -limit, limit) for K in gains]
 
-    def glanced(self, x: Array) -> tuple[Array, Evaluation]:
+    def brief_descent(self, x: Array) -> tuple[Array, Evaluation]:
         """Descends for a few iterations. If the gain is unbounded, it may at most double."""
         whole = self.minimax.limit
         if self.problem.gain is None:
@@ -207,7 +207,7 @@ class MinimaxSearch:
         growth = np.log2(max(float(np.abs(x).max()), 1e-3)) if self.problem.gain is None else 0.0
         return float(np.log(max(self.rank(evaluation), 1e-300)) + WORTH * growth)
 
-    def admitted(self, x: Array) -> tuple[Array, Evaluation]:
+    def restore_feasibility(self, x: Array) -> tuple[Array, Evaluation]:
         """Returns a point within all bounds, or the nearest to that which the search finds."""
         minimax = self.minimax
         minimax.limit = self.limit(self.problem.gain)
@@ -223,9 +223,9 @@ class MinimaxSearch:
                     return best, minimax.evaluate(best)
         return best, minimax.evaluate(best)
 
-    def stable(self, x: Array) -> tuple[Array, Evaluation]:
+    def nearest_stable_point(self, x: Array) -> tuple[Array, Evaluation]:
         """Returns the point, or another at which all loops are stable, also with the errors added since."""
-        sure = [] if self.sure is None else [self.sure]
+        sure = [] if self.safe_point is None else [self.safe_point]
         for move, starts in ((lambda x: x, [x]), (self.stabilised, [x]), (lambda x: x, [*sure, *self.stable_starts])):
             for start in starts:
                 moved = move(start)
@@ -240,7 +240,7 @@ class MinimaxSearch:
 
     def ranked(self, points: Sequence[Array]) -> list[Array]:
         """Returns the stabilising points by increasing cost, without duplicates."""
-        heights = [(self.cost(x, self.noted(x)), i) for i, x in enumerate(points)]
+        heights = [(self.cost(x, self.evaluate(x)), i) for i, x in enumerate(points)]
         stable = sorted((cost, i) for cost, i in heights if np.isfinite(cost))
         kept: list[tuple[float, Array]] = []
         for cost, i in stable:
@@ -257,15 +257,15 @@ class MinimaxSearch:
         """Performs a descent and returns its result."""
         return descend(self.minimax, x, self.coordinates(x), rounds, self.moved)
 
-    def staged(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
+    def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
         """Descends to the end: at once if the gain is bounded, else by stages of growth, as long as each pays for itself."""
         if self.problem.gain is not None:
-            return *self.settled(x, evaluation), None
+            return *self.converge(x, evaluation), None
         size = float(np.abs(x).max()) or 1.0
         dearest = max(size, DEAREST)
         for stage in range(STAGES):
             self.minimax.limit = np.full(len(x), min(size * (2 if stage else 1), dearest))
-            moved, there = self.settled(x, evaluation)
+            moved, there = self.converge(x, evaluation)
             growth = float(np.abs(moved).max()) / size
             before = self.rank(evaluation)
             bought = 1 - self.rank(there) / before if before > 0 else 0.0
@@ -276,7 +276,7 @@ class MinimaxSearch:
                 break
         return x, evaluation, None
 
-    def settled(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
+    def converge(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
         """Repeats descents, each in coordinates of its own, until one brings nothing."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
@@ -285,41 +285,41 @@ class MinimaxSearch:
             x, evaluation = moved, there
         return x, evaluation
 
-    def sharpened(self, x: Array, evaluation: Evaluation) -> bool:
+    def add_violating_errors(self, x: Array, evaluation: Evaluation) -> bool:
         """Looks for gain errors that worsen the point, activates them and returns True if there were any."""
         if not self.problem.has_errors:
             return False
         worst = self.worst.beyond(self.full.gain(x), evaluation.goal, self.rate)
-        fresh = self.fresh(errors for beyond, errors in worst if beyond > 1 + MET)
+        fresh = self.new_errors(errors for beyond, errors in worst if beyond > 1 + MET)
         if not self.worst.unstable(self.full.gain(x)):
-            self.sure = x
-        self.count(fresh)
+            self.safe_point = x
+        self.activate(fresh)
         return bool(fresh)
 
-    def fresh(self, errors: Iterable[Errors]) -> list[Errors]:
+    def new_errors(self, errors: Iterable[GainErrors]) -> list[GainErrors]:
         """Returns the errors that are not active yet, without duplicates."""
-        met = {each.key for each in self.met}
+        met = {each.key for each in self.active_errors}
         return list({each.key: each for each in errors if each.key not in met}.values())
 
-    def count(self, errors: Sequence[Errors]) -> None:
+    def activate(self, errors: Sequence[GainErrors]) -> None:
         """Activates the errors: adds their objectives and bounds to the problem."""
-        self.met += errors
-        goals, bounds = terms_with(self.problem, self.full, errors, self.rate)
+        self.active_errors += errors
+        goals, bounds = objectives_of(self.problem, self.full, errors, self.rate)
         self.minimax.goals += goals
         self.minimax.bounds += [bound for bound in bounds if not isinstance(bound, (RoadPeak, EnergyPeak))]
 
-    def drawn_tighter(self, x: Array) -> bool:
+    def tighten_peak_bounds(self, x: Array) -> bool:
         """Recomputes the road peaks accurately. Tightens each bound that is exceeded and returns True if there was one."""
         tighter = False
         for term in self.minimax.bounds:
             if isinstance(term, RoadPeak) and term.value(x) <= 1 + KEPT:
-                passed = largest_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
+                passed = peak_over_road(term.driven, self.full.gain(x)).proved / (term.unit * term.spare)
                 if 1 < passed < 2:
                     term.unit, tighter = term.unit / passed, True
                     term.spare *= passed
         return tighter
 
-    def in_the_way(self, x: Array) -> str:
+    def explain_infeasibility(self, x: Array) -> str:
         """Returns the message with the bounds that the search could not keep, and by how much."""
         passed = " and ".join(f"{name} is passed by {percent(share)}" for name, share in self.minimax.passed(x).items())
         return f"no gain was found that keeps all bounds; nearest to all of them, {passed}; allow more there, or measure more"

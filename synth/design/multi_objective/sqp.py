@@ -16,7 +16,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.descent.minimax import convex, lowest_point
-from synth.design.multi_objective.objectives import Support, Term
+from synth.design.multi_objective.objectives import Linearisation, Objective
 from synth.plant.numerics import up_to_rounding
 
 KEPT = 1e-9  # relative: a bound that is exceeded by less counts as kept, as bounds have a larger margin
@@ -41,7 +41,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class LocalModel:
     """Supports of all terms that may count near a point.
 
     Attributes:
@@ -49,8 +49,8 @@ class Model:
         bounds: supports of the bounds, likewise.
     """
 
-    goals: tuple[tuple[int, Support], ...]
-    bounds: tuple[tuple[int, Support], ...]
+    goals: tuple[tuple[int, Linearisation], ...]
+    bounds: tuple[tuple[int, Linearisation], ...]
 
 
 class MinimaxProblem:
@@ -62,11 +62,11 @@ class MinimaxProblem:
         limit: the largest entries of a point, shape (N,).
     """
 
-    def __init__(self, goals: Sequence[Term], bounds: Sequence[Term], limit: Array) -> None:
+    def __init__(self, goals: Sequence[Objective], bounds: Sequence[Objective], limit: Array) -> None:
         self.goals, self.bounds, self.limit = list(goals), list(bounds), limit
         self._known: tuple[bytes, dict[tuple[int, float], float]] = b"", {}  # values at one point, by term and unit
 
-    def value(self, term: Term, x: Array, above: float = np.inf) -> float:
+    def value(self, term: Objective, x: Array, above: float = np.inf) -> float:
         """Returns `Term.value` of a term at a point; values of the last point are cached."""
         at = x.tobytes()
         if self._known[0] != at:
@@ -105,7 +105,7 @@ class MinimaxProblem:
             excess.setdefault(term.name, term.value(x) - 1)
         return {name: share for name, share in excess.items() if share > KEPT}
 
-    def model(self, x: Array, evaluation: Evaluation, depth: float) -> Model:
+    def model(self, x: Array, evaluation: Evaluation, depth: float) -> LocalModel:
         """Returns the linearisations of the goals near the largest, and of the bounds that are nearly active."""
         goals, bounds = [], []
         for i, term in enumerate(self.goals):
@@ -116,17 +116,17 @@ class MinimaxProblem:
             value = self.value(term, x)
             if value >= 1 - 3 * depth:
                 bounds.append((i, term.support(x, value, depth)))
-        return Model(tuple(goals), tuple(bounds))
+        return LocalModel(tuple(goals), tuple(bounds))
 
-    def again(self, x: Array, model: Model) -> Model:
+    def reevaluate(self, x: Array, model: LocalModel) -> LocalModel:
         """Returns the same functions at another point."""
-        return Model(
-            tuple((i, self.goals[i].again(x, support)) for i, support in model.goals),
-            tuple((i, self.bounds[i].again(x, support)) for i, support in model.bounds),
+        return LocalModel(
+            tuple((i, self.goals[i].reevaluate(x, support)) for i, support in model.goals),
+            tuple((i, self.bounds[i].reevaluate(x, support)) for i, support in model.bounds),
         )
 
 
-def stacked(supports: Sequence[tuple[int, Support]], count: int) -> tuple[Array, Array]:
+def stacked(supports: Sequence[tuple[int, Linearisation]], count: int) -> tuple[Array, Array]:
     """Returns the joined values, shape (F,), and slopes, shape (F, N), of supports."""
     if not supports:
         return np.zeros(0), np.zeros((0, count))
@@ -144,7 +144,7 @@ def descend(
     x: Array,
     M: Array,
     rounds: int,
-    told: Callable[[Array, Evaluation], None] = lambda x, evaluation: None,
+    on_progress: Callable[[Array, Evaluation], None] = lambda x, evaluation: None,
     enough: float = 0.0,
     settled: float = -np.inf,
 ) -> tuple[Array, Evaluation]:
@@ -153,7 +153,7 @@ def descend(
     Args:
         M: coordinates in which all directions have equal weight, shape (N, N).
         rounds: largest number of iterations.
-        told: called with every new point.
+        on_progress: called with every new point.
         enough: value of the goal at which the descent ends.
         settled: promised relative decrease below which the descent ends at once, not after another refinement of the model.
     """
@@ -162,7 +162,7 @@ def descend(
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
                 break
-            told(walk.x, walk.evaluation)
+            on_progress(walk.x, walk.evaluation)
     return walk.x, walk.evaluation
 
 
@@ -177,7 +177,7 @@ class _Walk:
             self.M = M / (float(np.linalg.norm(np.vstack([s, w]), axis=1).max(initial=0.0)) or 1.0)
         self.penalty, self.depth, self.damping = FIRST, 0.1, 1e-2
         self.hessian = 0.1 * np.eye(M.shape[1])
-        self.kept: Model = Model((), ())
+        self.kept: LocalModel = LocalModel((), ())
         self.failures, self.recent = 0, [self.merit(self.evaluation)]
 
     def merit(self, evaluation: Evaluation) -> float:
@@ -201,7 +201,7 @@ class _Walk:
         now = max(float(values.max()), 0.0)
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))
 
-    def linear(self, model: Model) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def linear(self, model: LocalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Returns the model's functions in the descent's coordinates, relative."""
         n, goal = len(self.x), self.evaluation.goal
         (v, s), (c, w) = stacked(model.goals, n), stacked(model.bounds, n)
@@ -215,8 +215,8 @@ class _Walk:
         if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < FLAT * self.recent[-1]:
             return False
         fresh = minimax.model(x, self.evaluation, self.depth)
-        old = minimax.again(x, self.kept)
-        model = Model(fresh.goals + old.goals, fresh.bounds + old.bounds)
+        old = minimax.reevaluate(x, self.kept)
+        model = LocalModel(fresh.goals + old.goals, fresh.bounds + old.bounds)
         goals, bounds = self.linear(model)
         _, of_goals, of_bounds, _ = self.lowest(goals, bounds)
         curvature = self.curvature(fresh, of_goals, of_bounds)
@@ -232,7 +232,7 @@ class _Walk:
         if not fall > 1e-10:
             self.depth, self.failures = self.depth / 4, self.failures + 1
             return True
-        move, length, beyond_model, corrected = M @ t, 1.0, Model((), ()), False
+        move, length, beyond_model, corrected = M @ t, 1.0, LocalModel((), ()), False
         while length > 1e-3:
             allowed = here * (1 - 1e-2 * length * fall)
             there = self.at(x + length * move, allowed)
@@ -253,7 +253,7 @@ class _Walk:
             length *= 0.3
         else:
             self.damping, self.failures, self.hessian = 10 * self.damping, self.failures + 1, 10 * self.hessian
-            self.kept = Model((self.kept.goals + beyond_model.goals)[-6:], (self.kept.bounds + beyond_model.bounds)[-6:])
+            self.kept = LocalModel((self.kept.goals + beyond_model.goals)[-6:], (self.kept.bounds + beyond_model.bounds)[-6:])
             return True
         while length >= 1 and np.all(np.abs(x + 3 * length * move) <= minimax.limit):  # a minimum far away, or at infinity
             needed = self.merit(there) - 0.1 * length * fall * here
@@ -272,12 +272,12 @@ class _Walk:
         """Returns the evaluation of a point, which ends early if its result can no longer matter."""
         return self.minimax.evaluate(x, allowed, self.penalty)
 
-    def shifted(self, model: Model, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    def shifted(self, model: LocalModel, t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Returns functions made at the end of a step t, expressed from its start."""
         (v, s), (c, w) = self.linear(model)
         return (v - s @ t, s), (c - w @ t, w)
 
-    def curvature(self, fresh: Model, of_goals: Array, of_bounds: Array) -> Array:
+    def curvature(self, fresh: LocalModel, of_goals: Array, of_bounds: Array) -> Array:
         """Returns the curvature of the functions that are active at the point, with the weights of the model."""
         total = np.zeros((len(self.x), len(self.x)))
         for terms, supports, weights, unit in (

@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.design.multi_objective.band_norm import Band, BandLandscape
-from synth.design.multi_objective.problem import Errors, GoalProblem, NormGoal
+from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, NormSpecification
 
 TURNS = 4  # passes through all errors
 NOT_STABLE = 1e6  # value that stands for a bound's excess by an unstable loop
@@ -19,16 +19,16 @@ INSIDE = 64  # points tried inside the box
 SEED = 20261122
 
 
-class WorstErrors:
+class WorstCaseErrors:
     """The search for the worst gain errors of a multi-objective problem."""
 
-    def __init__(self, problem: GoalProblem) -> None:
+    def __init__(self, problem: MultiObjectiveProblem) -> None:
         self.problem = problem
         self.sides = np.concatenate([problem.tolerance.sensors, problem.tolerance.forces])
         self.free = np.flatnonzero(self.sides)
         self.landscape = cache(self._landscape)
 
-    def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, Errors]]:
+    def beyond(self, K: Array, goal: float, rate: float) -> Iterator[tuple[float, GainErrors]]:
         """Yields the worst errors of every member for the goal, every bound on a norm and the decay.
 
         Each comes with its value relative to the known goal or the bound: above 1 it is worse.
@@ -46,7 +46,7 @@ class WorstErrors:
             if rate:
                 yield self.of_decay(i, rate, K)
 
-    def of_norm(self, i: int, norm: NormGoal, unit: float, K: Array) -> tuple[float, Errors]:
+    def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
         """Returns the largest norm of a member in a unit, found from vertex to vertex, one error at a time."""
         landscape = self.landscape(i, norm.which, norm.band)
 
@@ -72,19 +72,19 @@ class WorstErrors:
                 best, worst = value, signs
         return best, self._errors(worst)
 
-    def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, Errors]:
+    def of_decay(self, i: int, rate: float, K: Array) -> tuple[float, GainErrors]:
         """Returns the slowest pole of a member, in the form of `Decay`."""
         real, errors = self.slowest(i, K)
         return min(2 + real / rate, NOT_STABLE), errors
 
-    def unstable(self, K: Array) -> list[Errors]:
+    def unstable(self, K: Array) -> list[GainErrors]:
         """Returns the worst errors of each member whose loop they destabilise."""
         if not len(self.free):
             return []
         slowest_of = (self.slowest(i, K) for i in range(len(self.problem.members)))
         return [errors for real, errors in slowest_of if not real < 0]
 
-    def slowest(self, i: int, K: Array) -> tuple[float, Errors]:
+    def slowest(self, i: int, K: Array) -> tuple[float, GainErrors]:
         """Returns the largest real part of a pole that a gain moves [rad/s], at vertices and inside, and the errors.
 
         It is infinite if a loop has no solution. Poles of a discrete plant are those of its continuous image.
@@ -125,15 +125,17 @@ class WorstErrors:
         factors, q = 1 + signs * self.sides, self.problem.shape[1]
         return factors[..., q:, None] * K * factors[..., None, :q]
 
-    def _errors(self, signs: Array) -> Errors:
+    def _errors(self, signs: Array) -> GainErrors:
         q = self.problem.shape[1]
-        return Errors((signs * self.sides)[:q], (signs * self.sides)[q:])
+        return GainErrors((signs * self.sides)[:q], (signs * self.sides)[q:])
 
     def _landscape(self, i: int, which: int, band: Band) -> BandLandscape:
-        return self.problem.landscape(i, which, band, self.problem.none, None)
+        return self.problem.landscape(i, which, band, self.problem.no_errors, None)
 
 
-def worst_of_norm(problem: GoalProblem, i: int, norm: NormGoal | None, unit: float, K: Array) -> tuple[float, Errors]:
+def worst_of_norm(
+    problem: MultiObjectiveProblem, i: int, norm: NormSpecification | None, unit: float, K: Array
+) -> tuple[float, GainErrors]:
     """Returns a member's largest value found, of a norm or, for None, the decay, and its errors, for a gain of shape (m, q)."""
-    worst = WorstErrors(problem)
+    worst = WorstCaseErrors(problem)
     return worst.of_decay(i, unit, K) if norm is None else worst.of_norm(i, norm, unit, K)

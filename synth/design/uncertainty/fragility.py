@@ -19,7 +19,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import MOST, Box, ScaledGain
 from synth.design.uncertainty.problem import box_of, errors_of
-from synth.design.uncertainty.worst_case import Heights, by_flips, climb, proof_below
+from synth.design.uncertainty.worst_case import WorstCaseNormFunction, bisect_bound, local_maximum, vertex_search
 from synth.plant.generalized import Feedback, GeneralizedPlant
 from synth.plant.numerics import numerics
 
@@ -74,19 +74,19 @@ LOOSELY = 4.0  # times the largest norm met in a box: a bound on it is tried the
 
 
 @dataclass(frozen=True, eq=False)
-class Borne:
+class ErrorMargin:
     """The margin of relative errors.
 
     Attributes:
-        proved: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
+        proved_margin: errors up to this, in any combination, are proved harmless; 0 if nothing is proved.
         bound: on the norm for these errors; infinite if nothing is proved.
-        found: size of the smallest harmful errors found; infinite if none up to 1 are.
+        smallest_violation: size of the smallest harmful errors found; infinite if none up to 1 are.
         readings, forces: those errors, relative, shapes (q,) and (m,); 1 and -1 along the worst ray if none are harmful.
     """
 
-    proved: float
+    proved_margin: float
     bound: float
-    found: float
+    smallest_violation: float
     readings: Array
     forces: Array
 
@@ -102,8 +102,8 @@ class Fragility:
     """
 
     norm: float
-    stable: Borne
-    within: dict[float, Borne]
+    stable: ErrorMargin
+    within: dict[float, ErrorMargin]
 
 
 @numerics()
@@ -113,7 +113,7 @@ def fragility(gain: ScaledGain) -> Fragility:
     Raises:
         ValueError: the loop is unstable without errors.
     """
-    heights = Heights(gain)
+    heights = WorstCaseNormFunction(gain)
     norm = heights.norm(_at(gain, 0.0))
     if not np.isfinite(norm):
         raise ValueError("the loop is unstable as it is")
@@ -127,10 +127,10 @@ def box_of_all(gain: ScaledGain, amount: float) -> Box:
     return box_of(gain, amount, amount if gain.forces > 1 else 0.0)
 
 
-def worst_met(gain: ScaledGain, amount: float) -> float:
+def worst_error_found(gain: ScaledGain, amount: float) -> float:
     """Returns the largest norm found with errors of readings and several forces up to an amount; infinite if unstable."""
-    heights = Heights(gain)
-    climb(heights, box_of_all(gain, amount))
+    heights = WorstCaseNormFunction(gain)
+    local_maximum(heights, box_of_all(gain, amount))
     return heights.highest
 
 
@@ -138,23 +138,23 @@ def _at(gain: ScaledGain, errors: Array | float) -> Array:
     return np.ones(sum(gain.K.shape)) + errors
 
 
-def _rays(heights: Heights) -> Array:
+def _rays(heights: WorstCaseNormFunction) -> Array:
     """The ways to corners of boxes that are looked along, of 1, -1 and 0, shape (k, q + m)."""
     whole = box_of_all(heights.gain, 1.0)
-    if len(whole.free) <= EACH:
-        corners = whole.corners
+    if len(whole.uncertain) <= EACH:
+        corners = whole.vertices
     else:
-        corners = np.concatenate([by_flips(heights, box_of_all(heights.gain, size)) for size in SIZES])
+        corners = np.concatenate([vertex_search(heights, box_of_all(heights.gain, size)) for size in SIZES])
     return np.unique(np.sign(corners - 1), axis=0)
 
 
-def _borne(heights: Heights, rays: Array, level: float) -> Borne:
+def _borne(heights: WorstCaseNormFunction, rays: Array, level: float) -> ErrorMargin:
     """Returns the margin until the norm exceeds a level; for an infinite level, until the loop is unstable."""
     gain = heights.gain
     amount, errors = _along_rays(heights, rays, level)
     for _ in range(TURNS):
-        inside = Heights(gain)
-        climb(inside, box_of_all(gain, min(amount, 1.0) * (1 - WITHIN)))
+        inside = WorstCaseNormFunction(gain)
+        local_maximum(inside, box_of_all(gain, min(amount, 1.0) * (1 - WITHIN)))
         if not inside.highest > level * (1 + EXACT) and not np.isinf(inside.highest):
             break
         far = float(np.abs(inside.at - 1).max())
@@ -162,21 +162,21 @@ def _borne(heights: Heights, rays: Array, level: float) -> Borne:
         amount = _edge(heights, ray, 0.0, far, level)
         errors = amount * ray
     errors_at = errors_of(gain, _at(gain, errors))
-    if len(box_of_all(gain, 1.0).free) > MOST:
-        return Borne(0.0, np.inf, amount, *errors_at)
+    if len(box_of_all(gain, 1.0).uncertain) > MOST:
+        return ErrorMargin(0.0, np.inf, amount, *errors_at)
     tried = CLOSE if np.isinf(level) else CLOSE_TO_LEVEL
     for smaller in tried if np.isfinite(amount) else (0.0, *tried):
         proved = min(amount, 1.0) * (1 - smaller)
-        box, within = box_of_all(gain, proved), Heights(gain)
+        box, within = box_of_all(gain, proved), WorstCaseNormFunction(gain)
         if np.isinf(level):
-            climb(within, box)
+            local_maximum(within, box)
         bound = LOOSELY * within.highest if np.isinf(level) else level
-        if np.isfinite(bound) and proof_below(within, box, bound) is not None:
-            return Borne(proved, bound, amount, *errors_at)
-    return Borne(0.0, np.inf, amount, *errors_at)
+        if np.isfinite(bound) and bisect_bound(within, box, bound) is not None:
+            return ErrorMargin(proved, bound, amount, *errors_at)
+    return ErrorMargin(0.0, np.inf, amount, *errors_at)
 
 
-def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Array]:
+def _along_rays(heights: WorstCaseNormFunction, rays: Array, level: float) -> tuple[float, Array]:
     """The smallest amount along rays that exceeds a level, and the errors there; infinite, with the errors of the highest end."""
     best, at = np.inf, None
     for ray in rays:
@@ -196,7 +196,7 @@ def _along_rays(heights: Heights, rays: Array, level: float) -> tuple[float, Arr
     return float(best), at
 
 
-def _edge(heights: Heights, ray: Array, low: float, high: float, level: float) -> float:
+def _edge(heights: WorstCaseNormFunction, ray: Array, low: float, high: float, level: float) -> float:
     """Bisects the amount along a ray at which a level is exceeded, between one that keeps it and one that does not."""
     while high - low > EXACT * high:
         middle = (low + high) / 2
@@ -220,11 +220,11 @@ def fragility_object(
         forces: m of them.
     """
 
-    def borne(one: Borne) -> dict[str, Any]:
+    def borne(one: ErrorMargin) -> dict[str, Any]:
         return {
-            "proved": one.proved,
+            "proved": one.proved_margin,
             "bound": finite(one.bound),
-            "found": finite(one.found),
+            "found": finite(one.smallest_violation),
             "readings": dict(zip(measured, one.readings.tolist(), strict=True)),
             "forces": dict(zip(forces, one.forces.tolist(), strict=True)),
         }
@@ -242,7 +242,7 @@ def whose(report: Fragility) -> str:
     return "readings and forces" if len(report.stable.forces) > 1 else "readings"
 
 
-def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> str:
+def errors_text(one: ErrorMargin, measured: Sequence[str], forces: Sequence[str]) -> str:
     """The errors that do more than they may, in percent."""
     named = zip((*measured, *forces), (*one.readings, *one.forces), strict=True)
     return ", ".join(f"{name} {100 * error:+.4g} %" for name, error in named if abs(error) > NOTHING) or "none"
@@ -251,8 +251,9 @@ def errors_text(one: Borne, measured: Sequence[str], forces: Sequence[str]) -> s
 def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[str]) -> str:
     """Returns the fragility of a law as a sentence."""
     stable, text = report.stable, "fragile: "
-    if math.isfinite(stable.found):
-        text += f"unstable with {whose(report)} off by {100 * stable.found:.4g} % ({errors_text(stable, measured, forces)}); "
+    if math.isfinite(stable.smallest_violation):
+        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % "
+        f"({errors_text(stable, measured, forces)}); "
     else:
         text += f"no errors of {whose(report)} up to 100 % were found that make it unstable; "
     return text + proved_text(report)
@@ -262,12 +263,12 @@ def proved_text(report: Fragility) -> str:
     """Returns the proved margins in words."""
     stable = report.stable
     text = "that it is stable with errors is not proved"
-    if stable.proved:
-        text = f"stable with each off by up to {100 * stable.proved:.4g} %, which is proved"
+    if stable.proved_margin:
+        text = f"stable with each off by up to {100 * stable.proved_margin:.4g} %, which is proved"
     for share, one in report.within.items():
-        beyond = f", and not at {100 * one.found:.4g} %" if math.isfinite(one.found) else ""
+        beyond = f", and not at {100 * one.smallest_violation:.4g} %" if math.isfinite(one.smallest_violation) else ""
         text += f"; the norm within {100 * share:g} % "
-        text += f"up to {100 * one.proved:.4g} %{beyond}" if one.proved else f"of errors is not proved{beyond}"
+        text += f"up to {100 * one.proved_margin:.4g} %{beyond}" if one.proved_margin else f"of errors is not proved{beyond}"
     return text
 
 

@@ -27,7 +27,7 @@ def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: flo
         low, high: the band [rad/s]; `high` may be infinite.
         unit: about how large the bound is.
     """
-    (n, r), d, V = gain.plant.Bw.shape, len(gain.plant.C), 2 ** len(box.free)
+    (n, r), d, V = gain.plant.Bw.shape, len(gain.plant.C), 2 ** len(box.uncertain)
     if V * (2 * n + r + d) ** 2 > MOST or not gain.well_posed(box) or not 0 < unit < np.inf:
         return None
     for spare in SPARE:
@@ -45,7 +45,7 @@ def _proposed(gain: ScaledGain, box: Box, low: float, high: float, unit: float, 
     """P, Q and W of the least bound, in coordinates and units in which all numbers have size one."""
     import cvxpy as cp  # 0.9 s, and only this function needs it
 
-    loops, middle = gain.loops(box.corners), gain.loops(box.middle)
+    loops, middle = gain.loops(box.vertices), gain.loops(box.middle)
     (V, n, r), d = loops.Bw.shape, loops.C.shape[1]
     T, fastest = own_coordinates(middle.A)
     inverse, rate = np.linalg.inv(T), high if np.isfinite(high) else max(low, fastest)

@@ -37,7 +37,7 @@ def stable_with_errors(
 def unknowns(gain: ScaledGain, box: Box) -> int:
     """Returns the number of unknowns of the problem of a box."""
     n = len(gain.plant.A)
-    return 2 ** len(box.free) * n * (n + 1) // 2 + 2 * n * n + 1
+    return 2 ** len(box.uncertain) * n * (n + 1) // 2 + 2 * n * n + 1
 
 
 def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDependentLyapunov]] | None:
@@ -57,10 +57,10 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
             proof = None
         if proof is not None and proof.holds(gain, part):
             done.append((part, proof))
-        elif len(todo) + len(done) + 2 > PARTS or not len(part.free):
+        elif len(todo) + len(done) + 2 > PARTS or not len(part.uncertain):
             return None
         else:
-            todo += part.halves(int(part.free[np.argmax((part.high - part.low)[part.free])]))
+            todo += part.bisect(int(part.uncertain[np.argmax((part.high - part.low)[part.uncertain])]))
     return done
 
 
@@ -89,7 +89,7 @@ def moving_x(gain: ScaledGain, box: Box, gamma: float = np.inf) -> ParameterDepe
     """
     if not gain.well_posed(box):
         return None
-    everywhere, middle = gain.loops(box.corners), gain.loops(box.middle)
+    everywhere, middle = gain.loops(box.vertices), gain.loops(box.middle)
     if not np.all(np.linalg.eigvals(everywhere.A).real < 0) or not np.all(np.linalg.eigvals(middle.A).real < 0):
         return None
     T, rate = own_coordinates(middle.A)

@@ -75,7 +75,7 @@ def vertices(d: Array, e: Array) -> list[tuple[Array, Array]]:
         e: likewise each force, shape (m,).
     """
     width = np.concatenate([d, e])
-    return [(factors[: len(d)], factors[len(d) :]) for factors in Box(1 - width, 1 + width).corners]
+    return [(factors[: len(d)], factors[len(d) :]) for factors in Box(1 - width, 1 + width).vertices]
 
 
 def _tolerance(value: Array | float, count: int, of: str) -> Array:

@@ -35,7 +35,7 @@ TURNS = 30  # of one such search
 SEED = 20261122
 
 
-class Heights:
+class WorstCaseNormFunction:
     """The norm as a function of the factors of a gain, with the largest value found.
 
     Attributes:
@@ -84,10 +84,10 @@ class Heights:
         return np.concatenate([factors[q:] @ by_scaled, by_scaled @ factors[:q]])
 
 
-def climb(heights: Heights, box: Box) -> None:
+def local_maximum(heights: WorstCaseNormFunction, box: Box) -> None:
     """Looks for the largest norm in a box; `heights` remembers it. It ends where a loop is unstable."""
-    free = box.free
-    points = box.corners if len(free) <= ALL else by_flips(heights, box)
+    free = box.uncertain
+    points = box.vertices if len(free) <= ALL else vertex_search(heights, box)
     points = np.concatenate([points, box.middle[None]])
     values = [heights.norm(point) for point in points]
     if not (len(free) and np.isfinite(heights.highest)):
@@ -100,9 +100,9 @@ def climb(heights: Heights, box: Box) -> None:
         _inside(heights, box, points[i])
 
 
-def by_flips(heights: Heights, box: Box) -> Array:
+def vertex_search(heights: WorstCaseNormFunction, box: Box) -> Array:
     """Corners that no flip of one factor makes higher, or the middle of the box where its loop is unstable, shape (k, q + m)."""
-    free, middle = box.free, box.middle
+    free, middle = box.uncertain, box.middle
     if not np.isfinite(heights.norm(middle)):
         return middle[None]
     uphill = np.where(heights.slope(middle) >= 0, box.high, box.low)
@@ -120,9 +120,9 @@ def by_flips(heights: Heights, box: Box) -> Array:
     return np.array(corners)
 
 
-def _inside(heights: Heights, box: Box, start: Array) -> None:
+def _inside(heights: WorstCaseNormFunction, box: Box, start: Array) -> None:
     """Up from a point as far as the box reaches."""
-    free = box.free
+    free = box.uncertain
     middle, half = box.middle, (box.high - box.low)[free] / 2
 
     def point(t: Array) -> Array:
@@ -176,7 +176,7 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     Raises:
         LinAlgError: rounding leaves no answer.
     """
-    everywhere, X = gain.loops(box.corners), start
+    everywhere, X = gain.loops(box.vertices), start
     among = np.zeros(0, dtype=int)
     while True:
         highest = _highest(everywhere, X, eta)
@@ -247,12 +247,12 @@ EVERYWHERE = 1e-4  # of the disturbance's power: what disturbs states for the fi
 Parts = list[tuple[Box, Array | None]]  # of a box, each with an X of (20) if one is known
 
 
-def _trials(heights: Heights) -> int:
+def _trials(heights: WorstCaseNormFunction) -> int:
     """Returns the largest number of attempts to find X for one bound."""
     return max(FEWEST, TRIALS // len(heights.gain.plant.A) ** 2)
 
 
-def proof_near(heights: Heights, box: Box) -> BoxProof | None:
+def search_bound(heights: WorstCaseNormFunction, box: Box) -> BoxProof | None:
     """Proves a bound on a box just above the largest norm found; stores larger norms found on the way."""
 
     def level(above: float) -> Callable[[], float]:
@@ -274,13 +274,13 @@ def proof_near(heights: Heights, box: Box) -> BoxProof | None:
     return best if np.isfinite(heights.highest) else None
 
 
-def proof_below(heights: Heights, box: Box, bound: float) -> BoxProof | None:
+def bisect_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
     """The proof of a bound on a box, if one is found at little cost; what is met on the way is remembered."""
     parts, _ = _filled(heights, [(box, None)], lambda: bound, _trials(heights) // CHEAPLY)
     return _proof(parts, lambda: bound) if parts is not None else None
 
 
-def proof_at(heights: Heights, box: Box, bound: float) -> BoxProof | None:
+def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
     """The proof of a bound that is asked about, looked for patiently."""
     parts, _ = _filled(heights, [(box, None)], lambda: bound, PATIENT * _trials(heights))
     return _proof(parts, lambda: bound) if parts is not None else None
@@ -290,14 +290,14 @@ def _proof(parts: Parts, bound: Callable[[], float]) -> BoxProof:
     return BoxProof(eta_of(bound()), [(part, X) for part, X in parts if X is not None])
 
 
-def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
+def _filled(heights: WorstCaseNormFunction, parts: Parts, bound: Callable[[], float], left: int) -> tuple[Parts | None, int]:
     """Parts with an X each that proves a bound; None if no such parts were found within the trials.
 
     Returns:
         The parts, and how often an X may still be looked for.
     """
     todo, done = list(parts), Parts()
-    if any(len(part.free) > MOST for part, _ in parts):
+    if any(len(part.uncertain) > MOST for part, _ in parts):
         return None, 0
     while todo:
         part, X = todo.pop()
@@ -310,14 +310,14 @@ def _filled(heights: Heights, parts: Parts, bound: Callable[[], float], left: in
             left, X = left - 1, _x_for(heights, part, eta)
         if X is not None:
             done.append((part, X))
-        elif left and len(part.free):
-            todo += [(half, None) for half in part.halves(_axis(heights, part))]
+        elif left and len(part.uncertain):
+            todo += [(half, None) for half in part.bisect(_axis(heights, part))]
         else:
             return None, 0
     return done, left
 
 
-def _x_for(heights: Heights, box: Box, eta: float) -> Array | None:
+def _x_for(heights: WorstCaseNormFunction, box: Box, eta: float) -> Array | None:
     """Returns an X that proves a bound on a box, or None if no X is found."""
     gain, level = heights.gain, eta**-0.5
     norm = heights.norm(box.middle)
@@ -333,18 +333,18 @@ def _x_for(heights: Heights, box: Box, eta: float) -> Array | None:
     return X if X is not None and proves(gain, box, X, eta) else None
 
 
-def _axis(heights: Heights, box: Box) -> int:
+def _axis(heights: WorstCaseNormFunction, box: Box) -> int:
     """The factor along which the norm changes most from the middle of a box to its faces."""
     middle = heights.norm(box.middle)
     changes = []
-    for axis in box.free:
+    for axis in box.uncertain:
         ends = []
         for end in (box.low, box.high):
             point = box.middle
             point[axis] = end[axis]
             ends.append(heights.norm(point))
         changes.append(max(abs(np.log(value / middle)) if np.isfinite(value) else np.inf for value in ends))
-    return int(box.free[np.argmax(changes)])
+    return int(box.uncertain[np.argmax(changes)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -420,10 +420,10 @@ def worst_norm(
 
 def worst_in(gain: ScaledGain, box: Box, enough: float | None) -> WorstNorm:
     """The worst norm over a box of factors; arguments as for `worst_norm`."""
-    heights = Heights(gain)
-    climb(heights, box)
-    proof = proof_near(heights, box)
+    heights = WorstCaseNormFunction(gain)
+    local_maximum(heights, box)
+    proof = search_bound(heights, box)
     if enough is not None and heights.highest < enough and (proof is None or proof.bound > enough):
-        proof = proof_at(heights, box, enough) or proof
+        proof = prove_bound(heights, box, enough) or proof
     largest = norm_at(gain, heights.at)
     return WorstNorm(largest, *errors_of(gain, heights.at), proof.bound if proof is not None else np.inf, proof)

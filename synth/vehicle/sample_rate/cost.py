@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.linear import static_law
 from models.vehicle.combinations import goes
-from models.vehicle.controllers import IDEAL, ControllerEntry
+from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.sampled_norm import sampled_norm, stable
@@ -31,7 +31,7 @@ GONE = 25.0  # time constants, after which e^-25 is left of a mode
 CLOSE = 1e-12  # relative, of two periods
 
 
-def lost_from(vehicle: Vehicle, controller: Controller, delay: float) -> float:
+def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: float) -> float:
     """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
@@ -79,14 +79,14 @@ class AtRate:
 
     Attributes:
         period: of its samples [s].
-        prompt: norm of the loop without delay.
+        undelayed_norm: norm of the loop without delay.
         late: norm of the loop with the delay `Cost.delay`.
         designed: norm without delay of a controller designed for this rate; None without such a design.
         undesigned: reason if that design was requested and failed, or empty.
     """
 
     period: float
-    prompt: SampledNorm
+    undelayed_norm: SampledNorm
     late: SampledNorm
     designed: SampledNorm | None = None
     undesigned: str = ""
@@ -103,7 +103,7 @@ class Cost:
             controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
         delay: of the late forces, in samples.
         rates: ascending by period.
-        lost: the shortest sample period at which the loop is not stable [s], see `lost_from`.
+        lost: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
         lost_late: the same for late forces.
     """
 
@@ -148,7 +148,7 @@ def cost(
         designed, why = _designed(vehicle, controller, period, near[0]) if again else (None, "")
         rates.append(AtRate(period, prompt, late, designed, why))
         done(i + 1)
-    lost, lost_late = (lost_from(vehicle, controller, samples) for samples in (0, delay))
+    lost, lost_late = (smallest_unstable_period(vehicle, controller, samples) for samples in (0, delay))
     return Cost(controller, ideal, _lower_bound(vehicle, controller), delay, tuple(rates), lost, lost_late)
 
 
@@ -178,6 +178,6 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
     """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset."""
-    if controller.hardware == IDEAL:
+    if controller.hardware == NOMINAL:
         return controller.certificate.lower_bound
     return SharedDesignData(vehicle).lower_bound(controller.measured).gamma or None

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import some
+from models.common.errors import first_few
 from models.common.printed import finite, percent, table, wrapped
 from models.figures.figure import Curve, Dash, Figure, Panel
-from models.vehicle.limits_and_implementation import LONGEST_PERIOD, samples_late
+from models.vehicle.limits_and_implementation import LONGEST_PERIOD, delay_text
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.specification import SampledNorm
 from synth.controller.report import norm_failures, proof_object
@@ -32,7 +32,7 @@ def cost_lines(one: Cost, lag: str = "") -> list[str]:
     designs = _has_designs(one)
     rows: list[tuple[str, ...]] = [("sample", "rate", "at once", "loses", "late", "loses", *("designed", "loses")[: 2 * designs])]
     for at in one.rates:
-        norms = [at.prompt, at.late, *[at.designed][: int(designs)]]
+        norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
         cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
         rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
     loop = f"in continuous time{', with ' if lag else ''}{lag}"
@@ -66,20 +66,20 @@ def about_lines(costs: Sequence[Cost], lag: str = "") -> list[str]:
 
 def late(one: Cost) -> str:
     """Returns the delay of the late forces, in words."""
-    return samples_late(one.delay)
+    return delay_text(one.delay)
 
 
 def sentence(one: Cost) -> list[str]:
     """Returns the result as a sentence, wrapped into lines."""
     name = one.controller.name
     if not math.isfinite(one.ideal):
-        held = any(norm is not None and norm.stable for at in one.rates for norm in (at.prompt, at.late, at.designed))
+        held = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
         said = f"controller {name} is unstable {'' if held else 'even '}in continuous time"
         return wrapped(f"{said}; {_ends(one)}" if held else said, hang=4)
     if not one.controller.law.acts:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
-    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.prompt)}, {late(one)} {_costs(one, at.late)}"
+    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
     if at.designed is not None:
         said += f"; designed for it {_costs(one, at.designed)}"
     return wrapped(f"{said}; {_ends(one)}", hang=4)
@@ -91,7 +91,7 @@ def failures(one: Cost) -> list[str]:
     return [
         f"controller {name} at {1e3 * at.period:g} ms, {how}: {text}"
         for at in one.rates
-        for norm, how in ((at.prompt, "at once"), (at.late, late(one)), (at.designed, "designed for it"))
+        for norm, how in ((at.undelayed_norm, "at once"), (at.late, late(one)), (at.designed, "designed for it"))
         for text in norm_failures(norm)
     ]
 
@@ -106,7 +106,7 @@ def cost_object(one: Cost) -> dict[str, Any]:
         "rates": [
             {
                 "sample_period": at.period,
-                "sampled_norm": _object(one, at.prompt),
+                "sampled_norm": _object(one, at.undelayed_norm),
                 "late_norm": _object(one, at.late),
                 "designed_norm": _object(one, at.designed) if at.designed is not None else None,
                 "not_designed": at.undesigned or None,
@@ -141,7 +141,7 @@ def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
 
 def _spoken(one: Cost) -> AtRate:
     """The slowest rate that costs little, or else the fastest."""
-    cheap = [at for at in one.rates if at.prompt.stable and one.loss(at.prompt) <= LITTLE]
+    cheap = [at for at in one.rates if at.undelayed_norm.stable and one.loss(at.undelayed_norm) <= LITTLE]
     return cheap[-1] if cheap else one.rates[0]
 
 
@@ -156,7 +156,7 @@ def _ends(one: Cost) -> str:
     """Returns the stability limits without and with delay, in words."""
     if math.isinf(one.lost) and math.isinf(one.lost_late):
         return f"late or not it is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    slower_prompt = [at for at in one.rates if at.period > one.lost and at.prompt.stable]
+    slower_prompt = [at for at in one.rates if at.period > one.lost and at.undelayed_norm.stable]
     slower_late = [at for at in one.rates if at.period > one.lost_late and at.late.stable]
     return f"at once it {_lost(one.lost, slower_prompt)}, {late(one)} it {_lost(one.lost_late, slower_late)}"
 
@@ -173,7 +173,7 @@ def _lost(period: float, again: Sequence[AtRate]) -> str:
 
 def _named(rates: Sequence[AtRate]) -> str:
     """Returns the sample periods of the first few rates, in words."""
-    return some([f"{1e3 * at.period:g} ms" for at in rates])
+    return first_few([f"{1e3 * at.period:g} ms" for at in rates])
 
 
 POINTS = 60  # of a curve
@@ -251,4 +251,4 @@ def _shown(one: Cost) -> tuple[float, float]:
 
 
 def _both(at: AtRate) -> tuple[SampledNorm, SampledNorm]:
-    return at.prompt, at.late
+    return at.undelayed_norm, at.late

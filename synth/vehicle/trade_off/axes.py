@@ -17,7 +17,7 @@ from synth.analysis.band_norm import norm_in_band
 from synth.controller.problem import Problem, problem
 from synth.design.descent.landscape import Landscape
 from synth.design.multi_objective.band_norm import BandLandscape
-from synth.design.multi_objective.problem import Errors, Posed
+from synth.design.multi_objective.problem import GainErrors, MeasuredPlant
 from synth.design.uncertainty.worst_case import worst_norm
 from synth.plant.numerics import numerics
 from synth.vehicle.multi_objective import weighing
@@ -31,7 +31,7 @@ NUMBER = r"\d+(?:\.\d*)?"
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class FrontAxis:
     """An axis of a trade-off.
 
     Attributes:
@@ -54,7 +54,7 @@ class Axis:
         return f"{self.name.replace('_', ' ')} [{self.unit}]" if self.unit else self.name.replace("_", " ")
 
 
-def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
+def axes_of(vehicle: Vehicle, asked: str) -> tuple[FrontAxis, ...]:
     """Returns the axes of a text like `ride:travel` or `band=4-8:travel:force`.
 
     Raises:
@@ -66,7 +66,7 @@ def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
             f"--front {quoted(asked)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
             f"{listing(AXES)}, a colon between them, e.g. ride:travel"
         )
-    axes: list[Axis] = []
+    axes: list[FrontAxis] = []
     for part in parts:
         name, equals, given = part.partition("=")
         if name not in AXES:
@@ -79,34 +79,36 @@ def axes_of(vehicle: Vehicle, asked: str) -> tuple[Axis, ...]:
     return tuple(axes)
 
 
-def _ride(vehicle: Vehicle, _: str | None) -> Axis:
+def _ride(vehicle: Vehicle, _: str | None) -> FrontAxis:
     signals = _accelerations(vehicle, "ride")
-    return Axis("ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals))
+    return FrontAxis(
+        "ride", NormOf(signals), 0.0, f"norm from the road's velocity to {_weighed(signals)}", _unit(vehicle, signals)
+    )
 
 
-def _band(vehicle: Vehicle, given: str | None) -> Axis:
+def _band(vehicle: Vehicle, given: str | None) -> FrontAxis:
     low, high = BAND if given is None else _edges(given)
     signals = _accelerations(vehicle, "band")
     text = f"norm from the road's velocity to {_weighed(signals)} from {low:g} to {high:g} Hz"
-    return Axis("band", NormOf(signals, (low, high)), 0.0, text, _unit(vehicle, signals))
+    return FrontAxis("band", NormOf(signals, (low, high)), 0.0, text, _unit(vehicle, signals))
 
 
-def _travel(vehicle: Vehicle, _: str | None) -> Axis:
+def _travel(vehicle: Vehicle, _: str | None) -> FrontAxis:
     signals = _called(vehicle, "travel", "suspension_deflection")
-    return Axis("travel", NormOf(signals), 0.0, "norm from the road's velocity to suspension deflection", "m per m/s")
+    return FrontAxis("travel", NormOf(signals), 0.0, "norm from the road's velocity to suspension deflection", "m per m/s")
 
 
-def _road_holding(vehicle: Vehicle, _: str | None) -> Axis:
+def _road_holding(vehicle: Vehicle, _: str | None) -> FrontAxis:
     signals = _called(vehicle, "road_holding", "tyre_deflection")
-    return Axis("road_holding", NormOf(signals), 0.0, "norm from the road's velocity to tyre deflection", "m per m/s")
+    return FrontAxis("road_holding", NormOf(signals), 0.0, "norm from the road's velocity to tyre deflection", "m per m/s")
 
 
-def _force(vehicle: Vehicle, _: str | None) -> Axis:
+def _force(vehicle: Vehicle, _: str | None) -> FrontAxis:
     signals = dict.fromkeys(vehicle.linear_model.inputs, 1.0)
-    return Axis("force", NormOf(signals), 0.0, "norm from the road's velocity to control force", "N per m/s")
+    return FrontAxis("force", NormOf(signals), 0.0, "norm from the road's velocity to control force", "N per m/s")
 
 
-def _tolerance(vehicle: Vehicle, given: str | None) -> Axis:
+def _tolerance(vehicle: Vehicle, given: str | None) -> FrontAxis:
     off = OFF
     if given is not None:
         if not re.fullmatch(NUMBER, given) or not 0 < float(given) <= 90:
@@ -119,10 +121,10 @@ def _tolerance(vehicle: Vehicle, given: str | None) -> Axis:
             "--front tolerance: weights of [performance] that are filters are not looked at with errors; leave tolerance out"
         )
     text = f"worst norm of [performance]'s z where each reading is off by up to {100 * off:g} %"
-    return Axis("tolerance", NormOf(), off, text, "")
+    return FrontAxis("tolerance", NormOf(), off, text, "")
 
 
-AXES: Mapping[str, Callable[[Vehicle, str | None], Axis]] = {
+AXES: Mapping[str, Callable[[Vehicle, str | None], FrontAxis]] = {
     "ride": _ride,
     "travel": _travel,
     "road_holding": _road_holding,
@@ -195,36 +197,36 @@ class AxisValue:
 
 
 @numerics()
-def norm_on(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
+def norm_on(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, law: LinearLaw) -> AxisValue:
     """A law on an axis; infinite where its loop, or one with errors, is unstable."""
     posed = _posed(vehicle, axis, entry)
     if axis.off and len(entry.measured):
-        worst = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.through)
+        worst = worst_norm(posed.plant, posed.Cy, law, axis.off, 0.0, posed.Dyw, posed.feedthrough)
         return AxisValue(worst.found, worst.proved, float("nan"))
-    plant, G = posed.closed(law)
+    plant, G = posed.closed_loop(law)
     band = norm_in_band(plant.closed_loop(G), *axis.norm.rates)
     if not band.stability.stable:
         return AxisValue(np.inf, np.inf, float("nan"))
     return AxisValue(band.value, band.level if band.value else 0.0, band.peak_frequency)
 
 
-def _posed(vehicle: Vehicle, axis: Axis, entry: ControllerEntry) -> Problem:
+def _posed(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry) -> Problem:
     return problem(weighing(vehicle, axis.norm), entry.measured, entry.hardware)
 
 
-def landscapes(vehicle: Vehicle, axis: Axis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
+def landscapes(vehicle: Vehicle, axis: FrontAxis, entry: ControllerEntry, like: Landscape) -> list[BandLandscape]:
     """Returns one norm landscape per vertex of an axis' errors, with the points of `like`. The axis is their largest norm.
 
     Raises:
         InputError: the errors have too many vertices.
     """
     own = _posed(vehicle, axis, entry)
-    plain, (m, _) = Posed(own.plant, own.Cy, own.Dyw, own.through), like.shape
-    off = (Errors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
+    plain, (m, _) = MeasuredPlant(own.plant, own.Cy, own.Dyw, own.feedthrough), like.shape
+    off = (GainErrors(errors, np.zeros(m)).on(plain) for errors in _corners(axis, len(own.Cy)))
     return [BandLandscape(each.plant, each.Cy, each.Dyw, axis.norm.rates, like, each.through) for each in off]
 
 
-def _corners(axis: Axis, readings: int) -> list[Array]:
+def _corners(axis: FrontAxis, readings: int) -> list[Array]:
     """The errors of readings that an axis is judged with, none first."""
     if not axis.off:
         return [np.zeros(readings)]

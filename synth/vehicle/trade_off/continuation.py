@@ -42,7 +42,7 @@ class EvaluatedGain:
     excess: float
 
 
-class Trace:
+class FrontContinuation:
     """The continuation of the front of one problem.
 
     Attributes:
@@ -67,19 +67,19 @@ class Trace:
         points += [0.5 * x for x in points] + [np.zeros(len(limit))]
         points += [np.where(mask, x, 0.0) for x in survey(search.full, limit)]
         for x in points:
-            self.look(np.clip(x, -limit, limit))
+            self.evaluate(np.clip(x, -limit, limit))
         if not self.met:
             for x in points:
-                self.look(search.stabilised(x))
+                self.evaluate(search.stabilised(x))
         if not self.met:
             raise DesignError(UNSTABLE)
         if min(each.excess for each in self.met) > KEPT:
-            x, _ = search.admitted(min(self.met, key=lambda each: each.excess).x)
-            self.look(x)
+            x, _ = search.restore_feasibility(min(self.met, key=lambda each: each.excess).x)
+            self.evaluate(x)
             if self.met[-1].excess > KEPT:
-                raise DesignError(search.in_the_way(x))
+                raise DesignError(search.explain_infeasibility(x))
 
-    def look(self, x: Array) -> EvaluatedGain | None:
+    def evaluate(self, x: Array) -> EvaluatedGain | None:
         """Evaluates and stores a point. Returns None if its loop is unstable."""
         values = np.array([max(landscape.norm(x)[0] for landscape in of) for of in self.axes])
         if not np.all(np.isfinite(values)):
@@ -96,7 +96,7 @@ class Trace:
         """The norms at the end of every axis, shape (K, K): a row an end, where its axis is within a thousandth of its least."""
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
-    def towards(self, unit: Array) -> EvaluatedGain:
+    def step_along(self, unit: Array) -> EvaluatedGain:
         """The best on a ray.
 
         Args:
@@ -104,7 +104,7 @@ class Trace:
         """
         unit = np.maximum(unit, NOTHING * np.max([each.values for each in self.met], axis=0))
         start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
-        return self._down(start, {k: float(unit[k]) for k in range(len(unit))}, {})
+        return self._descend(start, {k: float(unit[k]) for k in range(len(unit))}, {})
 
     def _end(self, k: int) -> EvaluatedGain:
         """Returns the end of the front on an axis."""
@@ -112,7 +112,7 @@ class Trace:
         for _ in range(TIMES):
             if start.values[k] <= NOTHING * max(each.values[k] for each in self.met):
                 return start
-            end = self._down(start, {k: 1.0}, {})
+            end = self._descend(start, {k: 1.0}, {})
             done = end.values[k] > start.values[k] * (1 - 1e-5)
             start = min(start, end, key=lambda each: (each.excess > KEPT, float(each.values[k])))
             if done:
@@ -122,7 +122,7 @@ class Trace:
         others = {j: float(start.values[j]) for j in range(len(self.axes)) if j != k}
         start = min(inside, key=lambda each: max(each.values[j] / unit for j, unit in others.items()))
         for _ in range(TIMES):
-            end = self._down(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
+            end = self._descend(start, {j: float(start.values[j]) or 1.0 for j in others}, {k: most})
             if end.values[k] > most or end.excess > KEPT:
                 break
             done = all(end.values[j] > start.values[j] * (1 - 1e-5) for j in others)
@@ -131,14 +131,14 @@ class Trace:
                 break
         return start
 
-    def _down(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
+    def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
         """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
         terms = {k: [NormObjective(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
         held = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         minimax = self.search.minimax
         ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *held], minimax.limit)
         x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
-        return self.look(x) or start
+        return self.evaluate(x) or start
 
 
 def rays(ends: Array, count: int) -> Iterator[Array]:

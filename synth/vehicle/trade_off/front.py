@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.interrupt import Parts, finishing
+from models.common.interrupt import Parts, uninterrupted
 from models.laws.linear import static_law
 from models.vehicle.combinations import check_command
 from models.vehicle.controllers import ControllerEntry
@@ -20,16 +20,16 @@ from synth.analysis.stability import stability
 from synth.controller.controller import Controller
 from synth.controller.problem import generalized_plant, problem
 from synth.design.multi_objective.band_norm import EVERYWHERE
-from synth.design.multi_objective.peak import largest_over_road
+from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.search import MinimaxSearch
 from synth.design.two_step import two_step_design
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, numerics
 from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, weighing
-from synth.vehicle.trade_off.axes import Axis, AxisValue, landscapes, norm_on
-from synth.vehicle.trade_off.continuation import EvaluatedGain, Trace, rays, undominated
-from synth.vehicle.trade_off.lower_bound import Limit, limits, nothing
+from synth.vehicle.trade_off.axes import AxisValue, FrontAxis, landscapes, norm_on
+from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuation, rays, undominated
+from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits, no_bound
 from synth.vehicle.verification import Verification
 
 DESIGNS = 200
@@ -77,11 +77,11 @@ class Front:
 
     vehicle: Vehicle
     name: str
-    axes: tuple[Axis, ...]
+    axes: tuple[FrontAxis, ...]
     points: tuple[Point, ...]
     others: tuple[Point, ...]
     missing: dict[str, str]
-    limits: tuple[Limit, ...]
+    limits: tuple[LowerBoundCurve, ...]
     tried: int
     unproved: int
     interrupted: str
@@ -101,10 +101,10 @@ class Front:
 def front(
     vehicle: Vehicle,
     name: str,
-    axes: Sequence[Axis],
+    axes: Sequence[FrontAxis],
     others: Sequence[str],
     count: int = DESIGNS,
-    told: Callable[[int], None] = lambda done: None,
+    on_progress: Callable[[int], None] = lambda done: None,
 ) -> Front:
     """The front of a controller's static gains.
 
@@ -112,7 +112,7 @@ def front(
         name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
         axes: two or three.
         others: names of controllers that are shown beside it.
-        told: how many are done.
+        on_progress: how many are done.
 
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
@@ -127,24 +127,27 @@ def front(
     parts = Parts()
     with parts.part(DESIGNING):
         for i, unit in enumerate(rays(trace.ends(), count)):
-            met.append(trace.towards(unit))
-            told(i + 1)
+            met.append(trace.step_along(unit))
+            on_progress(i + 1)
     if not met:
         raise KeyboardInterrupt
     kept = [each for each in met if each.excess <= 1e-9]
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
-    with parts.part(CERTIFYING), finishing(work_goes_on=True):  # a first Ctrl-C comes too late to keep less than an earlier one
+    with (
+        parts.part(CERTIFYING),
+        uninterrupted(work_goes_on=True),
+    ):  # a first Ctrl-C comes too late to keep less than an earlier one
         for each in kept:
             law = static_law(trace.gain(each))
-            certificate = certify_tightly(*posed.closed(law), below, by_itself=posed.plant)
+            certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
             norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
             promises = judged(law.D)
             controller = Controller(
-                entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, promises=promises
+                entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, specifications=promises
             )
-            claims = certificate.bound is not None and not (certificate.failures or controller.broken)
+            claims = certificate.bound is not None and not (certificate.failures or controller.unmet_specifications)
             if claims and all(np.isfinite(norm.proved) for norm in norms):
                 points.append(Point(controller, norms))
             else:
@@ -162,7 +165,7 @@ def front(
                 shown.append(other)
             else:
                 missing[each_name] = other
-    bounds = [nothing(pair) for pair in combinations(range(len(axes)), 2)]
+    bounds = [no_bound(pair) for pair in combinations(range(len(axes)), 2)]
     with parts.part(BESIDE):
         for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
             bounds[i] = limit
@@ -196,9 +199,9 @@ def _over_the_bump(vehicle: Vehicle, entry: ControllerEntry, points: Sequence[Po
     if not signals:
         return
     bounds = tuple(PeakBound(signal, "bump", None, np.inf) for signal in signals)
-    driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven
+    driven = goal_problem(vehicle, entry, Goals(bounds=bounds)).members[0].driven_by
     for i in marked(len(points)):
-        yield i, max(largest_over_road(one, points[i].controller.gain).value for one in driven)
+        yield i, max(peak_over_road(one, points[i].controller.gain).value for one in driven)
 
 
 def marked(count: int) -> list[int]:
@@ -206,7 +209,7 @@ def marked(count: int) -> list[int]:
     return sorted({round(i) for i in np.linspace(0, count - 1, MARKED)}) if count else []
 
 
-def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Trace:
+def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
     """Returns the continuation that searches the designs."""
     asked = goal_problem(vehicle, entry, entry.goals or Goals())
     posed, starts = asked.members[0].posed[0], []
@@ -218,7 +221,7 @@ def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[Axis]) -> Tr
         decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
         asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
     search = MinimaxSearch(asked, lambda goal, within: None)
-    return Trace(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
+    return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
 def _judged(vehicle: Vehicle, entry: ControllerEntry):
@@ -231,7 +234,7 @@ def _judged(vehicle: Vehicle, entry: ControllerEntry):
 
 
 def _others(
-    designer: Designer, axes: Sequence[Axis], names: Sequence[str], loads: Sequence[tuple[str, float]]
+    designer: Designer, axes: Sequence[FrontAxis], names: Sequence[str], loads: Sequence[tuple[str, float]]
 ) -> Iterator[tuple[str, Point | str]]:
     """Other controllers on the axes, under the loads of the designs, by name, or why they are not there."""
     for name in names:
@@ -248,7 +251,9 @@ def _others(
             yield name, "its loop is unstable" if not controller.certificate.stable else "it is unstable with errors"
 
 
-def _limits(vehicle: Vehicle, axes: Sequence[Axis], values: Array, loads: Sequence[tuple[str, float]]) -> Iterator[Limit]:
+def _limits(
+    vehicle: Vehicle, axes: Sequence[FrontAxis], values: Array, loads: Sequence[tuple[str, float]]
+) -> Iterator[LowerBoundCurve]:
     """Yields the lower bound of every two axes."""
     plants: list[GeneralizedPlant] = [generalized_plant(weighing(vehicle, axis.norm), loads=loads) for axis in axes]
     bands = [axis.norm.rates if axis.norm.narrow else EVERYWHERE for axis in axes]

@@ -28,7 +28,7 @@ DOWN = 1 - 1e-12  # of a norm that a line is drawn through: for the rounding of 
 
 
 @dataclass(frozen=True, eq=False)
-class Limit:
+class LowerBoundCurve:
     """The lower bound on two axes.
 
     Attributes:
@@ -41,7 +41,7 @@ class Limit:
     weights: Array
     norms: Array
 
-    def least(self, first: Array) -> Array:
+    def lower_bound_on_second(self, first: Array) -> Array:
         """Returns the lower bound on the second axis for values of the first, shape (N,); NaN for impossible values."""
         with np.errstate(all="ignore"):
             left = (self.norms**2)[:, None] - (self.weights[:, :1] * first) ** 2
@@ -56,12 +56,12 @@ class Limit:
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
-def nothing(pair: tuple[int, int]) -> Limit:
+def no_bound(pair: tuple[int, int]) -> LowerBoundCurve:
     """Returns the empty bound of two axes."""
-    return Limit(pair, np.zeros((0, 2)), np.zeros(0))
+    return LowerBoundCurve(pair, np.zeros((0, 2)), np.zeros(0))
 
 
-def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[Limit]:
+def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
     """Returns the bounds of every two axes, one after another.
 
     Args:
@@ -72,7 +72,7 @@ def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> I
     return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
 
 
-def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> Limit:
+def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair: tuple[int, int]) -> LowerBoundCurve:
     one, other = (2.0 ** round(np.log2(1 / units[k])) for k in pair)
     weights = np.array([(one, 0.0), (0.0, other), *((one * 2.0 ** max(r, 0), other * 2.0 ** max(-r, 0)) for r in RATIOS)])
     narrow = [bands[k] for k in pair if bands[k] != EVERYWHERE]
@@ -87,7 +87,7 @@ def _limit(plants: list[GeneralizedPlant], bands: list[Band], units: Array, pair
         )
         of_band = narrow and any(own > 0 and bands[k] != EVERYWHERE for k, own in zip(pair, weight, strict=True))
         norms.append(_at_some(stack, narrow[0]) if of_band else _anywhere(stack))
-    return Limit(pair, weights, np.array(norms))
+    return LowerBoundCurve(pair, weights, np.array(norms))
 
 
 @numerics()

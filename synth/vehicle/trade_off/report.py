@@ -15,7 +15,7 @@ from models.common.printed import Column, finite, json_object, table, wrapped
 from models.figures.figure import Curve, Figure, Panel, styles
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
-from synth.vehicle.trade_off.lower_bound import Limit
+from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Column[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
 NUMBERS: tuple[Column[Point], ...] = (
@@ -130,7 +130,7 @@ def _norm(norm: AxisValue) -> dict[str, float | None]:
     return {"value": finite(norm.value), "proved": finite(norm.proved), "frequency": finite(norm.at)}
 
 
-def _limit_object(front: Front, limit: Limit) -> dict[str, Any]:
+def _limit_object(front: Front, limit: LowerBoundCurve) -> dict[str, Any]:
     return {
         "axes": [front.axes[k].name for k in limit.axes],
         "weights": limit.weights.tolist(),
@@ -192,17 +192,17 @@ def front_figure(front: Front, measured: Array | None = None) -> Figure:
     return Figure("front", title, panels, 1, (6.5, 4.6))
 
 
-def line(limit: Limit, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
+def line(limit: LowerBoundCurve, x: tuple[float, float], y: tuple[float, float]) -> tuple[Array, Array]:
     """Returns the curve of the lower bound within ranges of both axes, from the upper left to the lower right."""
     first, second = np.linspace(*x, FINE), np.linspace(*y, FINE)
-    turned = Limit((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
-    a, b = np.append(first, turned.least(second)), np.append(limit.least(first), second)
+    turned = LowerBoundCurve((limit.axes[1], limit.axes[0]), limit.weights[:, ::-1], limit.norms)
+    a, b = np.append(first, turned.lower_bound_on_second(second)), np.append(limit.lower_bound_on_second(first), second)
     kept = np.isfinite(a) & np.isfinite(b) & (a > 0)
     order = np.lexsort((-b[kept], a[kept]))
     return a[kept][order], b[kept][order]
 
 
-def _panel(front: Front, limit: Limit, measured: Array | None) -> Panel:
+def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Panel:
     i, j = limit.axes
     values = front.values[:, [i, j]]
     others = {one.controller.name: (one.values[i], one.values[j]) for one in front.others}
