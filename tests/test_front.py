@@ -284,11 +284,11 @@ LATER = {  # where Ctrl-C comes, at which call, and what it cuts short
     "certify_tightly": (4, "their certificates"),
     "norm_on": (7, "their certificates"),
     "_limits": (1, "what is shown beside them"),
-    "largest_over_road": (3, "what is shown beside them"),
+    "peak_over_road": (3, "what is shown beside them"),
 }
 
 
-@pytest.mark.parametrize("where", ["norm_on", "_limits", *attacks(("certify_tightly", "largest_over_road"))])
+@pytest.mark.parametrize("where", ["norm_on", "_limits", *attacks(("certify_tightly", "peak_over_road"))])
 def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     """Wherever it comes after the search, what is certified by then is printed and written, and what is missing is said."""
     path, (at, cut) = tmp_path / "front.csv", LATER[where]
@@ -311,7 +311,7 @@ def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     certified = {"certify_tightly": at - 1, "norm_on": (at - 1) // 2}
     assert len(points) == certified.get(where, len(points)) > 0
     assert sum(bool(row["bump_travel"]) for row in points) == (
-        at - 1 if where == "largest_over_road" else min(len(points), MARKED)
+        at - 1 if where == "peak_over_road" else min(len(points), MARKED)
     )
     assert (tmp_path / "front.svg").read_text().startswith("<?xml")
 

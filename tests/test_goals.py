@@ -755,7 +755,7 @@ def test_an_interrupted_design_is_stable_with_errors(monkeypatch):
 
 LATER = {  # where Ctrl-C comes, and what is said of the controller that was at work then, None where it is not there
     "synth.vehicle.multi_objective.run_search": None,
-    "synth.vehicle.multi_objective.with_bests": None,
+    "synth.vehicle.multi_objective.with_individual_optima": None,
     "synth.vehicle.multi_objective.Verification.promises": "interrupted: of its promises none is proved",
     "synth.vehicle.multi_objective.price": "interrupted: what its structure costs is not known",
     "synth.command.design_table._flatness": "",
@@ -770,7 +770,7 @@ LATER = {  # where Ctrl-C comes, and what is said of the controller that was at 
 )
 def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     """Wherever it comes while a second controller is made, the first is printed and saved; so is the second, if it was found."""
-    more = {"with_bests": "family = [{}, { sprung_mass = 1.1 }]", "price": "structure = [[1, 0]]"}
+    more = {"with_individual_optima": "family = [{}, { sprung_mass = 1.1 }]", "price": "structure = [[1, 0]]"}
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     name, section = where.rsplit(".", 1)[1], f"measured = {ONE}\nbounds = [{{ norm = 9.0 }}]"
     path.write_text(
@@ -780,7 +780,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
         pkgutil.resolve_name(where.replace("synth.vehicle.multi_objective.V", "synth.vehicle.multi_objective:V")),
         itertools.count(),
     )
-    early = name in ("with_bests", "price", "_flatness", "fragile")  # they are called for the second controller alone, or after
+    early = name in ("with_individual_optima", "price", "_flatness", "fragile")  # they are called for the second controller alone, or after
 
     def stopped(*given, **options):
         if early or next(calls):

@@ -119,16 +119,16 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         ),
         "refine": (synth.refine, {**measured, "K": K, "Dyw": None}),
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
-        "NormGoal": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
-        "Posed": (synth.MeasuredPlant, {**measured, "Dyw": None}),
-        "Member": (synth.FamilyMember, {"posed": (posed,), "driven": (), "signals": ()}),
-        "Errors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
-        "GoalProblem": (
+        "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
+        "MeasuredPlant": (synth.MeasuredPlant, {**measured, "Dyw": None}),
+        "FamilyMember": (synth.FamilyMember, {"posed": (posed,), "driven": (), "signals": ()}),
+        "GainErrors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
+        "MultiObjectiveProblem": (
             synth.MultiObjectiveProblem,
             {"members": (member,), "minimise": goal, "tolerance": none, "structure": anywhere, "norms": (goal,), "decay": 0.1}
             | {"peaks": (), "gain": 5.0, "bests": None},
         ),
-        "design_for_goals": (
+        "multi_objective_design": (
             synth.multi_objective_design,
             {"problem": problem, "starts": [K], "on_progress": print, "otherwise": tuple},
         ),
@@ -147,7 +147,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "norm_in_band": (synth.norm_in_band, {"loop": plant, "low": 1.0, "high": 3.0}),
         "worst_norm": (synth.worst_norm, {**measured, "K": K, "d": 0.1, "e": 0.1, "Dyw": None, "through": None, "enough": None}),
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
-        "Piece": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
+        "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
