@@ -72,7 +72,9 @@ else:
             "synth.design.full_order.quadratic": "h2_design lqg_design lqr_design",
             "synth.design.multi_model": "slack_design",
             "synth.design.multi_objective.design": "multi_objective_design",
-            "synth.design.multi_objective.problem": "FamilyMember GainErrors MeasuredPlant MultiObjectiveProblem NormSpecification",
+            "synth.design.multi_objective.problem": (
+                "FamilyMember GainErrors MeasuredPlant MultiObjectiveProblem NormSpecification"
+            ),
             "synth.design.static": "static_output_feedback",
             "synth.design.two_step": "two_step_design",
             "synth.design.uncertainty.worst_case": "worst_norm",

@@ -310,9 +310,7 @@ def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     assert len(rows) - len(points) == 7  # the others are there
     certified = {"certify_tightly": at - 1, "norm_on": (at - 1) // 2}
     assert len(points) == certified.get(where, len(points)) > 0
-    assert sum(bool(row["bump_travel"]) for row in points) == (
-        at - 1 if where == "peak_over_road" else min(len(points), MARKED)
-    )
+    assert sum(bool(row["bump_travel"]) for row in points) == (at - 1 if where == "peak_over_road" else min(len(points), MARKED))
     assert (tmp_path / "front.svg").read_text().startswith("<?xml")
 
 

@@ -780,7 +780,12 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
         pkgutil.resolve_name(where.replace("synth.vehicle.multi_objective.V", "synth.vehicle.multi_objective:V")),
         itertools.count(),
     )
-    early = name in ("with_individual_optima", "price", "_flatness", "fragile")  # they are called for the second controller alone, or after
+    early = name in (
+        "with_individual_optima",
+        "price",
+        "_flatness",
+        "fragile",
+    )  # they are called for the second controller alone, or after
 
     def stopped(*given, **options):
         if early or next(calls):

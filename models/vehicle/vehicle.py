@@ -1,7 +1,7 @@
 """Vehicle file (TOML): kind of vehicle, parameters, performance weights, controllers, and more."""
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -132,6 +132,35 @@ class Vehicle(ShownVehicle):
 
         dampers = {self.kind.pushed(damper.force): damper.standing for damper in self.adjustable}
         return fitted(self.kind.suspensions, self.curves, self.parameters, dampers)
+
+    @property
+    def is_curved(self) -> bool:
+        """True if a suspension has a curve that is not straight."""
+        return any(len(each.curve.pieces.slope) for each in self.fitted)
+
+    def pulls_on(self, deflections: Sequence[str]) -> tuple[Array, Array]:
+        """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
+
+        For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
+        """
+        model, kind = self.linear_model, self.kind
+        suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
+        push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
+        for j, name in enumerate(deflections):
+            force = suspensions[name].force
+            if force in model.inputs:
+                i = model.inputs.index(force)
+                push[:, j], outputs[:, j] = -model.B[:, i], -model.D[:, i]
+                continue
+            parameter = suspensions[name].stiffness
+            stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
+            more = kind.model({**self.parameters, parameter: 2 * self.parameters[parameter]})
+            by = np.linalg.pinv(model.rows(stretched)[0]) / self.parameters[parameter]
+            push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
+            outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
+        # The outputs of actuator forces do not include curves.
+        outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0
+        return push, outputs
 
     @property
     def linearised(self) -> "Vehicle":

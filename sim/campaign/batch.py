@@ -19,7 +19,6 @@ from sim.campaign.file import Campaign
 from sim.campaign.plan import Plan, PlannedRun
 from sim.campaign.samples import with_sample
 from sim.linear.dampers import is_linear
-from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import readings_of_loads
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
@@ -121,7 +120,7 @@ def _is_exact(runs: Sequence[PlannedRun]) -> bool:
     vehicle = runs[0].vehicle
     linear = all(isinstance(run.controller, Controller) and is_linear(run.vehicle, run.controller) for run in runs)
     silent = not any(isinstance(run.controller, Controller) and run.controller.law.acts for run in runs)
-    return linear and (silent or vehicle.implementation.ideal) and not is_curved(vehicle)
+    return linear and (silent or vehicle.implementation.ideal) and not vehicle.is_curved
 
 
 def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[Array, ...]:

@@ -35,7 +35,7 @@ from sim.response.response import Response
 from sim.runs.forces import read_forces
 from sim.runs.prediction import Prediction, predict, predict_replayed
 from sim.runs.run import Run, driver_again, with_energy_balance
-from synth.analysis.record import SAMPLED_NORM
+from synth.analysis.specification import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, verify_record
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem

@@ -12,7 +12,6 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
-from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import load_forcing, recursion, response_of, road_forcing, taylor4
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag
@@ -31,7 +30,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
     outside = [] if loads is None else [model.Bl]
     Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
     jump, add = road.heights @ model.Bw.T, 0.0 if loads is None else loads @ model.Dl.T
-    if not is_curved(vehicle):
+    if not vehicle.is_curved:
         push = road.midway @ Gamma_r.T + forces @ Gamma.T
         if loads is not None:
             push += loads @ Gamma_l[0].T

@@ -12,7 +12,6 @@ At rest: ideal force actuators replace adjustable dampers. A curve that is strai
 its line alone. A line replaces a curve that bends at rest, by a kink or by friction: no road is small enough for that one.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -68,18 +67,13 @@ class Elements:
     outputs: Array
 
 
-def is_curved(vehicle: Vehicle) -> bool:
-    """Returns True if a suspension of the vehicle has a curve that is not straight."""
-    return any(len(fitted.curve.pieces.slope) for fitted in vehicle.fitted)
-
-
 def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     """Returns the curves of a vehicle on its linear model, or on a larger one with the same outputs and its states first."""
     curved = [fitted for fitted in vehicle.fitted if len(fitted.curve.pieces.slope)]
     velocities = {suspension.deflection: suspension.velocity.name for suspension in vehicle.kind.suspensions}
     over = [velocities[fitted.deflection] if fitted.damps else fitted.deflection for fitted in curved]
     index = [model.outputs.index(name) for name in over]
-    push, outputs = pulls_on(vehicle, [fitted.deflection for fitted in curved])
+    push, outputs = vehicle.pulls_on([fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows, lines = model.C[index], np.zeros(len(curved))
     return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.Bw, push, outputs)
@@ -107,27 +101,3 @@ def with_dampers(curved: Elements, vehicle: Vehicle) -> Elements:
 def adjustable_inputs(vehicle: Vehicle) -> list[int]:
     """Returns the indices of the linear model's inputs that are adjustable dampers."""
     return [vehicle.linear_model.inputs.index(adjustable.force) for adjustable in vehicle.adjustable]
-
-
-def pulls_on(vehicle: Vehicle, deflections: Sequence[str]) -> tuple[Array, Array]:
-    """Returns the effect of suspension forces that pull together on states and outputs, shapes (n, e) and (p, e).
-
-    For a suspension without an actuator the effect follows from a change of its spring's or damper's parameter.
-    """
-    model, kind = vehicle.linear_model, vehicle.kind
-    suspensions = {suspension.deflection: suspension for suspension in kind.suspensions}
-    push, outputs = np.zeros((len(model.A), len(deflections))), np.zeros((len(model.C), len(deflections)))
-    for j, name in enumerate(deflections):
-        force = suspensions[name].force
-        if force in model.inputs:
-            i = model.inputs.index(force)
-            push[:, j], outputs[:, j] = -model.B[:, i], -model.D[:, i]
-            continue
-        parameter = suspensions[name].stiffness
-        stretched = [suspension.deflection for suspension in kind.suspensions if suspension.stiffness == parameter]
-        more = kind.model({**vehicle.parameters, parameter: 2 * vehicle.parameters[parameter]})
-        by = np.linalg.pinv(model.rows(stretched)[0]) / vehicle.parameters[parameter]
-        push[:, j] = ((more.A - model.A) @ by)[:, stretched.index(name)]
-        outputs[:, j] = ((more.C - model.C) @ by)[:, stretched.index(name)]
-    outputs[[model.outputs.index(name) for name in model.inputs]] = 0.0  # the outputs of actuator forces do not include curves
-    return push, outputs

@@ -38,7 +38,6 @@ from models.laws.linear import LinearLaw
 from models.roads.road import RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import is_curved
 from sim.response.response import Response
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, OpenLoop
@@ -136,7 +135,7 @@ def sampled_responses(
     measured = [model.outputs.index(name) for name in controller.measured]
     jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
     steps = None
-    if is_curved(vehicle):
+    if vehicle.is_curved:
         from sim.linear.piecewise_linear_steps import CurvedSteps
 
         steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)

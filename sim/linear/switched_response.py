@@ -29,7 +29,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.semi_active_coefficients import numbers_at, numbers_of
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import bent_velocities, damper_signals, stretching
-from sim.linear.nonlinear_elements import adjustable_inputs, is_curved
+from sim.linear.nonlinear_elements import adjustable_inputs
 from sim.linear.piecewise_linear_steps import CurvedSteps, Weights
 from sim.linear.sampled_response import response_of, taylor4
 from sim.response.response import Response
@@ -195,7 +195,7 @@ def switched(
     index = [model.outputs.index(name) for name in measured]
     load_outputs = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
     bent = any(damper.pair is not None for damper in vehicle.dampers.values())
-    step: _Steps = (_CurvedStep if bent or is_curved(vehicle) else _Step)(
+    step: _Steps = (_CurvedStep if bent or vehicle.is_curved else _Step)(
         vehicle, h, as_rk4, midway, loads if road.loaded else None
     )
     states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))

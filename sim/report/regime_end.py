@@ -16,7 +16,6 @@ from models.common.arrays import Array
 from models.roads.road import LIMITS, Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear
-from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response
 from sim.linear.switched_response import switched_response
 from sim.response.regime import DAMPER, DIVERGENCE, END_NAMES, LAW_OVERFLOW, REGIME_ENDS, utilisation
@@ -89,7 +88,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
     while ends.stays > 0 and ends.leaves - ends.stays > 2.01 * (REACHES[0] - 1) * predicted and ends.end:
         heights = np.linspace(ends.stays, ends.leaves, POINTS)[1:-1]
         ends = _narrowed(ends, vehicle, controller, bump, heights, time)
-    if ends.stays > 0 and (short or is_curved(vehicle)):  # a map knows how far it is from a linear response only
+    if ends.stays > 0 and (short or vehicle.is_curved):  # a map knows how far it is from a linear response only
         (run,) = run_controllers(vehicle, [controller], replace(bump, height=ends.stays), time)
         ends = replace(ends, error=max(signal.sampled for signal in run.agreement.signals.values()))
     return ends

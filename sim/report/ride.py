@@ -13,7 +13,6 @@ from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import RoadInput, track_width
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import is_curved
 from sim.physics.simulate import simulate
 from sim.report.scope import joined
 from sim.response.regime import FLAT, REGIME_ENDS, reached
@@ -130,7 +129,7 @@ def ride_text(vehicle: Vehicle) -> str:
         f"Random roads of ISO 8608 at {SPEED:g} m/s, {len(SEEDS)} of each class, {WINDOW:g} s each. Weighted is ISO 2631-1's rms "
         "acceleration, Wk; dynamic load is the rms of the tyre's force over its static value; lift-off is the largest share of "
         "time that a tyre is off one of these roads. Predicted is from the road's spectrum through the sampled linear loop"
-        f"{', with the line in place of every curve that does the same on average' if is_curved(vehicle) else ''}"
+        f"{', with the line in place of every curve that does the same on average' if vehicle.is_curved else ''}"
         f"{f', which leaves out {left_out}' if left_out else ''}. Both are roots of mean squares, over the roads driven and over "
         "all roads; road to road is by how much one such road differs from that, one standard deviation, so MuJoCo's differs by "
         "half of it. Runs that diverged, by the car or by the states of a law alone, or squeezed a tyre flat are left out."

@@ -10,7 +10,6 @@ from models.figures.figure import Dash, styles
 from models.roads.load import Load
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import is_curved
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import check
 from sim.studies.stability import TIMESTEP
@@ -73,7 +72,7 @@ class Scope:
         """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
         words = (
             "all forces given" * bool(self.vehicle.dampers),
-            "curves being their lines at rest" * is_curved(self.vehicle),
+            "curves being their lines at rest" * self.vehicle.is_curved,
         )
         return "".join(f", {one}" for one in words if one)
 
@@ -81,14 +80,14 @@ class Scope:
     def analysis(self) -> str:
         """Describes the reference of MuJoCo."""
         beyond = [
-            what for what, there in (("curves", is_curved(self.vehicle)), ("adjustable dampers", self.vehicle.dampers)) if there
+            what for what, there in (("curves", self.vehicle.is_curved), ("adjustable dampers", self.vehicle.dampers)) if there
         ]
         return f"the analysis with its {joined(beyond)}" if beyond else "the linear analysis"
 
     @property
     def is_nonlinear(self) -> bool:
         """Returns True if the reference of MuJoCo is more than a linear loop, and so tends to no continuous one."""
-        return is_curved(self.vehicle) or bool(self.vehicle.dampers)
+        return self.vehicle.is_curved or bool(self.vehicle.dampers)
 
     @property
     def is_ideal(self) -> bool:

@@ -21,7 +21,6 @@ from models.roads.road import Road, RoadInput
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import continuous_response, response_of, sampled_response, taylor4
 from sim.response.response import Response
 from synth.controller.controller import Controller, Driver
@@ -166,7 +165,7 @@ class ScaledPrediction:
 def smaller(prediction: Prediction, share: float) -> ScaledPrediction:
     """Predicts the run over a share of the road's height, with the same share of the forces of a law in Python."""
     whole, loop = prediction.sampled, prediction.loop
-    if not is_curved(prediction.vehicle):
+    if not prediction.vehicle.is_curved:
         return ScaledPrediction(Response(whole.time, whole.signals, share * whole.values), None)
     road = prediction.input.scaled(share)
 
@@ -261,7 +260,7 @@ def predict_replayed(controller: Driver, road: RoadInput, physics: Response, req
     """
     vehicle = road.vehicle
     if vehicle.dampers:
-        at_1_ms, order = (NEAR_KNOTS, KNOTS_ORDER) if is_curved(vehicle) else (NEAR, ORDER)
+        at_1_ms, order = (NEAR_KNOTS, KNOTS_ORDER) if vehicle.is_curved else (NEAR, ORDER)
         near = NEAR_GEOMETRY if has_geometry(vehicle) else min(at_1_ms * max(1.0, road.timestep / 1e-3) ** order, NEAR_GEOMETRY)
         programmed = requested_force if isinstance(controller, Programmed) else None
         return predict_switched(controller, road, physics, near, programmed)

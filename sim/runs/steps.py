@@ -22,7 +22,6 @@ from models.common.arrays import Array
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import pulls_on
 from sim.linear.sampled_response import recursion, roundings
 from sim.response.regime import AT
 from sim.response.response import Response
@@ -82,7 +81,7 @@ class LinearMotion:
             if part.deflection not in self.names or not (part.force or part.stiffness):
                 raise ValueError(f"the effect of forces along {part.deflection} is unknown")
             self._rows[i, self.names.index(part.deflection)] = 1.0
-            push, shown = pulls_on(vehicle, [part.deflection])
+            push, shown = vehicle.pulls_on([part.deflection])
             self._push[i], self._shown[i] = push[:, 0], shown[:, 0]
         self._rates = self._rows @ self.model.A
 

@@ -14,6 +14,7 @@ from models.common.errors import InputError, listing, quoted
 from synth.analysis.certificate import Certificate, eta_of
 from synth.analysis.invariant_point import limit_at as proved_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, SampledBound, prove_lower_bound
+from synth.analysis.specification import SAMPLED_NORM
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from synth.analysis.sampled_loop import SampledDataProblem
 
 
-SAMPLED_NORM = "sampled_norm"  # of the sampled loop; checked if the implementation is known
 SAMPLED_BOUND, SAMPLED_PROOF = "sampled_lower_bound", "sampled_proof"  # of the sampled loop, for controllers of any order
 CLAIMS = ("norm", "peak_frequency", "bound", "lower_bound", SAMPLED_NORM, SAMPLED_BOUND)
 PROOFS = ("X", "limit_at", "zeros", "state", "observer", SAMPLED_PROOF)

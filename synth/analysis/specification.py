@@ -8,6 +8,7 @@ import numpy as np
 
 from models.common.printed import finite
 
+SAMPLED_NORM = "sampled_norm"  # of the sampled loop, in records; checked if the implementation is known
 SAME = 1e-9  # relative: rounding of a bound that is just satisfied
 
 

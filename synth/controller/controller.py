@@ -14,7 +14,6 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.record import false_claims, read_proof
 from synth.controller.problem import Problem, problem
 from synth.plant.generalized import GeneralizedPlant
 
@@ -241,6 +240,8 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
     Raises:
         InputError: the certificate is malformed, or the law has no loop (`Controller.law_on_states`).
     """
+    from synth.analysis.record import false_claims, read_proof
+
     law, record = _law(entry), entry.certificate or {}
     try:
         X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, law.states, posed.Dyw)

@@ -16,8 +16,7 @@ from models.vehicle.controllers import NOMINAL
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
-from synth.analysis.record import SAMPLED_NORM
-from synth.analysis.specification import ABOVE, SampledNorm
+from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.problem import road_twist_inputs
 

@@ -55,7 +55,7 @@ from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.suspension.curve import ForceCurve
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response, stepwise_frequency_response
-from sim.linear.nonlinear_elements import Elements, elements, is_curved
+from sim.linear.nonlinear_elements import Elements, elements
 from sim.response.regime import over
 from sim.studies.ride.quadrature import loop_poles, power_of
 from synth.controller.controller import Controller
@@ -269,7 +269,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
         road: the spectrum of the road.
         timestep: of the sampled loop [s].
     """
-    if not is_curved(vehicle):
+    if not vehicle.is_curved:
         return Equivalent(vehicle)
     curves = [one for one in vehicle.fitted if len(one.curve.pieces.slope)]
     signals, names = [over(vehicle, one) for one in curves], [one.parameter for one in curves]

@@ -25,7 +25,6 @@ from models.roads.obstacles import Flat
 from models.roads.road import Bump, Road, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.dampers import is_linear, squarable
-from sim.linear.nonlinear_elements import is_curved
 from sim.linear.sampled_response import sampled_response, sampled_responses
 from sim.linear.switched_response import switched_response
 from sim.physics.run_blocks import runs_at_once
@@ -191,7 +190,7 @@ def _run(
     short = not is_linear(vehicle, controller)
     if not foretold:
         used, times = np.zeros((count, len(END_NAMES))), np.full((count, 3, len(END_NAMES)), np.inf)
-    elif is_curved(vehicle) or loads:
+    elif vehicle.is_curved or loads:
         used, times = _one_by_one(vehicle, controller, bumps, time, loads)
     else:
         met = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit

@@ -15,7 +15,6 @@ from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
-from sim.linear.nonlinear_elements import is_curved
 from sim.response.regime import CURVE, END_NAMES, REGIME_ENDS, End
 from sim.studies.validity.grid import UNITS, GridAxis
 from sim.studies.validity.regime_map import Cells
@@ -158,7 +157,7 @@ def envelope_figure(
     used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
-        whose = "from responses with its curves" if is_curved(vehicle) else whose
+        whose = "from responses with its curves" if vehicle.is_curved else whose
         whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
         curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
     error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
