@@ -51,7 +51,7 @@ def off(run, other, until=np.inf):
 
 def check_physics(run, far):
     """MuJoCo is RK4's own arithmetic, this far from the exact response, and no damper drives at any sample."""
-    assert run.holds
+    assert run.passed
     assert off(run, run.prediction.integrated) < 1e-9
     assert off(run, run.sampled) < far
     assert run.energy is not None

@@ -757,9 +757,9 @@ LATER = {  # where Ctrl-C comes, and what is said of the controller that was at 
     "synth.vehicle.multi_objective.run_search": None,
     "synth.vehicle.multi_objective.with_individual_optima": None,
     "synth.vehicle.multi_objective.Verification.promises": "interrupted: of its promises none is proved",
-    "synth.vehicle.multi_objective.price": "interrupted: what its structure costs is not known",
+    "synth.vehicle.multi_objective.cost_of_structure": "interrupted: what its structure costs is not known",
     "synth.command.design_table._flatness": "",
-    "synth.command.fragility.fragile": "",
+    "synth.command.fragility.fragility_report": "",
     "synth.command.design_table.notes": "interrupted: designed, and not all that was asked about it is known",
     "synth.command.design_table.norm_if_implemented": "",
 }
@@ -770,7 +770,7 @@ LATER = {  # where Ctrl-C comes, and what is said of the controller that was at 
 )
 def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     """Wherever it comes while a second controller is made, the first is printed and saved; so is the second, if it was found."""
-    more = {"with_individual_optima": "family = [{}, { sprung_mass = 1.1 }]", "price": "structure = [[1, 0]]"}
+    more = {"with_individual_optima": "family = [{}, { sprung_mass = 1.1 }]", "cost_of_structure": "structure = [[1, 0]]"}
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     name, section = where.rsplit(".", 1)[1], f"measured = {ONE}\nbounds = [{{ norm = 9.0 }}]"
     path.write_text(
@@ -780,12 +780,8 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
         pkgutil.resolve_name(where.replace("synth.vehicle.multi_objective.V", "synth.vehicle.multi_objective:V")),
         itertools.count(),
     )
-    early = name in (
-        "with_individual_optima",
-        "price",
-        "_flatness",
-        "fragile",
-    )  # they are called for the second controller alone, or after
+    # These are called for the second controller alone, or after.
+    early = name in ("with_individual_optima", "cost_of_structure", "_flatness", "fragility_report")
 
     def stopped(*given, **options):
         if early or next(calls):
@@ -797,7 +793,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     with pytest.raises(KeyboardInterrupt):
         main_of("synth")(
             ["--vehicle", str(path), "--controller", "goal", "--controller", "second", "--save", str(saved)]
-            + ["--fragility"] * (name == "fragile")
+            + ["--fragility"] * (name == "fragility_report")
         )
     printed, said = " ".join(capsys.readouterr().out.split()), LATER[where]
     kept = {"goal_designed"} | ({"second_designed"} if said is not None else set())

@@ -164,21 +164,21 @@ run_command(main)
 
 GOES_ON = """
 import signal
-from models.common.interrupt import code, finishing, enable_interrupts
+from models.common.interrupt import code, enable_interrupts, uninterrupted
 
 enable_interrupts()
-with finishing():
+with uninterrupted():
     signal.raise_signal(signal.SIGINT)
     print("named")
 try:
-    with finishing(work_goes_on=True):
-        with finishing():
+    with uninterrupted(work_goes_on=True):
+        with uninterrupted():
             signal.raise_signal(signal.SIGTERM)
             print("named")
     print("lost")
 except KeyboardInterrupt:
     print("heard", code())
-with finishing():
+with uninterrupted():
     pass
 print("after one more")
 """

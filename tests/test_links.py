@@ -166,7 +166,7 @@ def test_steps_are_those_of_the_exact_equations(kind, lines):
     for other in [car, *random_vehicles(car, 1 if lines == ALL[kind] else 0, 0.3)]:
         road = road_of(HARD[kind], other)
         (run,) = run_controllers(other, [designed(other, "passive")], road, sample_times(other, 0.8, 1e-3))
-        assert run.holds
+        assert run.passed
         assert run.agreement.steps is not None
         assert run.agreement.steps.until == math.inf
         assert run.agreement.steps.error < 1e-12  # rounding; measured 3e-14
@@ -183,10 +183,10 @@ def test_a_hinge_that_is_off_is_found(joint):
     (place,) = [place for place in places(build_spec(car, 1e-3)) if place[:2] == ("joint", joint)]
     road, passive, time = road_of(HARD["full_car"], car), designed(car, "passive"), sample_times(car, 0.5, 1e-3)
     (clean,) = run_controllers(car, [passive], road, time)
-    assert clean.holds
+    assert clean.passed
     with built_with(scaled(place, 0.02)):
         made = simulate_met([passive], [RoadInput(car, road, time)])
-    wrong = compare(clean.prediction, made.run(0), made.asked[0])
+    wrong = compare(clean.prediction, made.run(0), made.requested_force[0])
     assert not wrong.step_by_step
     assert wrong.steps is not None
     assert wrong.steps.error > 1e-7  # of a peak in one step; a clean one has 3e-14
@@ -245,7 +245,7 @@ def test_designs_weigh_banks_and_loads_on_wheels():
     assert controller.certificate.bound is not None
     assert controller.certificate.bound >= controller.certificate.norm.value
     (run,) = run_controllers(car, [controller], road_of(HARD["full_car"], car), sample_times(car, 0.6, 1e-3))
-    assert run.holds
+    assert run.passed
     assert "roll_acceleration" not in car.linear_model.measurable  # it has the road's height in it
     assert "the height of its pitch, roll, twist, of which 1 m counts as" in twist_lines(car)[0]
 

@@ -371,7 +371,7 @@ def test_picture(tmp_path, monkeypatch, never_lost):
     """The curves are the norms, which end where the loop is unstable; every rate that was asked for is one of theirs."""
     vehicle = read_vehicle("quarter_car")
     found = cost(vehicle, design(vehicle, "II"), [1e-2, 3e-2, 6e-2, 0.1])
-    for label, kind in (("at once", "prompt"), ("1 sample late", "late")):
+    for label, kind in (("at once", "undelayed_norm"), ("1 sample late", "late")):
         norms = [getattr(at, kind) for at in found.rates]
         x, y = drawn(found, label)
         assert x == pytest.approx([10, 30, 60, 100], rel=1e-12)

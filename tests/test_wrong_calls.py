@@ -121,7 +121,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
         "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
         "MeasuredPlant": (synth.MeasuredPlant, {**measured, "Dyw": None}),
-        "FamilyMember": (synth.FamilyMember, {"posed": (posed,), "driven": (), "signals": ()}),
+        "FamilyMember": (synth.FamilyMember, {"posed": (posed,), "driven_by": (), "signals": ()}),
         "GainErrors": (synth.GainErrors, {"sensors": np.zeros(1), "forces": np.zeros(1)}),
         "MultiObjectiveProblem": (
             synth.MultiObjectiveProblem,
@@ -195,7 +195,7 @@ GOOD = {
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
     "force stiffness damping stem",
     "-1": "height depth amplitude factor index",
-    "no list": "parameters suspended invariants on_demand loads path states driven signals sensors forces norms peaks starts "
+    "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
     "names measured",
 }
 # By what the text has, or by the parameter that a value is of.

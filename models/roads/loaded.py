@@ -32,11 +32,11 @@ class RoadWithLoads(DerivedRoad):
         """True if the road is laid."""
         return self.road.laid
 
-    def met_by(self, wheel: Wheel) -> str:
+    def track_of(self, wheel: Wheel) -> str:
         """Returns the track of the road under a wheel."""
         return self.road.track_of(wheel)
 
-    def later(self, wheel: Wheel, parameters: Parameters) -> float:
+    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns the delay of a wheel on the road [s]."""
         return self.road.delay_of(wheel, parameters)
 

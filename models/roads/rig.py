@@ -60,7 +60,7 @@ class Rig(Road):
         """Time from the first point to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
-    def met_by(self, wheel: Wheel) -> str:
+    def track_of(self, wheel: Wheel) -> str:
         """Returns the post under a wheel.
 
         Raises:
@@ -73,7 +73,7 @@ class Rig(Road):
             f"no column is called {_names(wheel)[0]}, after the wheel that would stand on it, but {listing(self.posts[:20])}"
         )
 
-    def later(self, wheel: Wheel, parameters: Parameters) -> float:
+    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
         """Returns zero: the vehicle stands."""
         return 0.0
 
@@ -112,7 +112,7 @@ class Rig(Road):
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
         """Checks the rig as any road, and that every wheel of the vehicle stands on a post."""
-        met = {self.met_by(wheel) for wheel in vehicle.kind.wheels}
+        met = {self.track_of(wheel) for wheel in vehicle.kind.wheels}
         for post in self.posts:
             if post not in met:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]

@@ -431,12 +431,12 @@ class SemiActiveLaws:
         closing = seen[..., -self.actuators :]
         if len(self._groups) == 1:
             law, _, numbers, places = self._groups[0]
-            some = numbers if isinstance(which, slice) else numbers.some(which)
+            some = numbers if isinstance(which, slice) else numbers.subset(which)
             return law.coefficients(seen[..., places], numbers_at(some, self.of, closing, which)) - self._nominal[which]
         coefficients, every = np.empty((*seen.shape[:-1], self.actuators)), np.arange(len(self._nominal))[which]
         for law, mine, numbers, places in self._groups:
             some = np.flatnonzero(mine[which])
-            of = numbers_at(numbers.some(every[some]), self.of, closing[..., some, :], every[some])
+            of = numbers_at(numbers.subset(every[some]), self.of, closing[..., some, :], every[some])
             coefficients[..., some, :] = law.coefficients(seen[..., some, :][..., places], of)
         return coefficients - self._nominal[which]
 

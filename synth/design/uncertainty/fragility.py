@@ -252,8 +252,8 @@ def fragility_text(report: Fragility, measured: Sequence[str], forces: Sequence[
     """Returns the fragility of a law as a sentence."""
     stable, text = report.stable, "fragile: "
     if math.isfinite(stable.smallest_violation):
-        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % "
-        f"({errors_text(stable, measured, forces)}); "
+        errors = errors_text(stable, measured, forces)
+        text += f"unstable with {whose(report)} off by {100 * stable.smallest_violation:.4g} % ({errors}); "
     else:
         text += f"no errors of {whose(report)} up to 100 % were found that make it unstable; "
     return text + proved_text(report)
