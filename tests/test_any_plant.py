@@ -126,13 +126,13 @@ def ask_everything(seed: int, search: bool) -> None:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("first", range(0, 40, 20))
+@pytest.mark.parametrize("first", range(0, 20, 10))
 def test_no_plant_is_too_odd(first, capfd):
-    """Of 40 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+    """Of 20 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for seed in range(first, first + 20):
-            ask_everything(seed, search=seed % 20 == 0)
+        for seed in range(first, first + 10):
+            ask_everything(seed, search=seed == 0)
     assert capfd.readouterr() == ("", "")
 
 

@@ -697,7 +697,7 @@ def test_a_band_alone_leaves_no_loop_of_the_box_unstable(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(5, 25))
+@pytest.mark.parametrize("seed", range(5, 15))
 def test_no_design_is_unstable_in_its_box(seed):
     """So of many random plants."""
     try:

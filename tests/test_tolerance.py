@@ -280,7 +280,7 @@ def test_a_discrete_plant_with_a_pole_at_minus_one():
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(1000, 1015))
+@pytest.mark.parametrize("seed", range(1000, 1008))
 def test_attack_on_what_is_proved(seed):
     """Of more random plants, with more readings, forces and noise, in odder units, no errors lead above what is proved."""
     generator = np.random.default_rng(seed)
