@@ -87,6 +87,19 @@ def test_before_anything_has_begun(tmp_path, name, code, word):
     assert (done.returncode, done.stdout, done.stderr) == (code, "", f"roadproof: {word}\n")
 
 
+@pytest.mark.parametrize("module", ["models.common", "models.common.command"])
+@pytest.mark.parametrize("command", ["sim.bump", "sim.report", "synth", "roadproof"])
+def test_while_our_first_module_is_imported(tmp_path, command, module):
+    """Ctrl-C at the first import that a command does, as at a later one, ends it with one line and 130, without a traceback."""
+    (tmp_path / "sitecustomize.py").write_text(HEARD_WHILE_IMPORTED.format(module=module))
+    (tmp_path / "roadproof").write_text("from sim.__main__ import roadproof\nroadproof()\n")
+    known = environment()
+    known |= {"PYTHONPATH": os.pathsep.join([str(tmp_path), known["PYTHONPATH"]])}
+    called = ["roadproof", "bump"] if command == "roadproof" else ["-m", command]
+    done = subprocess.run([sys.executable, *called], cwd=tmp_path, env=known, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
+
+
 def test_what_is_to_be_ignored_is(tmp_path):
     """Under `nohup`, which has the end of the terminal ignored, a command goes on to its end."""
     (tmp_path / "child.py").write_text(
@@ -143,6 +156,19 @@ def test_none_is_lost_where_work_goes_on(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "named\nnamed\nheard 143\nafter one more\n"
 
+
+HEARD_WHILE_IMPORTED = """
+import _signal
+import sys
+
+class Finder:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == "{module}":
+            _signal.raise_signal(_signal.SIGINT)
+
+sys.meta_path.insert(0, Finder)
+"""
 
 RECORDS = """
 import signal
