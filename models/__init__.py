@@ -18,7 +18,7 @@ import sys
 
 if sys.argv and os.path.basename(sys.argv[0]) in ("-m", "roadproof", "roadproof.exe"):
     # A command begins. Whatever is imported from here on, also for `quiet_start`, takes longer than a hand on Ctrl-C.
-    from _signal import SIGINT, signal  # `signal` itself imports a dozen modules
+    from _signal import SIGINT, signal  # pyright: ignore[reportMissingImports] - `signal` itself imports a dozen modules
 
     def _leave(number: int, frame: object) -> None:
         try:

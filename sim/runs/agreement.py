@@ -65,7 +65,8 @@ class SignalAgreement:
             predict, or None for a vehicle with exact equations.
         small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
         allowed_small: `allowed` over that road, or None.
-        small_geometry: effect of geometry there, found by halving that height, or None if `SMALL` of `sampled` was enough.
+        small_geometry: effect of geometry there, found by halving that height. None if `SMALL` of `sampled` was enough, or if the
+            difference does not vanish with the height.
     """
 
     sampled: float
@@ -85,8 +86,8 @@ class SignalAgreement:
         """The deciding difference and its limit: `sampled`, or `small`, whose limit includes the remaining effect of geometry."""
         if self.small is None or self.allowed_small is None:
             return self.sampled, self.allowed
-        geometry = SMALL * self.sampled if self.small_geometry is None else self.small_geometry
-        return self.small, self.allowed_small + SLACK * geometry
+        geometry = SLACK * SMALL * self.sampled if self.small_geometry is None else SLACK * self.small_geometry
+        return self.small, self.allowed_small + geometry
 
     @property
     def is_geometry(self) -> bool:
@@ -222,10 +223,11 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
 def halve_geometry(
     agreement: Agreement, small: tuple[Response, ScaledPrediction], half: tuple[Response, ScaledPrediction]
 ) -> Agreement:
-    """Adds the effect of geometry at `SMALL` of the height, as the change of the relative difference from RK4 by half of it.
+    """Adds the effect of geometry at `SMALL` of the height, if the relative difference from RK4 vanishes with the height.
 
-    A relative difference a + g s at the share s of the height changes by g s / 2. So twice the change is the effect of geometry,
-    up to a share s of it, and a mistake a, which does not vanish with the height, is no part of it.
+    A difference a + g s at the share s of the height changes by g s / 2 at half of it. So twice the change is the effect of
+    geometry, up to a share s of it. What is left at no height, twice the difference there less the one here, is a mistake: a, or
+    more of an offset, which grows relative to a smaller motion.
 
     Args:
         small: response of MuJoCo and prediction at `SMALL` of the height.
@@ -234,12 +236,15 @@ def halve_geometry(
     (physics, known), (nearer, known_nearer), end = small, half, agreement.until
     signals = {}
     for name, signal in agreement.signals.items():
+        scale = _scale(known.sampled.until(end), name)
         far, near = (
-            of.until(end)[name] - (by.integrated or by.sampled).until(end)[name]
-            for of, by in ((physics, known), (nearer, known_nearer))
+            (SMALL / share) * (of.until(end)[name] - (by.integrated or by.sampled).until(end)[name]) / scale
+            for share, of, by in ((SMALL, physics, known), (HALVED, nearer, known_nearer))
         )
-        change = float(np.abs(far - near * (SMALL / HALVED)).max(initial=0.0)) / _scale(known.sampled.until(end), name)
-        signals[name] = replace(signal, small_geometry=change / (1 - HALVED / SMALL))
+        geometry, mistake, most = (float(np.abs(each).max(initial=0.0)) for each in (2 * (far - near), 2 * near - far, far))
+        if mistake <= (signal.allowed_small or 0.0) + FORETOLD * most:
+            signal = replace(signal, small_geometry=geometry)
+        signals[name] = signal
     return replace(agreement, signals=signals)
 
 

@@ -312,7 +312,7 @@ def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> lis
     """
 
     def over(share: float, some: Sequence[Run]) -> list[tuple[Response, ScaledPrediction]]:
-        again = [run.prediction for run in some]
+        again = [_until(run.prediction, max(run.agreement.until for run in some)) for run in some]
         made = _simulated(again, again[0].time, partial(with_scaled_noise, share), share).response
         return [(made.run(k), reference_at(share, each, made.run(k))) for k, each in enumerate(again)]
 
@@ -332,6 +332,13 @@ def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> lis
         with_geometry(agreement, run.prediction, run.physics, forces)
         for agreement, run, forces in zip(closer, runs, requests, strict=True)
     ]
+
+
+def _until(prediction: Prediction, end: float) -> Prediction:
+    """Returns the prediction to be repeated over the samples before a time [s] alone, two of them at least."""
+    time = prediction.time[: max(2, int(np.searchsorted(prediction.time, end)))]
+    asked = prediction.requested_force[: len(time)]
+    return replace(prediction, input=replace(prediction.input, time=time), requested_force=asked)
 
 
 def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
