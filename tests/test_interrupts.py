@@ -149,6 +149,15 @@ def test_what_it_cuts_short_does_not_complain(tmp_path, interrupted):
         assert "AttributeError: 'HalfMade' object has no attribute 'part'" in done.stderr
 
 
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS[:2])
+def test_a_table_of_finished_designs_is_kept(tmp_path, name, code, word):
+    """Ctrl-C and SIGTERM alike, when the designs are done and the table is not, end `synth` with the whole table."""
+    (tmp_path / "child.py").write_text(TABLE.format(signal=name))
+    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (code, f"roadproof: {word}\n")
+    assert [row["name"] for row in json.loads(done.stdout)["controllers"]] == ["passive", "II"]
+
+
 def test_none_is_lost_where_work_goes_on(tmp_path):
     """A Ctrl-C in the moment in which a file gets its name is heard when it has it, if there is more work to do."""
     (tmp_path / "child.py").write_text(GOES_ON)
@@ -185,6 +194,25 @@ def write_and_hear(*arguments):
 
 sim.recording.files.write_mcap = write_and_hear
 sys.argv[:] = ["bump", "--controller", "passive", "--duration", "0.5", "--logs", "logs/of/today"]
+run_command(main)
+"""
+
+TABLE = """
+import signal
+import sys
+import synth.command.design_table as table
+from models.common.command import run_command
+from synth.__main__ import main
+
+expected_ride, told = table.expected_ride, []
+
+def heard(*arguments):
+    if not told:
+        told.append(signal.raise_signal(signal.{signal}))
+    return expected_ride(*arguments)
+
+table.expected_ride = heard
+sys.argv[:] = ["synth", "--controller", "passive", "--controller", "II", "--json"]
 run_command(main)
 """
 
