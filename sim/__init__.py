@@ -19,7 +19,7 @@ if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != dirname
 
 from models.common.interrupt import quiet_start
 
-quiet_start()  # the first line of ours that `python -m` runs
+quiet_start()
 
 from typing import TYPE_CHECKING
 

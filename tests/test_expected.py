@@ -14,6 +14,7 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.studies.ride.expected import EXACT, expect, sources
+from sim.studies.ride.gaussian import Gaussian
 from sim.studies.ride.metrics import metrics_of
 from sim.studies.ride.weighting import sampled_wk
 from synth.controller.open_loop import continuous
@@ -312,3 +313,17 @@ def test_lightly_damped_sum_over_the_roads_lines(paper):
     for signal, rms in sums_over_lines(light, passive, road).items():
         if f"{signal}_rms" in found.mean and rms > 1e-9:
             assert found.mean[f"{signal}_rms"] == pytest.approx(rms, rel=1e-5)  # lines 32 times closer
+
+
+@pytest.mark.parametrize(("centre", "width"), [(1.5, 0.3), (8.0, 1.0), (3.0, 0.1)])
+def test_a_spectrum_has_its_autocorrelation(centre, width):
+    """A bell of a spectrum about a frequency has the autocorrelation exp(-(pi b t)^2) cos(2 pi f t), at every time to its end."""
+    f = np.linspace(1e-6, 20.0, 20_001)
+    bell = 2.5 * np.exp(-(((f - centre) / width) ** 2))
+    rho, step = Gaussian(bell[None], 2 * np.pi * f, np.full(len(f), f[1] - f[0]))._correlation
+    t = step * np.arange(len(rho))
+    exact = np.exp(-((np.pi * width * t) ** 2)) * np.cos(2 * np.pi * centre * t)
+    assert step < 1 / 80  # four samples of the highest frequency: powers of it are summed
+    assert t[-1] + step == 32.0  # half of the period that bins of 1/64 Hz have
+    # A bin's variance counts at its lower edge, half of 1/64 Hz off on average: a phase of pi t / 64.
+    assert np.all(np.abs(rho - exact) <= 1e-9 + np.pi * t / 64 * np.exp(-((np.pi * width * t) ** 2)) + 1e-4)

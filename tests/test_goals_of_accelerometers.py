@@ -65,6 +65,29 @@ def test_the_force_may_be_told():
     assert largest(np.array([[k_d, k_a]]) / (1 - k_f)) == pytest.approx(designed.specifications[0].value, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("read", "tolerance", "sensor", "actuator"),
+    [
+        (WITH_FORCE, "control_force = 0.1, force = 0.02", 0.1, 0.02),
+        (WITH_FORCE, "control_force = 0.1, force = 0.0", 0.1, 0.0),
+        (WITH_FORCE, "control_force = 0.1", 0.1, 0.1),  # as files without `force` have always been read
+        (WITH_FORCE, "force = 0.02", 0.0, 0.02),
+        (READ, "control_force = 0.1", None, 0.1),
+    ],
+)
+def test_a_force_that_is_read_has_two_errors(read, tolerance, sensor, actuator):
+    """A measured force's own name is its reading's error, and `force` its actuator's, also after the way into a log and back."""
+    goals = car(f"{read}tolerance = {{ {tolerance} }}\n").controllers["mine"].goals
+    assert goals is not None
+    kept = ", ".join(f"{name} = {share}" for name, share in goals.record["tolerance"].items())
+    vehicle = car(f"{read}tolerance = {{ {kept} }}\n")
+    entry = vehicle.controllers["mine"]
+    assert entry.goals is not None
+    errors = goal_problem(vehicle, entry, entry.goals).tolerance
+    assert dict(zip(entry.measured, errors.sensors, strict=True)).get("control_force") == sensor
+    assert errors.forces.tolist() == [actuator]
+
+
 @pytest.mark.parametrize("read", [READ, WITH_FORCE])
 def test_slopes_are_those_of_the_values(read):
     """Every goal and bound has the slope that differences of its values have, where forces are measured at once."""

@@ -87,6 +87,19 @@ def test_before_anything_has_begun(tmp_path, name, code, word):
     assert (done.returncode, done.stdout, done.stderr) == (code, "", f"roadproof: {word}\n")
 
 
+@pytest.mark.parametrize("module", ["models.common", "models.common.command"])
+@pytest.mark.parametrize("command", ["sim.bump", "sim.report", "synth", "roadproof"])
+def test_while_our_first_module_is_imported(tmp_path, command, module):
+    """Ctrl-C at the first import that a command does, as at a later one, ends it with one line and 130, without a traceback."""
+    (tmp_path / "sitecustomize.py").write_text(HEARD_WHILE_IMPORTED.format(module=module))
+    (tmp_path / "roadproof").write_text("from sim.__main__ import roadproof\nroadproof()\n")
+    known = environment()
+    known |= {"PYTHONPATH": os.pathsep.join([str(tmp_path), known["PYTHONPATH"]])}
+    called = ["roadproof", "bump"] if command == "roadproof" else ["-m", command]
+    done = subprocess.run([sys.executable, *called], cwd=tmp_path, env=known, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "roadproof: interrupted\n")
+
+
 def test_what_is_to_be_ignored_is(tmp_path):
     """Under `nohup`, which has the end of the terminal ignored, a command goes on to its end."""
     (tmp_path / "child.py").write_text(
@@ -136,6 +149,15 @@ def test_what_it_cuts_short_does_not_complain(tmp_path, interrupted):
         assert "AttributeError: 'HalfMade' object has no attribute 'part'" in done.stderr
 
 
+@pytest.mark.parametrize(("name", "code", "word"), ENDINGS[:2])
+def test_a_table_of_finished_designs_is_kept(tmp_path, name, code, word):
+    """Ctrl-C and SIGTERM alike, when the designs are done and the table is not, end `synth` with the whole table."""
+    (tmp_path / "child.py").write_text(TABLE.format(signal=name))
+    done = subprocess.run([sys.executable, "child.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (code, f"roadproof: {word}\n")
+    assert [row["name"] for row in json.loads(done.stdout)["controllers"]] == ["passive", "II"]
+
+
 def test_none_is_lost_where_work_goes_on(tmp_path):
     """A Ctrl-C in the moment in which a file gets its name is heard when it has it, if there is more work to do."""
     (tmp_path / "child.py").write_text(GOES_ON)
@@ -143,6 +165,19 @@ def test_none_is_lost_where_work_goes_on(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "named\nnamed\nheard 143\nafter one more\n"
 
+
+HEARD_WHILE_IMPORTED = """
+import _signal
+import sys
+
+class Finder:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == "{module}":
+            _signal.raise_signal(_signal.SIGINT)
+
+sys.meta_path.insert(0, Finder)
+"""
 
 RECORDS = """
 import signal
@@ -159,6 +194,25 @@ def write_and_hear(*arguments):
 
 sim.recording.files.write_mcap = write_and_hear
 sys.argv[:] = ["bump", "--controller", "passive", "--duration", "0.5", "--logs", "logs/of/today"]
+run_command(main)
+"""
+
+TABLE = """
+import signal
+import sys
+import synth.command.design_table as table
+from models.common.command import run_command
+from synth.__main__ import main
+
+expected_ride, told = table.expected_ride, []
+
+def heard(*arguments):
+    if not told:
+        told.append(signal.raise_signal(signal.{signal}))
+    return expected_ride(*arguments)
+
+table.expected_ride = heard
+sys.argv[:] = ["synth", "--controller", "passive", "--controller", "II", "--json"]
 run_command(main)
 """
 

@@ -15,7 +15,7 @@ import pytest
 from models.common.interrupt import WORDS
 from tests.commands import ROOT, environment
 
-FIRST = ("sim/__init__.py", "synth/__init__.py", "models/__init__.py", "models/common/__init__.py", "models/common/interrupt.py")
+FIRST = ("sim/__init__.py", "synth/__init__.py", "models/__init__.py")
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C as POSIX sends it")
 

@@ -1,13 +1,17 @@
 """Little address space, or the user's own models.py beside the files: a command does its work, or says in one line why not."""
 
+import errno
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from models.common import memory
 from models.common.errors import InputError
 from models.vehicle.vehicle import parse_vehicle
+from sim.command.comparison import log_lines
+from sim.recording.files import record
 from sim.runs.run import sample_times
 from tests.commands import environment
 
@@ -58,6 +62,38 @@ def test_little_address_space(arguments, mebibytes, codes, left, tmp_path):
         assert kinds in (left, left - {"rrd"})  # how much Rerun's threads take differs from machine to machine
         assert run.stderr == ""
         assert ("no .rrd file, as the address space is limited" in run.stdout) == ("mcap" in kinds and "rrd" not in kinds)
+
+
+THREAD = OSError("failed to spawn the encoder's thread: Resource temporarily unavailable (os error 11)")
+
+
+@pytest.mark.parametrize("error", [THREAD, RuntimeError("can't start new thread"), MemoryError()])
+def test_a_recording_without_room_for_rerun_says_so(error, lifting, monkeypatch, tmp_path):
+    """Where Rerun finds too little of a limited address space, the MCAP file is whole, and a line names the limit; a full disk is
+    no lack of memory."""
+
+    def fails(path, *rest):
+        path.write_bytes(b"a part")
+        raise error
+
+    monkeypatch.setattr("sim.recording.rerun_writer.write_rrd", fails)
+    if error is THREAD:
+        assert not memory.is_short(error)  # without a limit
+        with pytest.raises(InputError, match="cannot write recordings"):
+            record(tmp_path, "run", [lifting], {}, {})
+    monkeypatch.setattr(memory, "limit", lambda: memory.AMPLE / 2)
+    monkeypatch.setattr(memory, "room", lambda: memory.AMPLE / 2)
+    paths = record(tmp_path, "run", [lifting], {}, {})
+    assert {*paths} == {"mcap", "layout"}
+    assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "run.layout.json"}
+    (line,) = log_lines({kind: str(path) for kind, path in paths.items()}, brief=True)
+    assert line == "  no .rrd file, as the address space is limited to 2147 MB (ulimit -v), which is too little for Rerun; " + (
+        "raise the limit to have one"
+    )
+    assert line in log_lines({kind: str(path) for kind, path in paths.items()})
+    error = OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(InputError, match="No space left"):
+        record(tmp_path, "run", [lifting], {}, {})
 
 
 def test_files_of_the_users_own_names(tmp_path):

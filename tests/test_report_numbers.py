@@ -17,7 +17,7 @@ from sim.drive import main as drive
 from sim.envelope import main as envelope
 from sim.margins import main as margins
 from sim.report.__main__ import main as report
-from sim.report.agreement import bump_section
+from sim.report.agreement import bump_section, energy_table
 from sim.report.headline import over_the_bump, worst
 from sim.report.ride import SEEDS, SPEED, WINDOW, OverRoads, ride_section, ride_text
 from sim.report.scope import Scope
@@ -447,7 +447,7 @@ def test_geometry_has_no_order(tmp_path):
 
 
 def test_energy_table(plain, capsys):
-    """The report's energies are those of the command, and leave over what it says."""
+    """The report's energies are those of the command, and leave over what it says, of what it allows."""
     for name in NAMES:
         found = printed(capsys, bump, "--controller", name, "--no-logs", *STEP)["runs"][0]["energy"]
         row = plain.row("energy", controller=name)
@@ -455,6 +455,7 @@ def test_energy_table(plain, capsys):
             assert row[f"{key} [J]"] == f"{found[key]:.5g}"
         assert row["turned over [J]"] == f"{found['turnover']:.5g}"
         assert row["left over"] == f"{found['residual']:.1e}"
+        assert row["allowed"] == f"{found['allowed']:.1e}"
 
 
 def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
@@ -469,6 +470,12 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     said = over_the_bump(scope, [lost])
     assert worst(said) == "fails"
     assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."
+    # What half the step leaves may allow more of a run than is usual: the table says how much of which.
+    kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
+    assert worst(over_the_bump(scope, [kept])) == "holds"
+    assert [row[-2:] for row in energy_table([run, kept]).rows] == [
+        (f"{one.energy.residual:.1e}", f"{one.energy.allowed:.1e}") for one in (run, kept)
+    ]
 
 
 def test_an_unstable_controller_leaves_the_others_to_be_seen():

@@ -52,7 +52,12 @@ def check(least: float = LEAST, instead: str = "") -> None:
 
 
 def is_short(error: BaseException) -> bool:
-    """Returns True if an error is, or may be, due to lack of memory."""
+    """Returns True if an error is, or may be, due to lack of memory.
+
+    A thread that cannot begin lacks the address space of its stack, if that is limited; Python and Rerun say it in words alone.
+    """
     wants = isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
     text = str(error).lower()
+    if isinstance(error, (OSError, RuntimeError)) and "thread" in text and limit() < AMPLE:
+        return True
     return wants or "allocate memory" in text or "failed to map segment" in text or room() < SHORT

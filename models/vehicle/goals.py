@@ -121,7 +121,8 @@ class Goals:
     Attributes:
         minimise: the norm whose largest value over all vehicles and errors is minimised.
         bounds: valid for all vehicles; norms and decay for all errors, too.
-        tolerance: largest relative error of each measured signal, and each force, independent of one another.
+        tolerance: largest relative error of each measured signal, and each force, independent of one another, as the file
+            has it; see `force_error`.
         family: the vehicles, each as factors on parameters, or as the name of a vehicle file; empty for the file's own alone.
         over: over the family "worst" minimises the largest norm, "regret" the largest ratio to a vehicle's own best.
         structure: True if a measurement may act on a force, a row per force; None for no restriction.
@@ -140,6 +141,13 @@ class Goals:
         norms = (self.minimise, *(bound.norm for bound in self.bounds if isinstance(bound, NormBound)))
         peaks = [bound.signal for bound in self.bounds if isinstance(bound, (PeakBound, EnergyBound))]
         return (*(name for norm in norms for name in norm.signals or ()), *peaks)
+
+    def force_error(self, force: str) -> float:
+        """Returns the largest relative error of an actuator's force.
+
+        A force that is measured has its reading's error under its own name. `force` gives its actuator another one.
+        """
+        return self.tolerance.get(FORCE, self.tolerance.get(force, 0.0))
 
     @property
     def roads(self) -> tuple[str, ...]:
@@ -179,7 +187,7 @@ def _described(bound: Bound) -> dict[str, Any]:
 
 
 PERFORMANCE = "performance"
-FORCE = "force"  # in a tolerance: all forces
+FORCE = "force"  # in a tolerance: all actuators' forces
 SMALLEST, LARGEST = 1e-9, 1e12
 HIGHEST = 1e6  # Hz, of a band; no vehicle has anything there
 MOST_MEMBERS = 50
@@ -346,7 +354,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
                 f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
             )
         _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, ", relative: 0.1 is 10 %")
-    if FORCE in value and any(force in value for force in forces):
+    if FORCE in value and any(force in value for force in forces if force not in measured):
         raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
     return {name: float(share) for name, share in value.items()}
 

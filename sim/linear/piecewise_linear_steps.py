@@ -112,7 +112,7 @@ class CurvedSteps:
 
     def _force(self, y: Array) -> Array:
         slope, start, low, high = self.pieces
-        return np.clip(slope * (y[..., None] - start), low, high).sum(axis=-1)
+        return np.minimum(np.maximum(slope * (y[..., None] - start), low), high).sum(axis=-1)  # `np.clip` takes twice as long
 
     def __call__(
         self, xi: Array, inputs: Array, heights: Array, pushed: Array | None = None, weights: Weights | None = None
@@ -179,7 +179,7 @@ class CurvedSteps:
             series, values = self._expand(result[some], constant[some], offset[some], at, left[some], moving)
             low, high = self.low[every, at], self.high[every, at]
             looks, powers = self.looks
-            seen = np.tensordot(powers, values, axes=1)
+            seen = (powers @ values.reshape(len(values), -1)).reshape(len(looks), *at.shape)
             out = (seen < low) | (seen > high)
             leaving = out.any(axis=(0, 2))
             result[some] = series.sum(axis=0)
@@ -220,8 +220,18 @@ class CurvedSteps:
         every = np.arange(where.shape[1])
         slopes, offsets = self.slopes[every, where], self.offsets[every, where]
         series, values = np.empty((self.order + 1, *xi.shape)), np.empty((self.order + 1, *where.shape))
-        unweighted = np.empty_like(values)
         series[0], step = xi, length[:, None]
+        if weights is None:  # on these segments xi' is M xi + c, with one matrix of the vehicle and all slopes
+            rows = self.stacked[:, self.n :]
+            M = self.stacked[:, : self.n] + (rows * slopes[:, None]) @ self.push
+            c = constant + (slopes * offset + offsets) @ self.push
+            for i in range(self.order):
+                rate = (series[i, :, None] @ M)[:, 0]
+                series[i + 1] = (rate + c if i == 0 else rate) * (step / (i + 1))
+            np.matmul(series, rows, out=values)
+            values[0] += offset
+            return series, values
+        unweighted = np.empty_like(values)
         for i in range(self.order + 1):
             both = series[i] @ self.stacked
             values[i] = both[:, self.n :]
@@ -233,9 +243,8 @@ class CurvedSteps:
             rate = both[:, : self.n]
             if i == 0:
                 rate, force = rate + constant, force + offsets
-            if weights is not None:
-                unweighted[i] = force
-                force = (weights[: i + 1] * unweighted[i::-1][: len(weights)]).sum(axis=0)
+            unweighted[i] = force
+            force = (weights[: i + 1] * unweighted[i::-1][: len(weights)]).sum(axis=0)
             series[i + 1] = (rate + force @ self.push) * (step / (i + 1))
         return series, values
 
@@ -275,8 +284,13 @@ def _root(line: Array, start: float, end: float, bound: float, side: int) -> flo
     bound.
     """
 
+    coefficients = line.tolist()
+
     def past(at: float) -> float:
-        return side * (float(np.polyval(line, at)) - bound)
+        value = 0.0
+        for coefficient in coefficients:
+            value = value * at + coefficient
+        return side * (value - bound)
 
     if past(start) >= 0:
         return start

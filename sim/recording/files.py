@@ -75,10 +75,10 @@ def record(
 
                 try:
                     write_rrd(written["rerun"], runs, metadata)
-                except OSError as error:
-                    if memory.limit() >= memory.AMPLE or "thread" not in str(error):
+                except (OSError, RuntimeError, MemoryError) as error:
+                    if memory.limit() >= memory.AMPLE or not memory.is_short(error):
                         raise
-                    del written["rerun"]  # its threads found too little address space
+                    del written["rerun"]  # `left_out_lines` says why
             with interrupt.uninterrupted():
                 return _published(written, folder, stem)
     except OSError as error:

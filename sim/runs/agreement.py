@@ -10,6 +10,10 @@ mistake is as large as before. A vehicle without such geometry (`models.vehicle.
 excuse. The integrator's relative error does not depend on the height if geometry is the only nonlinearity. With knots of curves
 near rest it may be larger at a smaller height, and is computed there, too.
 
+A hundredth of the whole road's geometry is what is expected there. It is that of another vehicle where curves bend: on the whole
+road its springs and dampers are softer or harder. If more than that is found, half of that height tells how much it is: what
+geometry makes is halved, relative to the signal, and what a mistake makes is not.
+
 A mistake that only shows at large motions, as in a curve beyond its line or a bump stop, is absent at a hundredth of the height.
 So every step is also compared with the vehicle's exact equations (`sim.runs.steps`), on the whole road, and where the linear
 analysis does not apply. A kind of vehicle that turns and has no such equations is driven at a half and a quarter of the height
@@ -38,6 +42,7 @@ from synth.controller.controller import Controller, has_anti_windup
 ROUNDING = 1e-9  # of a peak, over thousands of steps
 COARSEST = 1e-2  # of a peak; a larger difference confirms nothing, even if the integrator's own error is as large
 SMALL = 1e-2  # share of the road's height at which the effect of geometry has to vanish
+HALVED = SMALL / 2  # a further share, which tells the effect of geometry at `SMALL` from a mistake
 PARTS = (0.5, 0.25)  # further shares of the height, from which the effect of geometry on the whole road is predicted
 FORETOLD = 0.25  # of the effect of geometry: the neglected terms of higher order are smaller
 SLACK = 1.5  # factor on the predicted integrator error, which is a maximum over time of one of two nearly equal curves
@@ -60,6 +65,8 @@ class SignalAgreement:
             predict, or None for a vehicle with exact equations.
         small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
         allowed_small: `allowed` over that road, or None.
+        small_geometry: effect of geometry there, found by halving that height. None if `SMALL` of `sampled` was enough, or if the
+            difference does not vanish with the height.
     """
 
     sampled: float
@@ -70,6 +77,7 @@ class SignalAgreement:
     scale: float
     small: float | None = None
     allowed_small: float | None = None
+    small_geometry: float | None = None
     geometry: float | None = None
     foretold: float | None = None
 
@@ -78,7 +86,8 @@ class SignalAgreement:
         """The deciding difference and its limit: `sampled`, or `small`, whose limit includes the remaining effect of geometry."""
         if self.small is None or self.allowed_small is None:
             return self.sampled, self.allowed
-        return self.small, self.allowed_small + SLACK * SMALL * self.sampled
+        geometry = SLACK * SMALL * self.sampled if self.small_geometry is None else SLACK * self.small_geometry
+        return self.small, self.allowed_small + geometry
 
     @property
     def is_geometry(self) -> bool:
@@ -208,6 +217,34 @@ def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response
             grown_by = signal.scale / _scale(sampled, name)
             allowed = _integrator(integrated, sampled, name) + grown_by * (SMALL * signal.blur + signal.rounding)
         signals[name] = replace(signal, small=_difference(physics, sampled, name), allowed_small=allowed)
+    return replace(agreement, signals=signals)
+
+
+def halve_geometry(
+    agreement: Agreement, small: tuple[Response, ScaledPrediction], half: tuple[Response, ScaledPrediction]
+) -> Agreement:
+    """Adds the effect of geometry at `SMALL` of the height, if the relative difference from RK4 vanishes with the height.
+
+    A difference a + g s at the share s of the height changes by g s / 2 at half of it. So twice the change is the effect of
+    geometry, up to a share s of it. What is left at no height, twice the difference there less the one here, is a mistake: a, or
+    more of an offset, which grows relative to a smaller motion.
+
+    Args:
+        small: response of MuJoCo and prediction at `SMALL` of the height.
+        half: the same at `HALVED`.
+    """
+    (physics, known), (nearer, known_nearer), end = small, half, agreement.until
+    signals = {}
+    for name, signal in agreement.signals.items():
+        scale = _scale(known.sampled.until(end), name)
+        far, near = (
+            (SMALL / share) * (of.until(end)[name] - (by.integrated or by.sampled).until(end)[name]) / scale
+            for share, of, by in ((SMALL, physics, known), (HALVED, nearer, known_nearer))
+        )
+        geometry, mistake, most = (float(np.abs(each).max(initial=0.0)) for each in (2 * (far - near), 2 * near - far, far))
+        if mistake <= (signal.allowed_small or 0.0) + FORETOLD * most:
+            signal = replace(signal, small_geometry=geometry)
+        signals[name] = signal
     return replace(agreement, signals=signals)
 
 

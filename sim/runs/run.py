@@ -20,8 +20,8 @@ from sim.physics.energy import Energy, energy
 from sim.physics.simulate import PhysicsRuns, simulate
 from sim.response.regime import FLAT, broken_by
 from sim.response.response import Response
-from sim.runs.agreement import PARTS, SMALL, Agreement, compare, foretell, look_closer, with_geometry
-from sim.runs.prediction import Prediction, predict, predict_replayed, reference_at, with_scaled_noise
+from sim.runs.agreement import HALVED, PARTS, SMALL, Agreement, compare, foretell, halve_geometry, look_closer, with_geometry
+from sim.runs.prediction import Prediction, ScaledPrediction, predict, predict_replayed, reference_at, with_scaled_noise
 from synth.controller.controller import Controller, Driver
 from synth.controller.open_loop import LoopModel
 
@@ -299,23 +299,46 @@ def compare_runs(
         for i, run in enumerate(runs)
         if not all(signal.agrees for signal in run.agreement.signals.values()) and has_geometry(run.vehicle)
     ]
-    if doubtful:
-        again = [predictions[i] for i in doubtful]
-        alone = any(run.agreement.steps is None for run in runs)  # the kind gives no exact equations
-        scaled = {}
-        for share in (SMALL, *(PARTS if alone else ())):
-            scaled[share] = _simulated(again, again[0].time, partial(with_scaled_noise, share), share).response
-        for k, i in enumerate(doubtful):
-            made = {share: response.run(k) for share, response in scaled.items()}
-            known = {share: reference_at(share, predictions[i], response) for share, response in made.items()}
-            agreement = look_closer(runs[i].agreement, known[SMALL], made[SMALL])
-            if alone:
-                whole = (runs[i].physics, predictions[i].sampled)
-                agreement = foretell(agreement, whole, [(made[share], known[share].sampled) for share in PARTS])
-            else:
-                agreement = with_geometry(agreement, predictions[i], runs[i].physics, requests[i])
-            runs[i] = replace(runs[i], agreement=agreement)
+    closer = _looked_closer([runs[i] for i in doubtful], [requests[i] for i in doubtful]) if doubtful else []
+    for i, agreement in zip(doubtful, closer, strict=True):
+        runs[i] = replace(runs[i], agreement=agreement)
     return runs
+
+
+def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> list[Agreement]:
+    """Returns the agreement of doubtful runs, of which geometry may be the cause, after runs over shares of their road's height.
+
+    Arguments as for `compare_runs`.
+    """
+
+    def over(share: float, some: Sequence[Run]) -> list[tuple[Response, ScaledPrediction]]:
+        again = [_until(run.prediction, max(run.agreement.until for run in some)) for run in some]
+        made = _simulated(again, again[0].time, partial(with_scaled_noise, share), share).response
+        return [(made.run(k), reference_at(share, each, made.run(k))) for k, each in enumerate(again)]
+
+    small = over(SMALL, runs)
+    closer = [look_closer(run.agreement, known, made) for run, (made, known) in zip(runs, small, strict=True)]
+    if any(agreement.steps is None for agreement in closer):  # the kind gives no exact equations
+        half, quarter = (over(share, runs) for share in PARTS)
+        for i, run in enumerate(runs):
+            parts = [(made, known.sampled) for made, known in (half[i], quarter[i])]
+            closer[i] = foretell(closer[i], (run.physics, run.sampled), parts)
+        return closer
+    larger = [i for i, agreement in enumerate(closer) if not all(signal.agrees for signal in agreement.signals.values())]
+    if larger:
+        for i, nearer in zip(larger, over(HALVED, [runs[i] for i in larger]), strict=True):
+            closer[i] = halve_geometry(closer[i], small[i], nearer)
+    return [
+        with_geometry(agreement, run.prediction, run.physics, forces)
+        for agreement, run, forces in zip(closer, runs, requests, strict=True)
+    ]
+
+
+def _until(prediction: Prediction, end: float) -> Prediction:
+    """Returns the prediction to be repeated over the samples before a time [s] alone, two of them at least."""
+    time = prediction.time[: max(2, int(np.searchsorted(prediction.time, end)))]
+    asked = prediction.requested_force[: len(time)]
+    return replace(prediction, input=replace(prediction.input, time=time), requested_force=asked)
 
 
 def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:

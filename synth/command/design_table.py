@@ -90,9 +90,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     moved = {}
     with parts.part("what else is said"):
         moved = {} if options.check or parts.cut else _flatness(designer, rows)
-    rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
-    passive = expected_ride(vehicle, designer.design("passive"))
     with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
+        rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+        passive = expected_ride(vehicle, designer.design("passive"))
         designs = [row.controller for row in rows if row.controller is not None]
         saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
         if saved:

@@ -12,7 +12,7 @@ from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import FORCE, REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
+from models.vehicle.goals import REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -79,11 +79,11 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
         NormSpecification(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
         for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
     ]
-    inputs, tolerance = vehicle.linear_model.inputs, goals.tolerance
+    inputs = vehicle.linear_model.inputs
     m, q = len(inputs), len(entry.measured)
     errors = GainErrors(
-        np.array([tolerance.get(signal, 0.0) for signal in entry.measured]),
-        np.array([tolerance.get(force, tolerance.get(FORCE, 0.0)) for force in inputs]),
+        np.array([goals.tolerance.get(signal, 0.0) for signal in entry.measured]),
+        np.array([goals.force_error(force) for force in inputs]),
     )
     structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
     return MultiObjectiveProblem(
