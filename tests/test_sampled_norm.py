@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize, signal
 
-import synth.analysis.sampled_norm
 from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
@@ -243,19 +242,6 @@ def test_without_a_force_it_is_the_continuous_norm(name):
     passive = design(vehicle, "passive")
     norm = norm_as_implemented(built, passive)
     assert norm.value == pytest.approx(passive.certificate.norm.value, rel=PROVED)
-
-
-def test_many_states():
-    """Of a delay of so many samples that frequencies alone are asked, stability and norm are those that eigenvalues say."""
-    for late in (292, 293):
-        by_eigenvalues = sampled_norm(of_the_paper(1e-3, late=late))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(synth.analysis.sampled_norm, "MOST_STATES", 10)
-            by_sweep = sampled_norm(of_the_paper(1e-3, late=late))
-        assert by_sweep.stable == by_eigenvalues.stable == (late < 293)  # its delay margin is 293.0 ms, half a sample of it held
-        if by_sweep.stable:
-            assert (by_sweep.by_sweep, by_eigenvalues.by_sweep) == (True, False)
-            assert by_sweep.value == pytest.approx(by_eigenvalues.value, rel=PROVED)
 
 
 def test_a_late_force_held_in_pieces():

@@ -42,6 +42,7 @@ from synth.controller.problem import problem
 
 MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
+MOST_DELAY = 1000  # samples; `sim.margins` logs runs on either side of a delay margin
 FEWEST = 3  # samples that make a run
 
 
@@ -81,7 +82,8 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     if limits != vehicle.limits:
         raise InputError("its [limits] are not those of vehicle.toml")
     measurable = vehicle.linear_model.measurable
-    return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
+    section = _given(run.claim("implementation"), "implementation")
+    return replace(vehicle, implementation=read_implementation(section, measurable, MOST_DELAY))
 
 
 def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:

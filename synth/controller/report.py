@@ -61,7 +61,6 @@ def proof_object(norm: SampledNorm) -> dict[str, Any]:
         "reached": norm.reached,
         "angle": finite(norm.angle),
         "decided_within_a_period": norm.inside,
-        "by_sweep": norm.by_sweep,
     }
 
 
@@ -75,11 +74,10 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
-    seen = "frequencies" if norm.by_sweep else "level sets"
     heard = ", with the noise of its measurements" if any(controller.hardware.noise) else ""
     lines = [
         f"sampled norm {norm.value:.7g}{more}{heard}",
-        f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
+        f"it is less than {norm.upper:.9g} by level sets, and a road reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
         lines.append("it is decided within one sample period: no controller at this rate has less")
