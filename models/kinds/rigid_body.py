@@ -36,7 +36,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters
+from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     HEAVE_LOAD,
@@ -53,6 +53,12 @@ LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave
 CENTRE_HEIGHT = Parameter(
     "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
 )
+AXLES = ("front", "rear")
+
+
+def per_axle(name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None) -> tuple[Parameter, ...]:
+    """Returns a parameter of every axle."""
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied) for axle in AXLES)
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,13 @@ class Corner:
     suspension_stiffness: float
     suspension_damping: float
     tyre_stiffness: float
+
+    @classmethod
+    def on_axle(cls, p: Parameters, name: str, axle: str, y: float) -> "Corner":
+        """Returns a corner with the parameters of its axle."""
+        x = p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"]
+        own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own))
 
 
 @dataclass(frozen=True)

@@ -111,9 +111,6 @@ class OwnLaw:
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
         """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
 
-        Args:
-            y, time, period, preview, parameters: as for `Sample`.
-
         Raises:
             InputError: the law fails, takes too long, or returns something else than forces and a state.
         """

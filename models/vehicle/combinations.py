@@ -92,11 +92,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each as the section has it written. Values are not checked.
-
-    Args:
-        inputs: the forces of the vehicle.
-    """
+    """Returns the parts of a section, each as the section has it written. Values are not checked."""
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
     if matrices := [key for key in (*MATRICES, "sample_period") if key in section]:
         parts["states"] = matrices[0]

@@ -207,12 +207,10 @@ class Kind(Protocol):
     @property
     def parameters(self) -> Sequence[_Named]:
         """Its parameters."""
-        ...
 
     @property
     def corners(self) -> Mapping[str, str]:
         """Suffix of the names at a force's suspension, by force; empty for a single suspension."""
-        ...
 
 
 def read_goals(
@@ -223,10 +221,6 @@ def read_goals(
     kind: Kind,
 ) -> Goals:
     """Reads the goals of a section that has some.
-
-    Args:
-        measured: the signals that are measured.
-        outputs: the signals of the vehicle.
 
     Raises:
         InputError: a key or a number that is not allowed.

@@ -197,9 +197,6 @@ class Implementation:
 def read_limits(section: Mapping[str, Any], suspensions: "Sequence[Suspension]") -> Limits:
     """Reads `[limits]`.
 
-    Args:
-        suspensions: of the vehicle.
-
     Raises:
         InputError: a key or section is unknown, a value is not allowed, or only one of stroke and stiffness is given.
     """

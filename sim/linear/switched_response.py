@@ -300,7 +300,6 @@ class _Steps(Protocol):
             acting: actual coefficients at its start, shape (m,).
             set_to: commands: coefficients, or forces of force actuators, shape (m,).
         """
-        ...
 
 
 class _CurvedStep:

@@ -17,21 +17,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics import RUNS_AT_ONCE
-from sim.physics.drivers import (
-    Clipped,
-    Damped,
-    Dampers,
-    Failure,
-    Limited,
-    PythonLaws,
-    RecordedForces,
-    RepeatedForces,
-    RunDriver,
-    SemiActiveLaws,
-    anti_windup_of,
-    dampers_of,
-)
+from sim.physics import RUNS_AT_ONCE, drivers
 from sim.physics.sensor_readout import (
     AntiWindup,
     Laws,
@@ -138,7 +124,7 @@ class BatchInputs:
     """
 
     vehicles: Sequence[Vehicle]
-    controllers: Sequence[RunDriver]
+    controllers: Sequence[drivers.RunDriver]
     now: Array
     midway: Array
     timestep: float
@@ -146,7 +132,7 @@ class BatchInputs:
     undelayed: Sequence[Controller | None] | None = None
     going: Array | None = None
     beyond: Array | None = None
-    failures: dict[int, Failure] | None = None
+    failures: dict[int, drivers.Failure] | None = None
     accelerations: bool = True
     loads: Array | None = None
 
@@ -214,7 +200,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         plain = not any(one.delay or one.has_measurement_noise for one in ways)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
-    dampers = dampers_of(vehicles, readout)
+    dampers = drivers.dampers_of(vehicles, readout)
     follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
     reads = (gain, memory, offset)
     if dampers is not None:
@@ -240,9 +226,11 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             batch = Batch(model, len(driving), 1)
             if models:
                 batch.set_models(driving)
-        law, mine = None, dampers_of(vehicles[runs], readout)
-        anti_windup = anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
-        setting = None if mine is None else SemiActiveLaws(semi_active[runs], mine) if semi_active else Clipped(mine.of)
+        law, mine = None, drivers.dampers_of(vehicles[runs], readout)
+        anti_windup = drivers.anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
+        setting = (
+            None if mine is None else drivers.SemiActiveLaws(semi_active[runs], mine) if semi_active else drivers.Clipped(mine.of)
+        )
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)
@@ -252,8 +240,8 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            played = [one.forces for one in controllers[runs] if isinstance(one, RecordedForces)]
-            law = RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
+            played = [one.forces for one in controllers[runs] if isinstance(one, drivers.RecordedForces)]
+            law = drivers.RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
@@ -325,7 +313,7 @@ def _laws_of(
     names: Sequence[str],
     gain: Array,
     memory: Array,
-    dampers: Dampers | None,
+    dampers: drivers.Dampers | None,
     anti_windup: AntiWindup | None,
 ) -> Laws:
     """Returns the laws of some of the runs, on signals of these names.
@@ -337,17 +325,17 @@ def _laws_of(
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
     if semi_active:
         assert dampers is not None, "a vehicle file has such a law with adjustable dampers alone"
-        return SemiActiveLaws(semi_active, dampers, names)
+        return drivers.SemiActiveLaws(semi_active, dampers, names)
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
         linear = LinearLaws(gain[runs], memory[runs], anti_windup)
         if dampers is not None:
-            return Damped(linear, dampers.of)
-        return linear if anti_windup is None else Limited(linear)
+            return drivers.Damped(linear, dampers.of)
+        return linear if anti_windup is None else drivers.Limited(linear)
     ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
     numbers = range(len(course.vehicles))[runs]
-    laws = PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
-    return laws if dampers is None else Damped(laws, dampers.of)
+    laws = drivers.PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
+    return laws if dampers is None else drivers.Damped(laws, dampers.of)
 
 
 class _Sampled:

@@ -27,11 +27,6 @@ OF_LINE = 600  # points of a curve
 def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
     """Force over velocity of every damper that has a curve or is adjustable, over deflection of every spring with a curve.
 
-    Args:
-        scope: what the report is about.
-        runs: one of every controller.
-        where: over which road, in words.
-
     Returns:
         The figure; None of a vehicle with neither.
     """

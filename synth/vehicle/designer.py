@@ -285,10 +285,6 @@ class Designer:
 
         Where the two steps find no gain, it is the best that any start leads to.
 
-        Args:
-            name: of the controller.
-            zero_l: as for `design`.
-
         Raises:
             InputError: no controller has that name, or it has no gain to change, as `passive`.
             DesignError: it does not stabilise the vehicle, or no start leads to a gain.
