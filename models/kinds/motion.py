@@ -15,6 +15,7 @@ class Motion(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Returns the names of the signals that `read` returns, p of them."""
+        ...
 
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
         """Returns the states, shape (T, n).
@@ -23,12 +24,15 @@ class Motion(Protocol):
             signals: those of `names`, each of shape (T,).
             heights: of the road under the wheels [m], shape (T, r).
         """
+        ...
 
     def usable(self, state: Array) -> Array:
         """Returns True for each state from which the equations hold, shape (T,)."""
+        ...
 
     def read(self, state: Array, heights: Array) -> Array:
         """Returns the signals of some states, shape (T, p)."""
+        ...
 
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Array:
         """Returns the rates of the states, shape (T, n).
@@ -38,9 +42,11 @@ class Motion(Protocol):
             pulls: of the suspensions, beyond their linear springs and dampers.
             loads: on the body [N, N m], shape (T, l).
         """
+        ...
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: Pulls, loads: Array) -> Mapping[str, Array]:
         """Returns the vehicle's other signals, such as accelerations, by name, each of shape (T,). Arguments as for `rate`.
 
         It leaves out inputs, and what is a sum of other signals.
         """
+        ...

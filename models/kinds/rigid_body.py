@@ -305,9 +305,9 @@ def check_stands(body: RigidBody) -> None:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
-    held = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
-    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(held) - 1], start=1):
-        holding, turning = 1 / held[i, i], body.weight[i, i]
+    freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(freed) - 1], start=1):
+        holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
                 f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, and springs, bars and tyres "

@@ -99,14 +99,17 @@ class ForceSuspension(Protocol):
     @property
     def force(self) -> str:
         """The input that pushes along it; empty for a passive one."""
+        ...
 
     @property
     def ending(self) -> str:
         """Suffix of the names at its corner."""
+        ...
 
     @property
     def damping(self) -> str:
         """The parameter of its damper; empty if it has no damper."""
+        ...
 
 
 def adjustable(

@@ -15,18 +15,22 @@ class Suspended(Protocol):
     @property
     def deflection(self) -> str:
         """Signal of its extension."""
+        ...
 
     @property
     def tendon(self) -> str:
         """Its tendon in the MJCF."""
+        ...
 
     @property
     def stiffness(self) -> str:
         """The parameter of its spring."""
+        ...
 
     @property
     def damping(self) -> str:
         """The parameter of its damper."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,10 +207,12 @@ class Kind(Protocol):
     @property
     def parameters(self) -> Sequence[_Named]:
         """Its parameters."""
+        ...
 
     @property
     def corners(self) -> Mapping[str, str]:
         """Suffix of the names at a force's suspension, by force; empty for a single suspension."""
+        ...
 
 
 def read_goals(

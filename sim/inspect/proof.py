@@ -115,12 +115,12 @@ def _file(file: McapContents, current: bool) -> list[Finding]:
 
 def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
     """Checks the parts of a log beside its runs, and its format."""
-    made, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
-    if len(made) < len(runs):
+    written, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
+    if len(written) < len(runs):
         absent = ", ".join(run.recorded.name for run in runs if not run.made)
         yield Finding("format", MISSING, f"nothing is compared that rests on all runs: {absent} could not be made again")
         return
-    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, made, current))
+    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, written, current))
     if not current:
         yield Finding("command", NOTE, "the command line of a log older than formats is said, and not checked")
         return

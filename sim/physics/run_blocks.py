@@ -194,8 +194,8 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     unmoved = np.zeros_like(now) if fresh else now - before
     offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
     gain = np.concatenate([of_state @ readout.of_state, of_sensors @ readout.of_sensors[:, sensors]], axis=-1)
-    plain, held = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
-    if undelayed is None and going is None and not (others or vehicle.dampers) and len(held) == 1:
+    plain, periods = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
+    if undelayed is None and going is None and not (others or vehicle.dampers) and len(periods) == 1:
         # Runs that may drop out hold forces for different times; all runs are read as if they did.
         plain = not any(one.delay or one.has_measurement_noise for one in ways)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
@@ -250,13 +250,13 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             *(sensors, stage, fresh, fresh and not course.accelerations),
             damped=setting,
             lagging=mine is not None and mine.lags,
-            held=max(held) if plain else 1,
+            held=max(periods) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
             anti_windup=anti_windup,
         )
         push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
-        for start, sensed, qpos, qvel, asked, kept, acts in steps:
+        for start, sensed, qpos, qvel, requested, kept, acts in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -267,14 +267,14 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
             if mine is not None:
-                mine.record(recorded, asked, acts)
+                mine.record(recorded, requested, acts)
             physical = recorded[:, acting] if mine is not None else recorded
             largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
-            overflowed = np.asarray(~(np.isfinite(asked).all(axis=2) & np.isfinite(kept).all(axis=2)))
+            overflowed = np.asarray(~(np.isfinite(requested).all(axis=2) & np.isfinite(kept).all(axis=2)))
             # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
-            for force, given in zip(np.moveaxis(asked, 2, 0), unclipped[runs].T, strict=False):
+            for force, given in zip(np.moveaxis(requested, 2, 0), unclipped[runs].T, strict=False):
                 largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
-            yield Block(start, recorded, qpos, qvel, largest, overflowed, asked, kept)
+            yield Block(start, recorded, qpos, qvel, largest, overflowed, requested, kept)
 
     def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         blocks = of(runs, stopped)

@@ -31,6 +31,7 @@ class Laws(Protocol):
     @property
     def used(self) -> Array:
         """Returns the states at the last sample, shape (N, k)."""
+        ...
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """Returns the forces of the due controllers at step k, shape (d, m), from the signals as read, shape (d, S).
@@ -39,6 +40,7 @@ class Laws(Protocol):
             due: indices of the due controllers; a slice for all.
             which: the same as indices, ascending, shape (d,).
         """
+        ...
 
 
 @dataclass(frozen=True, eq=False)

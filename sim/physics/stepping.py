@@ -73,9 +73,11 @@ class Setting(Protocol):
 
     def set(self, seen: Array, acting: Array) -> None:
         """Writes the commands of every actuator, shape (N, m), from the signals that decide them, shape (N, d)."""
+        ...
 
     def commands(self, seen: Array) -> Array:
         """Returns commands and missing forces of some samples, see `CoefficientRange.commands`: (B, N, 2 m) from (B, N, d)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +133,11 @@ class Law(Protocol):
     @property
     def used(self) -> Array:
         """Returns the k states at the last sample, shape (N, k)."""
+        ...
 
     def __call__(self, k: int, reading: Array) -> Array:
         """Returns the commands of step k from the reading, shape (N, r): forces, shape (N, m), or as `step_batch` yields them."""
+        ...
 
 
 def step_batch(

@@ -30,14 +30,14 @@ def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure |
     Returns:
         The figure; None of a vehicle with neither.
     """
-    found = diagrams(scope.vehicle)
-    if not found:
+    drawn = diagrams(scope.vehicle)
+    if not drawn:
         return None
     title = (
         f"What dampers and springs pull with {where}, beside their curves or limits, and the lines of linear analysis.\n"
         "Points: MuJoCo, a damper with its actuator"
     )
-    panels = tuple(_panel(scope, diagram, runs) for diagram in found)
+    panels = tuple(_panel(scope, diagram, runs) for diagram in drawn)
     return Figure("suspension", title, panels, columns=min(2, len(panels)))
 
 

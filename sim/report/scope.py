@@ -126,8 +126,8 @@ class Scope:
     def as_it_runs(self) -> str:
         """Describes the sampled linear loop, without ends of the regime and measurement noise."""
         how = self.vehicle.implementation.without_noise
-        held = f"its force held over every step of {1e3 * self.timestep:g} ms"
-        return ", ".join([*(how.phrases or (held,)), *self._lag.phrases(())])
+        hold = f"its force held over every step of {1e3 * self.timestep:g} ms"
+        return ", ".join([*(how.phrases or (hold,)), *self._lag.phrases(())])
 
     @property
     def lag(self) -> str:

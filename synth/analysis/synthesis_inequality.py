@@ -233,10 +233,10 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
         return None
     columns = np.array([scale_near(float(size)) for size in np.linalg.norm(np.vstack([U, Q / rate]), axis=0)])
     U, Q = U / columns, Q / rate / columns
-    found = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
-    if found is None:
+    enclosed = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
+    if enclosed is None:
         return None
-    W, N, radius = found
+    W, N, radius = enclosed
     unit, size = _unit(len(U)), float(np.linalg.norm(W))
 
     def times(matrix: Array) -> tuple[Array, float]:

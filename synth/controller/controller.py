@@ -27,6 +27,7 @@ class Law(Protocol):
     @property
     def record(self) -> dict[str, Any]:
         """Returns the law for JSON and TOML."""
+        ...
 
 
 @runtime_checkable
@@ -42,26 +43,32 @@ class Driver(Protocol):
     @property
     def name(self) -> str:
         """Name of the controller."""
+        ...
 
     @property
     def measured(self) -> tuple[str, ...]:
         """The q measured signals y."""
+        ...
 
     @property
     def law(self) -> Law:
         """The law of the controller."""
+        ...
 
     @property
     def states(self) -> int:
         """Number of states of a linear law; 0 if the law is not linear."""
+        ...
 
     @property
     def record(self) -> dict[str, Any]:
         """Name, signals and law as JSON has them."""
+        ...
 
     @property
     def text(self) -> str:
         """The law on one line."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -113,8 +113,8 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 
     The sampled loop, if there is one, decides, as it is the one that drives.
     """
-    held = norm is not None and norm.stable and not vehicle.implementation.undelayed
-    return (certificate.stability.words,) if held and not certificate.stable else ()
+    cured = norm is not None and norm.stable and not vehicle.implementation.undelayed
+    return (certificate.stability.words,) if cured and not certificate.stable else ()
 
 
 def failures_of_sampled_loop(
@@ -211,9 +211,9 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
-    asked = [one.name for one in controllers if one.hardware != NOMINAL]
+    names = [one.name for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
-    but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
+    but = f", but for the {what} that {', '.join(names)} {'ask' if len(names) > 1 else 'asks'} for" if names else ""
     texts = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and know no lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""

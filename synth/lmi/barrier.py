@@ -151,6 +151,7 @@ class Derivatives(Protocol):
 
     def at(self, p: Array) -> Factored | None:
         """Returns the derivatives at a point, or None outside the feasible set."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,5 +63,5 @@ def expected_ride(vehicle: Vehicle, controller: Controller, road_class: str = RO
 
     filter_poles = np.concatenate([np.roots(below) for _, below in WEIGHTED.sections])
     every = np.concatenate([poles, filter_poles])
-    band = sample_band(spectra, lambda _, found: found, *road.band, every, longest_panel(vehicle, speed))
+    band = sample_band(spectra, lambda _, value: value, *road.band, every, longest_panel(vehicle, speed))
     return math.sqrt(road.density * float((band.share @ band.values).max()))

@@ -52,12 +52,12 @@ def from_state_space(
     """
     dt, (A, B, C, D) = _sample_period(system), _matrices(system)
     inputs, outputs = (list[str](getattr(system, labels, ())) for labels in ("input_labels", "output_labels"))
-    for what, asked, there in (
+    for what, expected, there in (
         ("disturbance", disturbances, inputs),
         ("performance signal", performance, outputs),
         ("measured signal", measured, outputs),
     ):
-        for name in asked:
+        for name in expected:
             if name not in there:
                 raise InputError(f"unknown {what} {name!r}; the system has {listing(there)}")
     if not disturbances:
