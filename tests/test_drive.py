@@ -13,7 +13,7 @@ from sim.drive import main
 from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers
 from sim.studies.ride.metrics import metrics_of
-from tests.commands import prose, refused
+from tests.commands import prose
 
 
 def run_json(capsys, *arguments):
@@ -127,31 +127,6 @@ def test_verdict_before_a_wheel_lifts(capsys, seed):
     out = capsys.readouterr().out
     assert "a tyre is off the road, first from 0." in out
     assert "  agrees" in out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "no controller is given"),
-        (["--controller", "I", "--class", "I"], "unknown road class 'I'"),
-        (["--controller", "I", "--class", "A", "--road", "bump"], "not both"),
-        (["--controller", "I", "--seed", "1.5"], "'1.5' is not a whole number"),
-        (["--controller", "I", "--seed", "-1"], "seed = -1"),
-        (["--controller", "I", "--speed", "0"], "speed = 0"),
-        (["--controller", "I", "--road", "gravel"], "unknown road 'gravel'"),
-        (["--controller", "I", "--road", "pothole:length=0.01:edge=0.005"], "two timesteps"),
-        (["--controller", "I", "--road", "bump:track=left"], "only one track"),
-        (["--controller", "I", "--duration", "nan"], "finite"),
-        (["--controller", "I", "--logs", "/dev/null"], "folder"),
-    ],
-)
-def test_bad_options(capsys, tmp_path, monkeypatch, arguments, said):
-    """A bad option is refused in one line, and nothing is printed or written."""
-    monkeypatch.chdir(tmp_path)
-    with refused(said):
-        main(arguments)
-    assert capsys.readouterr().out == ""
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_that_ends_early_has_no_metrics(capsys):

@@ -379,25 +379,3 @@ def test_bumps_fit_the_run(refused, allowed, words):
     with pytest.raises(InputError, match=words):
         main([*arguments, "--vary", refused])
     assert main([*arguments, "--vary", allowed]) in (0, 1)
-
-
-@pytest.mark.parametrize(
-    ("vary", "text"),
-    [
-        (["height:0.02:0.3:1", "speed:3:30:20"], "2 or more"),
-        (["height:0.02:0.3:20"], "two axes, 1 given"),
-        (["height:0.02:0.3:20", "height:0.02:0.3:20"], "twice"),
-        (["width:0.02:0.3:20", "speed:3:30:20"], "unknown quantity"),
-        (["height:0.02:0.3", "speed:3:30:20"], "name:low:high:count"),
-        (["height:0.3:0.02:20", "speed:3:30:20"], "low < high"),
-        (["height:0:0.3:20", "speed:3:30:20"], "low < high"),
-        (["height:0.02:nan:20", "speed:3:30:20"], "low < high"),
-        (["height:0.02:0.3:2.5", "speed:3:30:20"], "name:low:high:count"),
-        (["height:0.02:0.3:1000", "speed:3:30:1000"], "too many"),
-        (["height:0.02:0.3:20", "speed:0.5:30:20"], "longer --duration"),
-    ],
-)
-def test_bad_input(vary, text):
-    """Bad input is one line that says what is allowed."""
-    with pytest.raises(InputError, match=text):
-        main(["--controller", "I", *(part for axis in vary for part in ("--vary", axis))])

@@ -35,7 +35,7 @@ from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
-from tests.commands import attacks, prose, refused
+from tests.commands import attacks, prose
 from tests.shared import made
 
 COUNT, QUICK = 12, 5
@@ -379,41 +379,6 @@ def test_nothing_finished_is_lost(tmp_path, arguments):
     assert counts[-1] > 1
     slack = 0.1 * max(counts)  # caches are warm or not: one is as far as another at a time of its own only roughly
     assert all(later >= earlier - slack for earlier, later in itertools.pairwise(counts)), counts
-
-
-REFUSED = [
-    (["--front", "ride"], "names 1 axis"),
-    (["--front", "ride:travel:force:band"], "names 4 axes"),
-    (["--front", "ride:ride"], "names ride twice"),
-    (["--front", "ride:speed"], "there is no axis 'speed'"),
-    (["--front", ""], "argument --front: is empty"),
-    (["--front", "band=8-4:travel"], "band=8-4: not a band"),
-    (["--front", "band=x:travel"], "band=x: not a band"),
-    (["--front", "band=:travel"], "band=: not a band"),
-    (["--front", "tolerance=200:travel"], "tolerance=200: not a share"),
-    (["--front", "ride=3:travel"], "ride takes nothing behind it"),
-    (["--front", "ride:travel", "--controller", "passive"], "it measures nothing"),
-    (["--front", "ride:travel", "--controller", "all"], "all is not allowed, as this command takes one controller"),
-    (["--front", "ride:travel", "--controller", "I", "--controller", "II"], "of one controller, and 2 are given"),
-    (["--front", "ride:travel", "--refine"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--rates", "1"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--fragility"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--point", "3"], "--point says which designs --save writes"),
-    (["--front", "ride:travel", "--picture", "a.png", "--csv", "a.png"], "is the file of"),
-    (["--front", "ride:travel", "--csv", "/nowhere/a.csv"], "/nowhere"),
-    (["--front", "ride:travel", "--csv", "/dev/stdout", "--json"], "both write to standard output"),
-    (["--csv", "a.csv"], "--csv is of the designs of --front"),
-    (["--point", "3"], "--point is of the designs of --front"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=[words for _, words in REFUSED])
-def test_refused(arguments, words, monkeypatch, tmp_path):
-    """In one line, before the work."""
-    monkeypatch.chdir(tmp_path)
-    with refused(words):
-        main(arguments)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_point_beyond_the_last(designed_once, tmp_path):

@@ -44,7 +44,7 @@ from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer, design
 from tests import pages
 from tests.analysed import sampled_radius
-from tests.commands import attacks, once, refused
+from tests.commands import attacks, once
 from tests.conftest import recorded_runs
 from tests.shared import designed
 
@@ -619,23 +619,6 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     assert found.edge.finer.tried
     assert found.edge.found == pytest.approx(found.edge.own, rel=2e-2)  # second order in the step
     assert found.agrees
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], ["--controller", "I, II", "state"]),
-        (["--controller", "passive"], ["'passive'", "no gain", "no margin"]),
-        (["--controller", "III"], ["unknown controller 'III'"]),
-        (["--controller", "II", "--timestep", "0"], ["timestep", "above 0"]),
-        (["--controller", "II", "--timestep", "1"], ["timestep", "RK4"]),
-        (["--controller", "II", "--timestep", "x"], ["not a number"]),
-    ],
-)
-def test_bad_input(arguments, words):
-    """One line says what was found and what to give."""
-    with refused(*words):
-        main(arguments)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 
 import synth.vehicle.sample_rate.cost
 import synth.vehicle.sample_rate.report
-from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, delay_text
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.stability.loop_transfer import loop_transfer
@@ -21,7 +20,7 @@ from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.plant.numerics import DesignError
-from synth.vehicle.designer import Designer, design
+from synth.vehicle.designer import design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
 from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure
 from tests.analysed import implemented_loop
@@ -288,36 +287,6 @@ def test_other_sentences(name, words, tmp_path, capsys, request):
     car.write_text(read_vehicle("quarter_car").text + '\n[controllers.mad]\nmeasured = ["sprung_velocity"]\ngain = [[2e4]]\n')
     assert main(["--vehicle", str(car) if name == "mad" else "quarter_car", "--controller", name, "--rates", "10"]) == 0
     assert prose(capsys.readouterr().out).endswith(words)
-
-
-@pytest.mark.parametrize(
-    ("rates", "words"),
-    [
-        (["0"], "--rates 0 ms is not allowed; give sample periods from 0.01 to 1000 ms"),
-        (["5", "-5"], "--rates -5 ms is not allowed"),
-        (["nan"], "'nan' is not a finite number"),
-        (["inf"], "'inf' is not a finite number"),
-        (["-inf"], "'-inf' is not a finite number"),
-        (["5", "-Infinity"], "'-Infinity' is not a finite number"),
-        (["-nan"], "'-nan' is not a finite number"),
-        (["-infra"], "expected at least one argument"),
-        (["1001"], "--rates 1001 ms is not allowed"),
-        (["1e-3"], "--rates 0.001 ms is not allowed"),
-        (["5", "6", "5"], "--rates 5 ms is given twice"),
-        (["fast"], "'fast' is not a number"),
-        ([], "expected at least one argument"),
-        ([str(1 + k / 100) for k in range(1001)], "at most 1000"),
-        (["5", "--refine"], "--rates takes designs as they are"),
-        (["5", "--prove"], "--rates takes designs as they are"),
-        (["5", "--picture", "rates.gif"], "this kind of picture cannot be written"),
-    ],
-)
-def test_bad_rates(rates, words, monkeypatch):
-    """A rate that no computer has, one given twice and an option that does not go with it are one line, before the work."""
-    monkeypatch.setattr(Designer, "design", lambda *arguments: pytest.fail("the work was begun"))
-    with pytest.raises(InputError) as caught:
-        main(["--rates", *rates])
-    assert words in str(caught.value)
 
 
 def test_what_does_not_hold_is_said(monkeypatch, capsys):

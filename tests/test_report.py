@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.common.errors import InputError
 from models.figures.figure import Bars, Classes, Curve, Figure, Panel, Shades, level, styles
 from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
@@ -197,23 +196,6 @@ def test_what_is_old_in_a_folder_is_told(as_json, tmp_path, capsys):
     else:
         assert "not of this report, and left in figures\n  gain-I.csv\n\n" in out
     assert (tmp_path / "f" / "gain-I.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--out", "report.pdf"], "ends in .html"),
-        (["--out", "/nowhere/report.html"], "no folder"),
-        (["--controller", "X"], "unknown controller"),
-        (["--timestep", "1"], "too large"),
-    ],
-)
-def test_bad_input(arguments, words, tmp_path, monkeypatch):
-    """One line, and nothing is written."""
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=words):
-        main(arguments)
-    assert not list(tmp_path.iterdir())
 
 
 def test_every_kind_of_ground_is_drawn(tmp_path):

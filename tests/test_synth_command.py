@@ -392,28 +392,6 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--controller", "nobody"], "unknown controller 'nobody'"),
-        (["--zero-l", "--controller", "state"], "--zero-l: 'state' is not designed in two steps"),
-        (["--controller", "I", "--save", "/no/such/folder/car.toml"], "there is no folder"),
-        (["--controller", "passive", "--save", "car.toml"], "nothing to write"),
-        (["--vehicle", "/no/such/file"], "there is no such file"),
-        (["--check", "models/quarter_car.toml", "--refine"], "designs nothing"),
-        (["--check", "models/quarter_car.toml", "--cross-check"], "--check designs nothing; leave one of them out"),
-        (["--refine", "--cross-check"], "--refine leaves their optima; leave one of them out"),
-        (["--controller", "passive", "--cross-check"], "has nothing to solve"),
-        (["--check", "models/half_car.toml"], "holds no controller with a gain"),
-        (["--check", "models/quarter_car.toml", "--controller", "I"], "'I' has no gain"),
-    ],
-)
-def test_bad_input(arguments, message):
-    """A mistake is one line that says what to do."""
-    with refused(match=message):
-        main(arguments)
-
-
-@pytest.mark.parametrize(
     ("certificate", "message"),
     [
         ("norms = 1.0", "unknown key 'norms' in a certificate"),
