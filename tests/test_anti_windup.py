@@ -228,30 +228,6 @@ def test_a_rate_that_rounding_hides_is_refused():
         anti_windup_gain(replace(law, anti_windup=5e-4))
 
 
-GAIN = 'measured = ["sprung_velocity"]\ngain = [[-100.0]]\n'
-
-
-@pytest.mark.parametrize(
-    ("kind", "entry", "limits", "said"),
-    [
-        ("quarter_car", LAW, "", "has anti_windup, and nothing clips its forces"),
-        ("quarter_car", GAIN, "[limits]\nactuator_force = 40.0\n", "a static gain has no states that wind up"),
-        (
-            "quarter_car",
-            'measured = ["sprung_velocity"]\n',
-            "[limits]\nactuator_force = 40.0\n",
-            "a static gain has no states that wind up",
-        ),
-        ("quarter_car_semi_active", 'semi_active = "skyhook"\n', "", "semi_active with anti_windup: it is run as it is"),
-    ],
-)
-def test_where_it_cannot_act_it_is_refused(kind, entry, limits, said):
-    """Without states, without limits, and of a semi-active law, the key is refused in one line that names the controller."""
-    text = f"{read_vehicle(kind).text}\n[controllers.mine]\n{entry}\nanti_windup = 20.0\n{limits}"
-    with refused(said, match=r"controllers[.]mine"):
-        parse_vehicle(text)
-
-
 def test_a_law_in_python_keeps_its_states_itself(tmp_path):
     """A law in Python has no anti-windup of ours."""
     (tmp_path / "law.py").write_text("def step(sample, state):\n    return 0.0, state\n")

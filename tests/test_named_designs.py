@@ -107,23 +107,6 @@ def test_saved_and_checked(tmp_path, capsys):
     assert "FAILS" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("entry", "said"),
-    [
-        ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full"),
-        ('measured = ["sprung_velocity"]\ndesign = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
-        ('measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"', 'order = "full" with design = "lqg": '),
-        ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
-        ('measured = ["sprung_velocity"]\ndesign = "lqr"', 'design = "lqr" is of the state'),
-        ('measured = ["control_force"]', "says nothing of the state"),
-    ],
-)
-def test_a_mistake_is_named(entry, said):
-    """What does not go together is refused in one line that names the controller."""
-    with refused(said, match=r"controllers[.]mine"):
-        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{entry}\n")
-
-
 def test_what_is_for_static_gains_alone(designer):
     """Refining and L = 0 are of the two steps: others are refused, not treated as a gain."""
     with pytest.raises(DesignError, match='order = "full" with --refine: it is static gains'):

@@ -22,10 +22,9 @@ from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, certify_given
-from tests.commands import in_the_suite, main_of, refused
+from tests.commands import in_the_suite, main_of
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
-HELD = "[implementation]\nsample_period = 0.01\n"
 EYE = np.eye(4)
 ROWS = {"state": EYE, "I": EYE[[0, 2]], "II": EYE[[2]]}
 
@@ -205,31 +204,6 @@ def test_what_is_printed_saved_and_driven(tmp_path, capsys):
     assert kept is not None
     assert kept.D.tolist() == row["gain"]
     assert designed["signals"] == read["signals"]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[implementation]\nsampled = true\n", r"\[implementation\] has sampled = true, and .*gives no sample period"),
-        (
-            "[implementation]\nsampled = 1\nsample_period = 0.01\n",
-            r"\[implementation\] sampled = 1 is not allowed; give true or false",
-        ),
-        ('[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\n', r"x\] has sampled = true, and .*no sample period"),
-        (
-            '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\ndesign = "lqg"\n' + HELD,
-            r'x\] design = "lqg" with sampled = true: .*; choose design = "lqg" .*or sampled = true .*the two steps',
-        ),
-        (
-            '[controllers.x]\nmeasured = ["sprung_velocity"]\nsampled = true\ngain = [[1.0]]\n' + HELD,
-            r"x\] gain with sampled = true: a law that is given is not designed",
-        ),
-    ],
-)
-def test_refused(text, message):
-    """What cannot be designed for the sampled loop is refused in one line."""
-    with refused(match=message):
-        parse_vehicle(read_vehicle("quarter_car").text + text)
 
 
 def test_refused_where_it_is_done(tmp_path, capsys):
