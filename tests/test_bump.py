@@ -89,7 +89,7 @@ def vehicle_with(folder, gain, measured="sprung_velocity"):
 
 @pytest.fixture(scope="module")
 def everything():
-    """What `--controller all --json` prints."""
+    """Returns what `--controller all --json` prints."""
     done = printed("sim.bump", "--controller", "all", "--json", "--no-logs")
     assert (done.code, done.err, list(done.folder.iterdir())) == (0, "", [])
     return done.json
@@ -280,7 +280,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
 
 
 def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):
-    """Where MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
+    """If MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
     assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (until,) = [line for line in lines if "the linear comparison does not apply from" in line]

@@ -195,7 +195,7 @@ def quarter_of(half, corner, mass):
 
 
 def test_decoupled_half_car_is_two_quarter_cars():
-    """Where a b m_s = I_y each axle of a half-car is its own quarter-car: in analysis to rounding, in MuJoCo to geometry."""
+    """If a b m_s = I_y each axle of a half-car is its own quarter-car: in analysis to rounding, in MuJoCo to geometry."""
     half = read_vehicle("half_car")
     p = dict(half.parameters)
     a, b, m = p["axle_distance_front"], p["axle_distance_rear"], p["sprung_mass"]

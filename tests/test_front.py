@@ -66,7 +66,7 @@ FEW_RATIOS = range(-1, 2)
 
 
 def quick_front(vehicle: Vehicle, name: str, axes: tuple[FrontAxis, ...], others: tuple[str, ...]) -> Front:
-    """What `quick` commands design."""
+    """Returns what `quick` commands design."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synth.vehicle.trade_off.lower_bound, "RATIOS", FEW_RATIOS)
         return front(vehicle, name, axes, others, QUICK)
@@ -126,7 +126,7 @@ def test_norms_are_those_of_a_sweep(few):
 
 
 def test_no_gain_of_a_grid_beats_the_front(few):
-    """Of many gains, all over and around the front, none is better than a design in both by more than rounding."""
+    """For many gains, all over and around the front, none is better than a design in both by more than rounding."""
     generator = np.random.default_rng(18)
     gains = np.array([point.controller.gain for point in few.points])
     axes, entry = few.axes, entry_of(few.vehicle, "I")
@@ -316,7 +316,7 @@ def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
 
 @pytest.mark.attack
 def test_a_first_ctrl_c_lets_certifying_go_on(quick, capsys, monkeypatch, tmp_path):
-    """It would keep less than one that came earlier, while designs were looked for: those are all certified, too."""
+    """A second one would keep less than one that came earlier, during the search: designs are all certified, too."""
     true, calls, path = synth.vehicle.trade_off.front.certify_tightly, itertools.count(1), tmp_path / "front.csv"
 
     def stopped(*given, **options):
@@ -350,7 +350,7 @@ def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp
 
 
 def _processor_time(pid: int) -> float:
-    """What a process has had of the processors [s]."""
+    """Returns what a process has had of the processors [s]."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:  # it is over
@@ -400,7 +400,7 @@ def test_rays():
 
 
 def test_undominated():
-    """Of points that are alike one is left, and of others those that none is as good as in all."""
+    """For points that are alike one is left, and of others those that none is as good as in all."""
     generator = np.random.default_rng(1)
     values = generator.integers(0, 6, size=(200, 3)).astype(float)
     kept = undominated(values)
@@ -431,7 +431,7 @@ def test_report(monkeypatch, few):
 
 
 def test_mujoco_tends_to_the_norm(few):
-    """What MuJoCo measures of a design tends to its norm with the first power of the step over which forces are held."""
+    """The gain of a design in MuJoCo tends to its norm with the first power of the step over which forces are held."""
     scope = Scope(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
     off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
     assert 0 < abs(off[1]) < 0.002

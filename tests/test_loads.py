@@ -414,7 +414,7 @@ def test_bad_loads_are_refused(arguments, words):
 
 
 def drive(folder, capsys, *arguments):
-    """What `sim.drive` prints, and the log that it writes."""
+    """Returns what `sim.drive` prints, and the log that it writes."""
     assert main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments]) == 0
     (log,) = folder.glob("*.mcap")
     return prose(capsys.readouterr().out), log
@@ -461,7 +461,7 @@ def test_another_line_is_found(tmp_path, capsys):
 
 @pytest.mark.parametrize("text", ["brake;1", "pull.csv;time [s],pitch [N m];0.0,1.0", "push:g=1", "", "../../etc/passwd.csv"])
 def test_described_loads_are_checked(text):
-    """What a log says of its loads is read as a stranger's: no file of that name is, and what is none is refused."""
+    """The loads of a log are read as a stranger's: no file of that name is, and what is none is refused."""
     with pytest.raises(InputError):
         described_loads([text])
 
@@ -469,7 +469,7 @@ def test_described_loads_are_checked(text):
 @pytest.mark.parametrize("kind", ["half_car", "full_car"])
 @pytest.mark.parametrize("name", ["passive", "I"])
 def test_static_angles_are_the_closed_form(kind, name):
-    """Where a loop rests is K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
+    """A loop rests at K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
     controller, p = designed(vehicle, name), vehicle.parameters
     text = "flat + brake:g=0.02 + payload:mass=5:x=0.3" + (" + corner:g=0.01" if kind == "full_car" else "")

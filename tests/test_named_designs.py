@@ -49,7 +49,7 @@ def with_designs(name: str) -> Vehicle:
 
 @pytest.fixture(scope="module", params=["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def designer(request) -> Designer:
-    """Of each vehicle that ships, with controllers of each kind."""
+    """Designs of each vehicle that ships, with controllers of each kind."""
     return Designer(with_designs(request.param))
 
 
@@ -89,7 +89,7 @@ def test_physics_follows_them_all(designer):
 
 
 def test_saved_and_checked(tmp_path, capsys):
-    """What is designed is saved with its proof, read again and checked without the solver; a changed matrix is found."""
+    """A design is saved with its proof, read again and checked without the solver; a changed matrix is found."""
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     path.write_text(with_designs("quarter_car").text)
     chosen = [part for name in ("full", "h2") for part in ("--controller", name)]
@@ -174,7 +174,7 @@ def test_a_log_is_of_the_design_that_its_vehicle_file_asks_for(kind, tmp_path, c
 
 @pytest.mark.parametrize(("change", "verdict"), [(0.0, "holds"), (1e-4, "note"), (-1.0, "FAILS")])
 def test_what_was_assumed_may_be_another_elsewhere(change, verdict):
-    """Where a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
+    """If a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
     vehicle = with_designs("quarter_car")
     controller = Designer(vehicle).design("h2")
     assert "was assumed" in " ".join(controller.remarks)

@@ -86,7 +86,7 @@ def test_no_controller_beats_it(seed):
 
 
 def test_zeros_of_what_is_measured():
-    """Of y = (s - 1) / (s + 1) w no stable loop makes w again: z = w + u has no norm below 1; of (s + 3) / (s + 1) w it has."""
+    """For y = (s - 1) / (s + 1) w no stable loop makes w again: z = w + u has no norm below 1; of (s + 3) / (s + 1) w it has."""
     plant = GeneralizedPlant(-np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
     found = find_lower_bound(plant, np.array([[-2.0]]), Dyw=np.eye(1))
     assert found.gamma == pytest.approx(1.0, rel=1e-8)  # how far below the best bound a proof may lie, 1e-9
@@ -117,7 +117,7 @@ def test_the_proof_is_kept():
 
 
 def test_what_is_shown_without_noise():
-    """Of two signals with one noise the difference is free of it, and its derivative is where that is free of the road."""
+    """For two signals with one noise the difference is free of it, and its derivative is where that is free of the road."""
     chain = GeneralizedPlant(
         np.diag(np.ones(2), 1), np.eye(3)[:, 2:], np.hstack([np.eye(3)[:, 2:], np.zeros((3, 1))]), np.eye(3), np.zeros((3, 1)),
         np.zeros((3, 2)),
@@ -178,7 +178,7 @@ def test_landscape_with_noise(seed):
 
 
 def test_slope_at_infinity():
-    """Where what is fed through from noise to z leads, the slope is that of the gain at infinity, and cuts far out have it."""
+    """If what is fed through from noise to z leads, the slope is that of the gain at infinity, and cuts far out have it."""
     plant = GeneralizedPlant(-np.eye(1), np.eye(1), np.array([[0.1, 0.0]]), np.zeros((1, 1)), np.eye(1), np.zeros((1, 2)))
     landscape = Landscape(plant, np.eye(1), np.array([[0.0, 5.0]]))
     x = landscape.point(np.array([[-2.0]]))

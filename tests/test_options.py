@@ -249,7 +249,7 @@ def test_bad_options_are_refused(row, places, monkeypatch, capsys, nothing_desig
 
 @pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in OUTPUTS.items() for option in options])
 def test_an_output_that_cannot_be_written_is_said_before_the_work(name, option, tmp_path, monkeypatch, nothing_designed):
-    """Of every output of every command, whatever stands in its way; and what can be written leaves nothing until it is.
+    """For every output of every command, whatever stands in its way; and what can be written leaves nothing until it is.
 
     Nor is anything written under a name that says that it is something else.
     """

@@ -44,7 +44,7 @@ def lost_anew(vehicle: Vehicle, controller: Controller, delay: float) -> float:
 
 @pytest.fixture
 def never_lost(found_once, monkeypatch):
-    """Where a loop is lost is not asked: that takes longer than all the rest."""
+    """Leaves out the search for a lost loop: that takes longer than all the rest."""
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "smallest_unstable_period", lambda *arguments: math.inf)
 
 
@@ -139,7 +139,7 @@ def test_the_continuous_norm_is_what_fast_rates_tend_to(name, never_lost):
 
 @pytest.mark.parametrize("rates", [RATES, pytest.param(("1", "50"), marks=pytest.mark.attack)], ids=" ".join)
 def test_table(capsys, never_lost, norms_once, rates):
-    """What is printed of every controller and rate is what JSON says, and no controller beats the lower bound."""
+    """The table of every controller and rate has JSON's numbers, and no controller beats the lower bound."""
     code, found = asked(capsys, *rates)
     assert code == 0
     assert main(["--rates", *reversed(rates)]) == 0
@@ -290,7 +290,7 @@ def test_other_sentences(name, words, tmp_path, capsys, request):
 
 
 def test_what_does_not_hold_is_said(monkeypatch, capsys):
-    """Where two routes to a norm differ, that is said, and the exit code is 1."""
+    """If two routes to a norm differ, that is said, and the exit code is 1."""
     true = synth.vehicle.sample_rate.cost.sampled_norm
     monkeypatch.setattr(
         synth.vehicle.sample_rate.cost,
@@ -303,7 +303,7 @@ def test_what_does_not_hold_is_said(monkeypatch, capsys):
 
 
 def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
-    """What is reached above the level that the norm is said to lie below fails, however near the two routes are."""
+    """A road that reaches more than the norm's upper level fails, however near the two routes are."""
     true = synth.vehicle.sample_rate.cost.sampled_norm
     monkeypatch.setattr(
         synth.vehicle.sample_rate.cost,

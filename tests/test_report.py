@@ -240,7 +240,7 @@ def test_styles_tell_controllers_apart():
 
 
 def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):
-    """Where an unstable loop is left out of some figures, the other controllers keep their colours and dashes in them."""
+    """If an unstable loop is left out of some figures, the other controllers keep their colours and dashes in them."""
     path = tmp_path / "three.toml"
     gains = {"bad": 60000.0, "mild": -5000.0, "firm": -9000.0}
     sections = [f'[controllers.{name}]\nmeasured = ["sprung_velocity"]\ngain = [[{gain}]]\n' for name, gain in gains.items()]
@@ -291,7 +291,7 @@ sprung_acceleration = 0.01
 
 
 def test_what_is_left_out_is_said(tmp_path, capsys):
-    """Of a file with I and II beside others the four are reported, and one line names the rest and how to have them.
+    """For a file with I and II beside others the four are reported, and one line names the rest and how to have them.
 
     In brief nothing else is printed but the files and who is best at what.
     """
@@ -314,7 +314,7 @@ def test_what_is_left_out_is_said(tmp_path, capsys):
 
 
 def test_a_file_without_the_papers_controllers_is_reported_whole(tmp_path, capsys):
-    """Where neither I nor II is in the file, all that is there is reported."""
+    """If neither I nor II is in the file, all that is there is reported."""
     text = read_vehicle("quarter_car").text.partition("[controllers")[0] + OTHERS
     (tmp_path / "car.toml").write_text(text)
     out = str(tmp_path / "car.html")

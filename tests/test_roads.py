@@ -517,7 +517,7 @@ def test_bad_profiles(tmp_path, text, said):
 
 
 def test_lines_may_end_in_any_way(tmp_path):
-    """Those of Unix, Windows and old Macs are the same road, and a bad line has the same number."""
+    """Line ends of Unix, Windows and old Macs give the same road, and a bad line has the same number."""
     path = tmp_path / "road.csv"
     for end in (b"\n", b"\r\n", b"\r"):
         path.write_bytes(end.join([b"distance,height", b"0,0", b"1,0.01", b"2,0", b"3,0", b""]))
@@ -529,7 +529,7 @@ def test_lines_may_end_in_any_way(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
 def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
-    """It is said that it is no UTF-8, and what to do about it."""
+    """A file that is no UTF-8 is refused, with what to do about it."""
     path = tmp_path / "road.csv"
     path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
     with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
@@ -601,7 +601,8 @@ def test_a_road_is_level_after_its_duration(road):
 
 
 def test_roads_that_cannot_be_driven():
-    """What is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is not."""
+    """A road that is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is
+    not."""
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
@@ -656,6 +657,6 @@ def test_description_is_enough(road):
     ],
 )
 def test_bad_description(description, message):
-    """What describes no road, or another one than it says, is refused."""
+    """A description of no road, or of another one than it says, is refused."""
     with pytest.raises(InputError, match=message):
         described_road(description)

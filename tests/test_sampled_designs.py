@@ -228,7 +228,7 @@ def test_one_section_alone():
 
 
 def test_what_no_gain_stabilises():
-    """Where no gain from what is measured stabilises the loop, the mode or what forbids it is named."""
+    """If no gain from what is measured stabilises the loop, the mode or what forbids it is named."""
     A, B, C = np.array([[0.0, 1], [4, 0]]), np.array([[0.0], [1]]), np.vstack([np.eye(2), np.zeros((1, 2))])
     plant = GeneralizedPlant(A, B, B, C, np.array([[0.0], [0], [1]]), np.zeros((3, 1)))
     with pytest.raises(InfeasibleError, match=r"no input reaches|no gain|no measurement|problem \(25\)") as caught:
@@ -271,7 +271,7 @@ SOME = [("quarter_car", "I", 0.5, 0), ("quarter_car", "II", 0.001, 1), ("half_ca
 
 
 def never_worse(name: str, controller: str, period: float, delay: float) -> None:
-    """What is designed for a sampled loop gains no more than the continuous design there, and than no control."""
+    """A design for a sampled loop gains no more than the continuous design there, and than no control."""
     vehicle = asked(name, period, delay)
     designer = Designer(replace(read_vehicle(name), implementation=vehicle.implementation))
     ideal, built = designer.design(controller), Designer(vehicle).design(controller)
@@ -314,7 +314,7 @@ def test_never_worse_wherever(seed):
     ],
 )
 def test_descent_finds_the_valley(paper, period, delay, known):
-    """Of one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
+    """For one gain the least norm is known by trying every gain: the descent of II finds that valley, whichever side of zero."""
     problem = SampledDataProblem(Designer(paper).plant, ROWS["II"], np.zeros((1, 1)), (HoldInterval(period, delay),))
     found = held_design(problem, 7.8, [Designer(paper).design("II").law.D])
     tried = [norm_of(problem, np.array([[sign * k]]), 8.0) for sign in (-1, 1) for k in np.geomspace(50, 1e4, 12)]
@@ -323,7 +323,7 @@ def test_descent_finds_the_valley(paper, period, delay, known):
 
 
 def test_long_delays():
-    """Of many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
+    """For many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")
     assert (
         "the LMI problem has 630 unknowns, and the two steps of a sampled loop are gone with at most 260" in found.fallback_method

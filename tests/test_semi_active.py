@@ -73,7 +73,7 @@ def test_what_a_law_asks_for(name):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_a_run_alone_is_decided_in_plain_numbers(name):
-    """What a law asks for of a run alone, in plain numbers, is what it asks for of many in arrays, to the last bit."""
+    """The request of a law for a run alone, in plain numbers, is what it asks for of many in arrays, to the last bit."""
     vehicle = parse_vehicle(f'{CAR}[controllers.{name}]\nsemi_active = "{name}"\n')
     law = vehicle.controllers[name].semi_active
     assert law is not None
@@ -107,7 +107,7 @@ def test_keys_change_a_law():
 
 
 def test_modes_are_corners():
-    """Where heave and pitch are damped alike, modal skyhook is that of the corners; one not damped asks for nothing."""
+    """If heave and pitch are damped alike, modal skyhook is that of the corners; one not damped asks for nothing."""
     by_corners = SemiActiveLaw("skyhook_linear", (), ("_front", "_rear"))
     modes = ("heave_velocity", "pitch_rate")
     modal = SemiActiveLaw("skyhook_modal", (), ("_front", "_rear"), modes)

@@ -46,7 +46,7 @@ def built(text, kind="quarter_car"):
 
 
 def push_of(stop: Stop, beyond):
-    """What a stop pushes back with where it is squeezed by so much, from its coefficients."""
+    """Returns what a stop pushes back with where it is squeezed by so much, from its coefficients."""
     return sum(k * beyond**power for power, k in enumerate(stop.stiffness, start=1))
 
 
@@ -110,7 +110,7 @@ def test_alike_stops_are_one_spring_as_before(kind):
 
 
 def test_limits_are_read_back_from_logs():
-    """What a log writes down of limits is read back as the same limits, with lists and sides."""
+    """The limits of a log are read back as the same limits, with lists and sides."""
     for kind in ("quarter_car", "full_car"):
         for stiffness in STOPS.values():
             vehicle = built(UNLIKE + stiffness + (PLACES if kind == "full_car" else ""), kind)
