@@ -315,15 +315,19 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         assert slope == pytest.approx(differences, rel=1e-3, abs=1e-3 * np.abs(slope).max())  # peaks may be close to another
 
 
-def test_the_slope_of_a_peak_over_a_road():
-    """The slope of the largest travel in the gain agrees with differences of the response itself."""
-    section = f"measured = {THREE}\nbounds = [{{ peak = 'suspension_deflection', at_most = 0.1 }}]"
-    vehicle = vehicle_with(section)
+def bounded(bound: str):
+    """The problem of gains on three measurements with one bound, and its landscape."""
+    vehicle = vehicle_with(f"measured = {THREE}\nbounds = [{{ {bound} }}]")
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    asked = goal_problem(vehicle, entry, entry.goals)
-    landscape = asked.nominal()
-    term = RoadPeak(asked.members[0].driven_by[0], landscape.scale, 0.1)
+    problem = goal_problem(vehicle, entry, entry.goals)
+    return problem, problem.nominal()
+
+
+def test_the_slope_of_a_peak_over_a_road():
+    """The slope of the largest travel in the gain agrees with differences of the response itself."""
+    problem, landscape = bounded("peak = 'suspension_deflection', at_most = 0.1")
+    term = RoadPeak(problem.members[0].driven_by[0], landscape.scale, 0.1)
     x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
     support = term.support(x, term.value(x), 0.01)
     slope = support.slopes[support.values.argmax()]
@@ -414,13 +418,8 @@ def _decaying(A, x, t):
 
 def test_the_slope_of_an_energy_peak():
     """The slope in the gain agrees with differences, for a signal with the force in it."""
-    section = f"measured = {THREE}\nbounds = [{{ energy_peak = 'control_force', at_most = 1.0 }}]"
-    vehicle = vehicle_with(section)
-    entry = vehicle.controllers["goal"]
-    assert entry.goals is not None
-    asked = goal_problem(vehicle, entry, entry.goals)
-    landscape = asked.nominal()
-    term = EnergyPeak(landscape, asked.members[0].signals[0], 1e4)
+    problem, landscape = bounded("energy_peak = 'control_force', at_most = 1.0")
+    term = EnergyPeak(landscape, problem.members[0].signals[0], 1e4)
     x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
     slope = term.support(x, term.value(x), 0.01).slopes[0]
     differences = [(term.value(x + e) - term.value(x - e)) / 2e-6 for e in 1e-6 * np.eye(3)]

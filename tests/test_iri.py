@@ -254,19 +254,3 @@ def test_printed_and_logged(capsys, monkeypatch, tmp_path):
     capsys.readouterr()
     assert inspect([str(forged), "--json"]) == 1
     assert "the iri is not that of the road" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("road", "said"),
-    [
-        ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
-        ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
-        ("iso8608:iri=301", "road iri = 301 is not allowed"),
-        ("iso8608:iri=-1", "road iri = -1 is not allowed"),
-        ("iso8608:iri=nan", "iri = 'nan' is not a finite number"),
-    ],
-)
-def test_bad_sizes(road, said):
-    """A number that is no IRI of a road is refused in a line that says what is."""
-    with pytest.raises(InputError, match=said):
-        choose_road(road)

@@ -388,31 +388,6 @@ def test_bad_files_are_refused(text, words):
         parse_history(text, "pull.csv")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--load", "brake"], ["brake", "pitches", "a quarter_car only goes up and down"]),
-        (["--load", "payload:x=1"], ["pitches", "only goes up and down"]),
-        (["--vehicle", "half_car", "--load", "corner"], ["rolls", "half_car only goes up and down and pitches"]),
-        (["--load", "push:g=1"], ["unknown load 'push:g=1'", "brake, corner, payload, lift, gust"]),
-        (["--load", "brake:gs=1"], ["gs=1", "g, hold, rise, start"]),
-        (["--load", "brake:g=x"], ["g = 'x' is not a finite number"]),
-        (["--load", "brake:g=nan"], ["g = 'nan' is not a finite number"]),
-        (["--load", "brake:g=3"], ["brake g = 3 is not allowed", "from -2 to 2"]),
-        (["--load", "brake:rise=0"], ["brake rise = 0", "from 0.001"]),
-        (["--load", "brake:g=0.1:g=0.2"], ["g is given twice"]),
-        (["--load", "payload:hold=-1"], ["hold = -1", "from 0 to inf"]),
-        (["--load", "nowhere.csv"], ["nowhere.csv"]),
-        (["--road", "bump + payload:mass=1e9"], ["mass = 1e+09"]),
-        (["--load", "payload", "--road", "flat", "--seed", "3"], ["--seed"]),
-    ],
-)
-def test_bad_loads_are_refused(arguments, words):
-    """A load that is none, or one that the vehicle cannot feel, is refused in one line."""
-    with refused(*words):
-        main(["--controller", "passive", "--no-logs", *arguments])
-
-
 def drive(folder, capsys, *arguments):
     """Returns what `sim.drive` prints, and the log that it writes."""
     assert main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments]) == 0

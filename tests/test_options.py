@@ -210,6 +210,30 @@ REFUSED = [
     ("synth", ["--rates", "5", "--refine"], "--rates takes designs as they are"),
     ("synth", ["--rates", "5", "--prove"], "--rates takes designs as they are"),
     ("synth", ["--rates", "5", "--picture", "rates.gif"], "this kind of picture cannot be written"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake"], "brake", "pitches", "a quarter_car only goes up and down"),
+    ("sim.drive", ["--controller", "passive", "--load", "payload:x=1"], "pitches", "only goes up and down"),
+    (
+        "sim.drive",
+        ["--controller", "passive", "--vehicle", "half_car", "--load", "corner"],
+        "rolls",
+        "half_car only goes up and down and pitches",
+    ),
+    (
+        "sim.drive",
+        ["--controller", "passive", "--load", "push:g=1"],
+        "unknown load 'push:g=1'",
+        "brake, corner, payload, lift, gust",
+    ),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:gs=1"], "gs=1", "g, hold, rise, start"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:g=x"], "g = 'x' is not a finite number"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:g=nan"], "g = 'nan' is not a finite number"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:g=3"], "brake g = 3 is not allowed", "from -2 to 2"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:rise=0"], "brake rise = 0", "from 0.001"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:g=0.1:g=0.2"], "g is given twice"),
+    ("sim.drive", ["--controller", "passive", "--load", "payload:hold=-1"], "hold = -1", "from 0 to inf"),
+    ("sim.drive", ["--controller", "passive", "--load", "nowhere.csv"], "nowhere.csv"),
+    ("sim.drive", ["--controller", "passive", "--road", "bump + payload:mass=1e9"], "mass = 1e+09"),
+    ("sim.drive", ["--controller", "passive", "--load", "payload", "--road", "flat", "--seed", "3"], "--seed"),
 ]
 
 

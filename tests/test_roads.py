@@ -558,6 +558,11 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
+        ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
+        ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
+        ("iso8608:iri=301", "road iri = 301 is not allowed"),
+        ("iso8608:iri=-1", "road iri = -1 is not allowed"),
+        ("iso8608:iri=nan", "iri = 'nan' is not a finite number"),
         ("road.csv:height_unit=mm:height_unit=m", "height_unit is given twice"),
     ],
 )
