@@ -12,7 +12,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.combinations import KINDS, goes, readme_tables, refusal
+from models.vehicle.combinations import COMMANDS, DEMANDS, KEYS, KINDS, goes, refusal
 from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
@@ -257,6 +257,19 @@ def test_the_table_says_what_commands_do(paper, part):
         with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
             ask("mine")
     assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))
+
+
+def readme_tables() -> list[str]:
+    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
+    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
+    lines = []
+    for columns in (KEYS, COMMANDS):
+        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
+        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
+        for row, name in rows.items():
+            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
+            lines.append([name, *cells])
+    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]
 
 
 def test_the_readme_has_the_tables():

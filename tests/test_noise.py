@@ -12,7 +12,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.lower_bound import LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import read_proof, to_record
-from synth.analysis.synthesis_inequality import noise_free_observable_rows
+from synth.analysis.synthesis_inequality import costless_reachable_subspace, transposed
 from synth.design.descent.landscape import Landscape
 from synth.design.full_order.riccati import central_law
 from synth.design.static import static_output_feedback
@@ -123,9 +123,10 @@ def test_what_is_shown_without_noise():
         np.zeros((3, 2)),
     )  # fmt: skip
     Cy, one_noise = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.0, 1.0], [0.0, 1.0]])
-    assert noise_free_observable_rows(chain, Cy).shape == (3, 3)
-    assert noise_free_observable_rows(chain, Cy, one_noise).shape == (3, 3)
-    assert noise_free_observable_rows(chain, Cy[:1], one_noise[:1]).shape == (0, 3)
+    shown = [
+        costless_reachable_subspace(transposed(chain, *rows)) for rows in ((Cy, None), (Cy, one_noise), (Cy[:1], one_noise[:1]))
+    ]
+    assert [one.shape for one in shown] == [(3, 3), (3, 3), (3, 0)]
 
 
 def test_a_road_that_is_measured():

@@ -295,9 +295,9 @@ def cells(columns: Sequence[Column[T]], ones: Iterable[T]) -> tuple[tuple[str, .
     return tuple(tuple(column.cell(one) for column in columns) for one in ones)
 
 
-def column_table(columns: Sequence[Column[T]], ones: Iterable[T], indent: str = GAP) -> list[str]:
+def column_table(columns: Sequence[Column[T]], ones: Iterable[T]) -> list[str]:
     """Returns the lines of a table for the terminal, a row per result."""
-    return table([titles(columns), *cells(columns, ones)], indent)
+    return table([titles(columns), *cells(columns, ones)])
 
 
 def json_object(columns: Iterable[Column[T]], one: T) -> dict[str, Any]:

@@ -149,16 +149,3 @@ def _with_partners(part: str, beside: str, written: str) -> str:
     names = KINDS if beside in KINDS else DEMANDS
     partners = [name.replace("`", "") for one, name in names.items() if one != part and not refusal(part, one)]
     return f"{written} (goes with {', '.join(partners)})" if partners else written
-
-
-def readme_tables() -> list[str]:
-    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
-    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
-    lines = []
-    for columns in (KEYS, COMMANDS):
-        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
-        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
-        for row, name in rows.items():
-            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
-            lines.append([name, *cells])
-    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]
