@@ -171,12 +171,7 @@ def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
         hang = len(start) - len(start.lstrip(" ")) + len(GAP)
     glued = re.sub(r"(?<=\d) (?=\S)|(?<=\+-) (?=\d)", GLUE, inner)
     lines = textwrap.wrap(
-        glued,
-        WIDTH,
-        initial_indent=start,
-        subsequent_indent=" " * hang,
-        break_long_words=False,
-        break_on_hyphens=False,
+        glued, WIDTH, initial_indent=start, subsequent_indent=" " * hang, break_long_words=False, break_on_hyphens=False
     )
     return [line.replace(GLUE, " ") for line in lines] or [start.rstrip()]
 

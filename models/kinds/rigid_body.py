@@ -187,11 +187,7 @@ class RigidBody:
 
 
 def linear_model(
-    body: RigidBody,
-    states: Sequence[Signal],
-    inputs: Sequence[Signal],
-    disturbances: Sequence[Signal],
-    outputs: Sequence[Signal],
+    body: RigidBody, states: Sequence[Signal], inputs: Sequence[Signal], disturbances: Sequence[Signal], outputs: Sequence[Signal]
 ) -> LinearModel:
     """Returns the linear model of a body on corners.
 

@@ -62,11 +62,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
     ("force", "lqr", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
-    (
-        "refine",
-        f"states {_DESIGNED} stable anti_windup {_GOALS}",
-        "it is static gains of the least norm that are refined",
-    ),
+    ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
     ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),
     ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
     ("front", "tolerance family", "a front is of one vehicle without errors"),

@@ -215,13 +215,7 @@ class Kind(Protocol):
         ...
 
 
-def read_goals(
-    where: str,
-    entry: Mapping[str, Any],
-    measured: Sequence[str],
-    outputs: Collection[str],
-    kind: Kind,
-) -> Goals:
+def read_goals(where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: Kind) -> Goals:
     """Reads the goals of a section that has some.
 
     Raises:

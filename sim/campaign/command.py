@@ -70,13 +70,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             progress.add(len(rows), took)
 
         try:
-            run_batches(
-                plan,
-                plan.batches(gaps, progress.next_batch),
-                workers,
-                options.ray is not None,
-                write,
-            )
+            run_batches(plan, plan.batches(gaps, progress.next_batch), workers, options.ray is not None, write)
         except KeyboardInterrupt:
             stage.end()
             left = sum(stop - start for start, stop in store.missing())

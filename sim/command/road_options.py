@@ -81,12 +81,7 @@ def add_run_options(parser: Parser, duration: float) -> None:
 def add_loads(parser: Parser, what: str) -> None:
     """`--load`, again and again."""
     parser.add_argument(
-        "--load",
-        dest="loads",
-        action="append",
-        default=[],
-        metavar="LOAD",
-        help=f"{what}; several act together: {LOAD_SYNTAX}",
+        "--load", dest="loads", action="append", default=[], metavar="LOAD", help=f"{what}; several act together: {LOAD_SYNTAX}"
     )
 
 

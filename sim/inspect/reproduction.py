@@ -177,12 +177,7 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
 
 
 def predicted_again(
-    log: Recorded,
-    run: RecordedRun,
-    vehicle: Vehicle,
-    controller: Driver,
-    samples: int,
-    timestep: float,
+    log: Recorded, run: RecordedRun, vehicle: Vehicle, controller: Driver, samples: int, timestep: float
 ) -> Prediction:
     """Recomputes the prediction of a run by linear analysis; for a law in Python, under the attached forces.
 

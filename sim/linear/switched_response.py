@@ -172,11 +172,7 @@ class Switched:
 
 
 def switched(
-    road: RoadInput,
-    decisions: Decisions | None,
-    commands: Array,
-    measured: tuple[str, ...],
-    as_rk4: bool = False,
+    road: RoadInput, decisions: Decisions | None, commands: Array, measured: tuple[str, ...], as_rk4: bool = False
 ) -> Switched:
     """Returns the response from rest.
 

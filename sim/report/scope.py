@@ -70,10 +70,7 @@ class Scope:
     @property
     def loop_qualifier(self) -> str:
         """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
-        words = (
-            "all forces given" * bool(self.vehicle.dampers),
-            "curves being their lines at rest" * self.vehicle.is_curved,
-        )
+        words = ("all forces given" * bool(self.vehicle.dampers), "curves being their lines at rest" * self.vehicle.is_curved)
         return "".join(f", {one}" for one in words if one)
 
     @property

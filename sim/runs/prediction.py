@@ -180,11 +180,7 @@ def smaller(prediction: Prediction, share: float) -> ScaledPrediction:
 
 
 def predict_switched(
-    controller: Driver,
-    road: RoadInput,
-    physics: Response,
-    near: float,
-    requested_force: Array | None = None,
+    controller: Driver, road: RoadInput, physics: Response, near: float, requested_force: Array | None = None
 ) -> Prediction:
     """Predicts the exact response of a vehicle with adjustable dampers, a switched linear system, in a run from rest.
 

@@ -348,10 +348,7 @@ def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
 
 
 def _simulated(
-    predictions: Sequence[Prediction],
-    time: Array,
-    vehicle: Callable[[Vehicle], Vehicle],
-    share: float = 1.0,
+    predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 

@@ -82,9 +82,7 @@ class Lifted:
         increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
         cost = later.CdCd + later.CdCd @ between
         return Lifted(
-            increment,
-            later.BdBd + second @ _symmetric(reached) @ second.T,
-            self.CdCd + first.T @ _symmetric(cost) @ first,
+            increment, later.BdBd + second @ _symmetric(reached) @ second.T, self.CdCd + first.T @ _symmetric(cost) @ first
         )
 
 

@@ -274,10 +274,7 @@ def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Arr
     k = len(N)
     eye = np.eye(k)
     derivative = np.block(
-        [
-            [np.kron(eye, Q.T) - np.kron(N.T, U.T), -np.kron(eye, U.T @ W)],
-            [np.kron(eye, basis.T), np.zeros((k * k, k * k))],
-        ]
+        [[np.kron(eye, Q.T) - np.kron(N.T, U.T), -np.kron(eye, U.T @ W)], [np.kron(eye, basis.T), np.zeros((k * k, k * k))]]
     )
     return derivative, np.concatenate([(Q.T @ W - U.T @ W @ N).ravel("F"), (basis.T @ W - eye).ravel("F")])
 

@@ -172,12 +172,7 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 
 
 def goals_design(
-    vehicle: Vehicle,
-    entry: ControllerEntry,
-    goals: Goals,
-    posed: Problem,
-    lower_bound: LowerBound,
-    on_progress: Told,
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Told
 ) -> Controller:
     """The controller of a section with goals.
 

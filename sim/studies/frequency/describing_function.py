@@ -219,10 +219,7 @@ def describing_object(one: DescribingFunction) -> dict[str, Any]:
         "without": one.without or None,
         "omega": one.omega.tolist(),
         "signals": {
-            name: {
-                "measured": finite_pairs(one.measured[:, i]),
-                "outside": [finite(share) for share in one.outside[:, i]],
-            }
+            name: {"measured": finite_pairs(one.measured[:, i]), "outside": [finite(share) for share in one.outside[:, i]]}
             for i, name in enumerate(one.outputs)
         },
         "norm": None,

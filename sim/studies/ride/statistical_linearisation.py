@@ -295,13 +295,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 
 def _with_remainder(
-    line: Equivalent,
-    controller: Controller,
-    road: Spectrum,
-    timestep: float,
-    pulls: Elements,
-    signals: list[str],
-    slopes: Array,
+    line: Equivalent, controller: Controller, road: Spectrum, timestep: float, pulls: Elements, signals: list[str], slopes: Array
 ) -> Equivalent:
     """Adds the remainders of the curves, if their iteration converges."""
     cut = continuous(line.vehicle, controller)

@@ -31,12 +31,7 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(
-    vehicle: Vehicle,
-    controller: Controller,
-    loop: LoopMargins,
-    fragile: FragilityFound,
-    box: Robustness | None,
-    timestep: float,
+    vehicle: Vehicle, controller: Controller, loop: LoopMargins, fragile: FragilityFound, box: Robustness | None, timestep: float
 ) -> Figure:
     """Draws the growth rate of the slowest mode: lines by the poles of the implemented linear loop, points from MuJoCo's runs.
 

@@ -255,9 +255,7 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     """
     hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
     used = np.abs(heights)[:, None] * np.where(
-        heights[:, None] > 0,
-        utilisation(vehicle, unit, anti_windup)[column],
-        utilisation(vehicle, hole, anti_windup)[column],
+        heights[:, None] > 0, utilisation(vehicle, unit, anti_windup)[column], utilisation(vehicle, hole, anti_windup)[column]
     )
     for i in dict.fromkeys(column.tolist()):
         mine = np.flatnonzero(column == i)

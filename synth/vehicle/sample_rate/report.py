@@ -122,11 +122,7 @@ def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
     """Returns a norm with its proof and its loss as JSON; None if the loop is not stable."""
     if not norm.stable:
         return None
-    return {
-        "value": norm.value,
-        "loss": finite(one.loss(norm)),
-        **proof_object(norm),
-    }
+    return {"value": norm.value, "loss": finite(one.loss(norm)), **proof_object(norm)}
 
 
 def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
