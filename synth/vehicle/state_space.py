@@ -130,6 +130,10 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
 def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
     """A controller as a system from what it measures to the forces, all by name: continuous, or sampled as its law is.
 
+    Args:
+        vehicle: that the controller is of.
+        controller: designed or given; its law is linear.
+
     Raises:
         InputError: it measures nothing, or is another vehicle's.
 
@@ -181,6 +185,10 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
 
     Sensors are without noise and actuators without lag. The first inputs are the road velocities [m/s]. Where the road's height
     acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
+
+    Args:
+        vehicle: its outputs are the loop's.
+        controller: designed or given; its law is linear.
 
     Example:
         >>> from models import read_vehicle
