@@ -17,7 +17,7 @@ from models.kinds.rigid_body import Bar, Corner, RigidBody
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
-AXLES = ("front", "rear")
+AXLES = rigid_body.AXLES
 SIDES = ("left", "right")
 CORNERS = tuple(f"{axle}_{side}" for axle in AXLES for side in SIDES)
 
@@ -30,22 +30,16 @@ MODES = {
 TWIST = np.array([1.0, -1.0, -1.0, 1.0])
 
 
-def _per_axle(
-    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None
-) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied) for axle in AXLES)
-
-
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y of the body about its centre of mass"),
     Parameter("roll_inertia", "kg m2", "I_x of the body about its centre of mass"),
     Parameter("track", "m", "from a left wheel to the right one"),
-    *_per_axle("axle_distance", "m", "from the centre of mass to the axle"),
-    *_per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
-    *_per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
-    *_per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
-    *_per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    *rigid_body.per_axle("axle_distance", "m", "from the centre of mass to the axle"),
+    *rigid_body.per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
+    *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
+    *rigid_body.per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
+    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
     rigid_body.CENTRE_HEIGHT,
     *(
         Parameter(
@@ -89,19 +83,7 @@ ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 
 def _body(p: Parameters) -> RigidBody:
-    corners = tuple(
-        Corner(
-            name=f"{axle}_{side}",
-            x=p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"],
-            y=_side(side, p),
-            unsprung_mass=p[f"unsprung_mass_{axle}"],
-            suspension_stiffness=p[f"suspension_stiffness_{axle}"],
-            suspension_damping=p[f"suspension_damping_{axle}"],
-            tyre_stiffness=p[f"tyre_stiffness_{axle}"],
-        )
-        for axle in AXLES
-        for side in SIDES
-    )
+    corners = tuple(Corner.on_axle(p, f"{axle}_{side}", axle, _side(side, p)) for axle in AXLES for side in SIDES)
     modes = np.stack(list(MODES.values()))
     bars = tuple(Bar(axle, 2 * i, 2 * i + 1, p[f"anti_roll_stiffness_{axle}"]) for i, axle in enumerate(AXLES))
     pitch_arm, roll_arm = links.arms(p)

@@ -12,23 +12,15 @@ from models.kinds.rigid_body import Corner, RigidBody
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
 
-CORNERS = ("front", "rear")
-
-
-def _per_corner(
-    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None
-) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{name}_{corner}", unit, f"{meaning}, {corner}", positive, varied) for corner in CORNERS)
-
-
+CORNERS = rigid_body.AXLES
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, half of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("pitch_inertia", "kg m2", "I_y of that half about its centre of mass"),
-    *_per_corner("axle_distance", "m", "from the centre of mass to the axle"),
-    *_per_corner("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
-    *_per_corner("suspension_stiffness", "N/m", "k_s"),
-    *_per_corner("suspension_damping", "N s/m", "c_s", positive=False),
-    *_per_corner("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    *rigid_body.per_axle("axle_distance", "m", "from the centre of mass to the axle"),
+    *rigid_body.per_axle("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
+    *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s"),
+    *rigid_body.per_axle("suspension_damping", "N s/m", "c_s", positive=False),
+    *rigid_body.per_axle("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
     rigid_body.CENTRE_HEIGHT,
     *links.LENGTHWAYS,
 )
@@ -58,22 +50,9 @@ ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 
 def _body(p: Parameters) -> RigidBody:
-    sides = {"front": 1.0, "rear": -1.0}
-    corners = tuple(
-        Corner(
-            name=name,
-            x=side * p[f"axle_distance_{name}"],
-            y=0.0,
-            unsprung_mass=p[f"unsprung_mass_{name}"],
-            suspension_stiffness=p[f"suspension_stiffness_{name}"],
-            suspension_damping=p[f"suspension_damping_{name}"],
-            tyre_stiffness=p[f"tyre_stiffness_{name}"],
-        )
-        for name, side in sides.items()
-    )
     pitch_arm, _ = links.arms(p)
     return RigidBody(
-        corners,
+        tuple(Corner.on_axle(p, axle, axle, 0.0) for axle in CORNERS),
         p["sprung_mass"],
         p["pitch_inertia"],
         None,

@@ -56,15 +56,15 @@ def table() -> list[str]:
 
 def roadproof() -> NoReturn:
     """Runs the installed `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
-    asked = sys.argv[1:]
+    words = sys.argv[1:]
     sys.argv[0] = "-m"
     Parser.by_verb = True
     interrupt.quiet_start()
-    if asked and asked[0] in VERBS:
+    if words and words[0] in VERBS:
         del sys.argv[1]
-        runpy.run_module(VERBS[asked[0]], run_name="__main__", alter_sys=True)
+        runpy.run_module(VERBS[words[0]], run_name="__main__", alter_sys=True)
         sys.exit(0)
-    if asked and not asked[0].startswith("-"):
+    if words and not words[0].startswith("-"):
         run_command(_unknown)
     run_command(main)
 

@@ -23,16 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.common.printed import say
     from models.figures.outputs import check_outputs
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import (
-        check_view,
-        compared_lines,
-        log_lines,
-        passive_beside,
-        recorded,
-        run_named,
-        standings_of,
-        view,
-    )
+    from sim.command import comparison
     from sim.runs.report import half_step_object, run_object, summary_lines
     from sim.runs.run import sample_times
     from sim.studies.ride.standing import standing_lines, standings_object
@@ -42,29 +33,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names, road = chosen(vehicle.controller_names, options.controller), requested_road(options)
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
-    check_view(options)
+    comparison.check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
     design = Designer(vehicle, search=False).design
-    runs = run_named(vehicle, names, design, road, time)
+    runs = comparison.run_named(vehicle, names, design, road, time)
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),
         "timestep": options.timestep,
     }
-    logs = recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
-    passive = passive_beside(runs, design)
-    standings = standings_of(runs, passive)
+    logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    passive = comparison.passive_beside(runs, design)
+    standings = comparison.standings_of(runs, passive)
     if options.json:
         print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
         lines = _titled(vehicle, road, options)
         if not options.brief:
-            for of_run in compared_lines(runs, passive):
+            for of_run in comparison.compared_lines(runs, passive):
                 lines += ["", *of_run]
         lines += ["", *standing_lines(standings, "MuJoCo, all of the run")]
-        say([*lines, *log_lines(logs, options.brief), "", *summary_lines(runs)])
-    view(options, logs)
+        say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
+    comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 
 

@@ -1,4 +1,4 @@
-"""What is claimed. Tests call in their own process what commands run, and like these have one thread of BLAS."""
+"""The claims. Tests call in their own process what commands run, and like these have one thread of BLAS."""
 
 import gc
 import os

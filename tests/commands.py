@@ -22,7 +22,7 @@ def main_of(command: str) -> Callable[[list[str]], int]:
 
 
 def prose(printed: str) -> str:
-    """What was printed with its lines joined, as a sentence that goes over several reads."""
+    """Returns what was printed with its lines joined, as a sentence that goes over several reads."""
     return " ".join(printed.split())
 
 
@@ -59,5 +59,5 @@ def in_the_suite(some: Collection[Any], cases: Iterable[Any]) -> list[Any]:
 
 
 def environment() -> dict[str, str]:
-    """That of a process which runs this checkout's commands from any folder."""
+    """Returns the environment of a process which runs this checkout's commands from any folder."""
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}

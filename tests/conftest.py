@@ -1,4 +1,4 @@
-"""What several tests share: the paper's vehicle, its designs, and vehicles drawn at random."""
+"""Fixtures of several tests: the paper's vehicle, its designs, and vehicles drawn at random."""
 
 import dataclasses
 import signal

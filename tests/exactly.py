@@ -38,7 +38,7 @@ def solved(A: Matrix, B: Matrix) -> Matrix:
 
 
 def positive_definite(M: Matrix) -> bool:
-    """Whether all pivots of a symmetric matrix are positive."""
+    """Returns True if all pivots of a symmetric matrix are positive."""
     rows = [list(row) for row in M]
     for i in range(len(rows)):
         if rows[i][i] <= 0:
@@ -50,7 +50,7 @@ def positive_definite(M: Matrix) -> bool:
 
 
 def stable(A: Matrix) -> bool:
-    """Whether every eigenvalue lies left of the imaginary axis: Routh's table of the characteristic polynomial."""
+    """Returns True if every eigenvalue lies left of the imaginary axis: Routh's table of the characteristic polynomial."""
     n = len(A)
     coefficients, M = [Fraction(1)], [[Fraction(0)] * n for _ in range(n)]
     for k in range(1, n + 1):  # Faddeev and LeVerrier

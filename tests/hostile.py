@@ -281,7 +281,7 @@ def _mutated(text: str, rng: np.random.Generator) -> str:
 
 
 def _specific(parts: Contents, rng: np.random.Generator) -> Contents:
-    """What a run is made from: absurd, but of the right form."""
+    """Returns what a run is made from: absurd, but of the right form."""
     name = _choice(rng, parts.metadata)[0]
     key, options = _choice(
         rng,

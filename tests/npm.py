@@ -8,7 +8,7 @@ import pytest
 
 
 def installed(packages: tuple[str, ...], folder: Path) -> Path:
-    """Where `node` finds these packages, from the npm registry; skips the test where they cannot be had."""
+    """If `node` finds these packages, from the npm registry; skips the test where they cannot be had."""
     if not (shutil.which("node") and shutil.which("npm")):
         pytest.skip("node and npm are not installed")
     install = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--prefix", str(folder), *packages]

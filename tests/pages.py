@@ -46,7 +46,7 @@ INSTALLS = "pip install"  # the main job and the tests: .ci/run has them, from n
 
 @dataclass(frozen=True)
 class Section:
-    """What stands under one heading of a page.
+    """The text under one heading of a page.
 
     Attributes:
         page: its path from the root of the project.
@@ -146,7 +146,7 @@ def missing(text: str, printed: str) -> str | None:
 
 
 def same_picture(drawn: Path, shown: Path) -> bool:
-    """Whether two pictures are one, but for the edges of letters."""
+    """Returns True if two pictures are one, but for the edges of letters."""
     from matplotlib.image import imread
 
     one, other = imread(drawn), imread(shown)

@@ -1,4 +1,4 @@
-"""What a report's page says, read back from its HTML as a reader has it."""
+"""The content of a report's page, read back from its HTML as a reader has it."""
 
 import html
 import re

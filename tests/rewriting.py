@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 @dataclass(frozen=True)
 class Contents:
-    """What an MCAP file of ours holds, in the order of the file."""
+    """The content of an MCAP file of ours, in the order of the file."""
 
     metadata: list[tuple[str, Mapping[str, str]]]
     attachments: list[tuple[str, str, bytes]]
@@ -50,7 +50,7 @@ class Contents:
 
 
 def contents(path: Path) -> Contents:
-    """What a log holds, by the format's own reader."""
+    """Returns what a log holds, by the format's own reader."""
     with path.open("rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()

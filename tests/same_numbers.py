@@ -1,4 +1,4 @@
-"""Whether two checkouts say the same numbers, to the last bit: `python -m tests.same_numbers OLD NEW`.
+"""Returns True if two checkouts say the same numbers, to the last bit: `python -m tests.same_numbers OLD NEW`.
 
 For changes that move code and are to change nothing. Every command runs in both with `--json`; logs that the old one wrote are
 inspected by the new one. Exit code 0: all the same. 1: what differs is listed, by command and place in the object.
@@ -52,7 +52,7 @@ def said(checkout: Path, folder: Path, command: tuple[str, ...]) -> tuple[int, A
 
 
 def differences(old: Any, new: Any, place: str = "") -> Iterator[str]:
-    """Where two objects differ."""
+    """If two objects differ."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in old.keys() | new.keys():
             if key not in ELSEWHERE:

@@ -1,4 +1,5 @@
-"""What takes long to make and several tests need, made once in a session and shared by its workers: found on disk, by content.
+"""Objects that take long to make and several tests need, made once in a session and shared by its workers: found on disk, by
+content.
 
     def test_peak(paper):
         assert designed(paper, "I").certificate.bound < 7.9
@@ -85,7 +86,7 @@ def ran(vehicle: Vehicle, *names: str, road: Road | None = None, duration: float
 
 @dataclass(frozen=True)
 class Printed:
-    """What a command left: its exit code, what it wrote to stdout and stderr, and the folder that it ran in, for reading."""
+    """The result of a command: its exit code, what it wrote to stdout and stderr, and the folder that it ran in, for reading."""
 
     code: int
     out: str
@@ -94,7 +95,7 @@ class Printed:
 
     @cached_property
     def json(self) -> Any:
-        """What it printed with `--json`."""
+        """Returns what it printed with `--json`."""
         return json.loads(self.out)
 
 

@@ -1,4 +1,4 @@
-"""What a log shows of what acted beside its signals: loads on the body, and forces of dampers and springs."""
+"""The acting forces that a log shows beside its signals: loads on the body, and forces of dampers and springs."""
 
 import json
 from dataclasses import replace
@@ -133,7 +133,7 @@ def adjusted():
 
 
 def test_a_damper_s_force_lies_between_its_limits(adjusted):
-    """What is logged is the coefficient that acted times the velocity, and the limits at that velocity on either side."""
+    """The log has the coefficient that acted times the velocity, and the limits at that velocity on either side."""
     run, log = adjusted
     found = log.acting["dampers"]
     velocity, force = found["damper_velocity"], found["damper_force"]
@@ -165,7 +165,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
 
 
 def test_curves_are_logged_as_they_are():
-    """Of a passive vehicle every force lies on its curve, a damper's over velocity and a spring's over deflection."""
+    """For a passive vehicle every force lies on its curve, a damper's over velocity and a spring's over deflection."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
     (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
     found = pulled(vehicle, run.physics)

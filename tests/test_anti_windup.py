@@ -70,7 +70,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
 
 @pytest.mark.parametrize("how", [{}, {"sample_period": 0.002, "delay": 1}], ids=["ideal", "sampled and late"])
 def test_the_exact_switched_response_has_it(how):
-    """Where forces are clipped most of the time, physics agrees with the exact switched response, in the law's states, too."""
+    """If forces are clipped most of the time, physics agrees with the exact switched response, in the law's states, too."""
     vehicle = replace(parse_vehicle(SEMI_ACTIVE, source="mine"), implementation=Implementation(**how))
     (run,) = runs_of(vehicle, ["kept"], Bump(height=0.02, length=4.0, speed=12.0), 1.5)
     assert run.passed
@@ -163,7 +163,7 @@ def test_behind_a_lag_the_linear_regime_ends_with_the_first_clipped_demand():
 
 
 def test_what_is_clipped_is_zero_while_nothing_is():
-    """Of a force that a damper gives exactly nothing is clipped, to the last bit; of others as much as the harness misses."""
+    """For a force that a damper gives exactly nothing is clipped, to the last bit; of others as much as the harness misses."""
     of = range_of([read_vehicle("quarter_car_semi_active").adjustable], ["control_force"])
     rng = np.random.default_rng(1)
     closing, forces = rng.normal(size=(1000, 1, 1)), rng.normal(size=(1000, 1, 1)) * 300
@@ -203,7 +203,7 @@ def test_the_gain_mirrors_slow_poles(seed):
 
 
 def test_a_law_that_is_designed_without_states_says_so():
-    """Where a design of full order ends in a static gain, a line says that there is no anti-windup."""
+    """If a design of full order ends in a static gain, a line says that there is no anti-windup."""
     vehicle = limited(40.0)
     static = designed(vehicle, "I")
     controller = replace(static, law=replace(static.law, anti_windup=RATE))
@@ -212,7 +212,7 @@ def test_a_law_that_is_designed_without_states_says_so():
 
 
 def test_a_state_that_shows_in_no_force_is_refused():
-    """Where a slow state acts on no force, no gain can hold it: one line says so."""
+    """If a slow state acts on no force, no gain can hold it: one line says so."""
     law = LinearLaw(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]), np.zeros((1, 1)), anti_windup=RATE)
     with refused("anti_windup = 20", "shows in no force"):
         anti_windup_gain(law.sampled(1e-3))
@@ -228,30 +228,6 @@ def test_a_rate_that_rounding_hides_is_refused():
         anti_windup_gain(replace(law, anti_windup=5e-4))
 
 
-GAIN = 'measured = ["sprung_velocity"]\ngain = [[-100.0]]\n'
-
-
-@pytest.mark.parametrize(
-    ("kind", "entry", "limits", "said"),
-    [
-        ("quarter_car", LAW, "", "has anti_windup, and nothing clips its forces"),
-        ("quarter_car", GAIN, "[limits]\nactuator_force = 40.0\n", "a static gain has no states that wind up"),
-        (
-            "quarter_car",
-            'measured = ["sprung_velocity"]\n',
-            "[limits]\nactuator_force = 40.0\n",
-            "a static gain has no states that wind up",
-        ),
-        ("quarter_car_semi_active", 'semi_active = "skyhook"\n', "", "semi_active with anti_windup: it is run as it is"),
-    ],
-)
-def test_where_it_cannot_act_it_is_refused(kind, entry, limits, said):
-    """Without states, without limits, and of a semi-active law, the key is refused in one line that names the controller."""
-    text = f"{read_vehicle(kind).text}\n[controllers.mine]\n{entry}\nanti_windup = 20.0\n{limits}"
-    with refused(said, match=r"controllers[.]mine"):
-        parse_vehicle(text)
-
-
 def test_a_law_in_python_keeps_its_states_itself(tmp_path):
     """A law in Python has no anti-windup of ours."""
     (tmp_path / "law.py").write_text("def step(sample, state):\n    return 0.0, state\n")
@@ -262,7 +238,7 @@ def test_a_law_in_python_keeps_its_states_itself(tmp_path):
 
 @pytest.mark.parametrize("value", ["0.0", "-1.0", "true", "1e9", "[[1.0]]"])
 def test_a_rate_is_a_number_above_zero(value):
-    """What is no rate is refused with what is allowed."""
+    """A number that is no rate is refused with what is allowed."""
     with refused("anti_windup = ", "1e+06 1/s", match=r"controllers[.]mine"):
         parse_vehicle(f"{SEMI_ACTIVE}\n[controllers.mine]\n{HUB}anti_windup = {value}\n")
 

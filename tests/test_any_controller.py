@@ -114,7 +114,8 @@ def test_no_command_is_forgotten():
     ],
 )
 def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicle, name):
-    """What is designed, given, sampled, noisy, in Python or semi-active is driven and judged by every command alike."""
+    """A controller that is designed, given, sampled, noisy, in Python or semi-active is driven and judged by every command
+    alike."""
     monkeypatch.chdir(tmp_path)
     takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command]])
 

@@ -89,7 +89,7 @@ def made(family: str, parts: dict[str, np.ndarray], rng: np.random.Generator) ->
 
 
 def asked(what: Callable[[], Any]) -> Any:
-    """What a call returns, or None where it says in one line why it does not; anything else fails."""
+    """Returns what a call returns, or None where it says in one line why it does not; anything else fails."""
     start, said, found = time.process_time(), "because", None
     try:
         found = what()
@@ -128,7 +128,7 @@ def ask_everything(seed: int, search: bool) -> None:
 @pytest.mark.attack
 @pytest.mark.parametrize("first", range(0, 20, 10))
 def test_no_plant_is_too_odd(first, capfd):
-    """Of 20 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+    """For 20 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for seed in range(first, first + 10):
@@ -204,7 +204,7 @@ def test_a_model_without_a_cut_has_no_lowest_point(count):
 
 
 def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
-    """It stays where it is, and its norm is the one that it had: what was reached is never lost."""
+    """A descent without a model stays where it is, and its norm is the one that it had: what was reached is never lost."""
     plant = of_lists([[-1, 1], [0, -2]], [[0], [1]], [[1], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     landscape = Landscape(plant, np.eye(2))
     x, limit = np.zeros(2), np.full(2, 1e3)
@@ -217,7 +217,7 @@ def test_a_descent_ends_where_rounding_leaves_no_model(monkeypatch):
 
 
 def test_gains_that_leave_floats_are_not_stable():
-    """Of a point whose loop is not finite the norm is infinite, and so is the real part of its last pole."""
+    """For a point whose loop is not finite the norm is infinite, and so is the real part of its last pole."""
     plant = of_lists([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
     landscape = Landscape(plant, np.eye(1))
     for far in (np.inf, np.nan):
@@ -226,7 +226,7 @@ def test_gains_that_leave_floats_are_not_stable():
 
 
 def test_a_norm_of_zero_has_its_smallest_gain():
-    """Where w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
+    """If w does not reach z the norms of all gains that are alike are zero, and the smallest of them is found as elsewhere."""
     plant = of_lists([[-1, 0], [0, -1]], [[1, 0], [0, 1]], [[1], [0]], [[0, 0]], [[0, 0]])
     landscape = Landscape(plant, np.eye(2))
     assert landscape.norm(np.zeros(4))[0] == 0
@@ -235,7 +235,8 @@ def test_a_norm_of_zero_has_its_smallest_gain():
 
 
 def test_newton_says_that_it_has_no_decrement():
-    """What underflows has no Newton step: the blocks say so, and a slope that is not finite has an infinite decrement."""
+    """A problem that underflows has no Newton step: the blocks say so, and a slope that is not finite has an infinite
+    decrement."""
     one = np.eye(2)
     with pytest.raises(np.linalg.LinAlgError, match="changes no constraint"):
         Barrier([(one, np.array([[[1.0, 0.0], [0.0, 0.0]], 1e-170 * one]))]).at(np.zeros(2))

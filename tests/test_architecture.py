@@ -171,7 +171,7 @@ def room_of(module: str) -> str:
 
 
 def is_door(room: str) -> bool:
-    """Whether a room is none, but the `__init__` or `__main__` of a package."""
+    """Returns True if a room is none, but the `__init__` or `__main__` of a package."""
     return "." not in room or room.endswith(".__main__")
 
 
@@ -187,7 +187,7 @@ def arrows() -> dict[str, set[str]]:
 
 
 def allowed(room: str) -> set[str]:
-    """What a room may import."""
+    """Returns what a room may import."""
     return {OF_ALL} - {room} | set(ROOMS[room].split())
 
 
@@ -278,7 +278,7 @@ def test_few_files():
 
 @pytest.mark.parametrize("start", REACHES)
 def test_checked_without_the_solver(start):
-    """What certifies, checks and inspects reaches only what its row allows, and no file that could call a solver."""
+    """Certifying, checking and inspecting reach only what its row allows, and no file that could call a solver."""
     ways, seen = [module for module in MODULES if f"{module}.".startswith(f"{start}.")], set()
     while ways:
         module = ways.pop()

@@ -1,4 +1,4 @@
-"""What a log is written with does not bring in what nobody asked for."""
+"""The writer of logs imports nothing that nobody asked for."""
 
 import subprocess
 import sys

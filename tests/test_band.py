@@ -118,7 +118,7 @@ def test_bands_together_are_the_axis(seed):
 
 
 def test_a_discrete_loop():
-    """Of a discrete loop the band is one of its own frequencies, and ends at pi / dt; python-control's response agrees."""
+    """For a discrete loop the band is one of its own frequencies, and ends at pi / dt; python-control's response agrees."""
     dt, slow = 0.1, oscillator(7.0, 0.05)
     held = linalg.expm(dt * np.block([[slow.A, slow.Bw], [np.zeros((1, 3))]]))
     A, B, C, D = held[:2, :2], held[:2, 2:], slow.C, slow.Dw
@@ -154,7 +154,7 @@ def test_a_pole_on_the_bands_stretch():
 
 
 def test_a_huge_gain_has_its_digits_in_a_band():
-    """Of a gain of 1e12 both routes take twice the digits, and say how far rounding may have moved the value."""
+    """For a gain of 1e12 both routes take twice the digits, and say how far rounding may have moved the value."""
     plant = GeneralizedPlant(
         A=np.array([[0.0, 1.0], [-4.0, -0.1]]),
         B=np.array([[0.0], [1.0]]),

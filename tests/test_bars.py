@@ -17,7 +17,6 @@ from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests import test_cars
 from tests.analysed import energy, simulate
-from tests.commands import refused
 
 FRONT, REAR = 24000.0, 9000.0  # N m/rad, of a passenger car
 
@@ -103,23 +102,6 @@ def test_vehicles_with_and_without_bars_are_not_stepped_side_by_side(barred):
     together = simulate([barred, softer] * 2, [passive] * 4, [road] * 4, time).response.values
     alone = simulate([softer] * 2, [passive] * 2, [road] * 2, time).response.values
     np.testing.assert_array_equal(together[1], alone[0])
-
-
-@pytest.mark.parametrize(
-    ("kind", "line", "words"),
-    [
-        ("half_car", "anti_roll_stiffness_front = 1e4", ["only heaves and pitches", "take a full_car"]),
-        ("quarter_car", "anti_roll_stiffness = 1e4", ["only goes up and down", "take a full_car"]),
-        ("full_car", "anti_roll_stiffness_front = -1.0", ["anti_roll_stiffness_front = -1.0", "from 0 to", "N m/rad"]),
-        ("full_car", "anti_roll_stiffness = 1e4", ["unknown parameter", "anti_roll_stiffness_front"]),
-        ("full_car", "anti_roll_stiffness_front = nan", ["nan", "from 0 to"]),
-    ],
-)
-def test_refusals_say_why(kind, line, words):
-    """A bar where none can be, or of no number, is refused in one line that says why."""
-    text = read_vehicle(kind).text.replace("[performance]", f"{line}\n\n[performance]", 1)
-    with refused(*words):
-        parse_vehicle(text)
 
 
 def test_a_bar_is_energy_of_its_own(barred):

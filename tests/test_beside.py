@@ -39,7 +39,7 @@ run_command(main)
 
 
 def nothing() -> Scope:
-    """What pieces of these tests are about."""
+    """Returns what pieces of these tests are about."""
     paper = read_vehicle("quarter_car")
     return Scope(paper, Designer(paper), (), 1e-3, True, print)
 

@@ -236,7 +236,7 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
 
 
 def test_a_chosen_controller_that_is_not_drawn_stands_as_it_is(campaign, capsys):
-    """Where a controller of the file is best, the saved file is that file, with a comment; a lone table leaves no best out."""
+    """If a controller of the file is best, the saved file is that file, with a comment; a lone table leaves no best out."""
     folder, _ = campaign
     options = ["--best", "force_peak", "--save", str(folder / "saved.toml"), "--brief"]
     (folder / "saved.toml").write_text(CAR)
@@ -348,7 +348,7 @@ def test_help_names_the_columns(capsys):
 
 
 def test_every_variant_is_a_point(campaign, capsys):
-    """Of a drawn law `--json` has the root mean squares of each variant, road by road; the picture has them as points."""
+    """For a drawn law `--json` has the root mean squares of each variant, road by road; the picture has them as points."""
     folder, rows = campaign
     capsys.readouterr()
     assert main([str(folder / "campaign.toml"), "--json"]) == 0

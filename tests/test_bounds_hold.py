@@ -144,7 +144,7 @@ def refuse_false_bounds(kind: str, seed: int, search: bool = False) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_controller_beats_a_bound(kind):
-    """Of a plant of every kind no bound lies above what LQ, LQG, cancelling and high gains reach, in any units."""
+    """For a plant of every kind no bound lies above what LQ, LQG, cancelling and high gains reach, in any units."""
     refuse_false_bounds(kind, KINDS.index(kind) % 2)  # of random numbers, or of halves
 
 

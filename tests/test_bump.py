@@ -20,7 +20,7 @@ from sim.runs.agreement import ROUNDING, compare
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.analysed import predict, simulate
-from tests.commands import prose, refused
+from tests.commands import prose
 from tests.shared import printed
 
 ROOT = Path(__file__).parent.parent
@@ -58,36 +58,8 @@ UNITS = {
     "control_force": "N",
 }
 
+
 # (options, what the one line says: what was found, what is allowed or known)
-BAD_OPTIONS = [
-    ([], ["no controller", "all, passive, state, I, II"]),
-    (["--controller", "III"], ["'III'", "I, II, II_printed, I_printed, passive, state, state_printed"]),
-    (["--controller", ""], ["--controller", "is empty"]),
-    (["--controller", "I", "--controller", "a\nb"], [r"'a\nb'"]),
-    (["--controller", "I", "--colour"], ["--colour", "--help"]),
-    (["--controller", "I", "--height=--"], ["--height", "'--' is not a value"]),
-    (["--controller", "I", "--height", "1", "--height", "2"], ["--height", "is given twice"]),
-    (["--controller", "I", "--vehicle", "mine.toml"], ["mine.toml", "no such file", "quarter_car"]),
-    (["--controller", "I", "--height", "high"], ["--height", "'high' is not a number"]),
-    (["--controller", "I", "--height", "nan"], ["--height", "'nan' is not a finite number"]),
-    (["--controller", "I", "--height", "-1e3"], ["height = -1000", "from -100 to 100"]),
-    (["--controller", "I", "--height", "1e-300"], ["1e-300 m", "less than 1e-05 m"]),
-    (["--controller", "I", "--length", "0"], ["length = 0", "from 0.001 to 10000"]),
-    (["--controller", "I", "--length", "-5"], ["length = -5", "from 0.001 to 10000"]),
-    (["--controller", "I", "--length", "0.02"], ["0.0016 s", "two timesteps of 0.001 s"]),
-    (["--controller", "I", "--speed", "0"], ["speed = 0", "from 0.001 to 1000"]),
-    (["--controller", "I", "--timestep", "0"], ["timestep = 0.0", "above 0"]),
-    (["--controller", "I", "--timestep", "-1e-3"], ["timestep = -0.001", "above 0"]),
-    (["--controller", "I", "--timestep", "0.05"], ["timestep = 0.05", "above 0.0444 s"]),
-    (["--controller", "I", "--timestep", "1e-300"], ["samples are too many", "1000000"]),
-    (["--controller", "I", "--duration", "0"], ["duration = 0.0", "above 0"]),
-    (["--controller", "I", "--duration", "1e300"], ["samples are too many", "1000000"]),
-    (["--controller", "I", "--duration", "0.0015"], ["duration = 0.0015", "two timesteps"]),
-    (["--controller", "I", "--logs", "/dev/null"], ["/dev/null", "folder"]),
-    (["--controller", "I", "--logs", "/dev/null/logs"], ["/dev/null/logs", "folder"]),
-]
-
-
 def run_json(capsys, *arguments):
     code = main([*arguments, "--json"])
     said = capsys.readouterr()
@@ -117,7 +89,7 @@ def vehicle_with(folder, gain, measured="sprung_velocity"):
 
 @pytest.fixture(scope="module")
 def everything():
-    """What `--controller all --json` prints."""
+    """Returns what `--controller all --json` prints."""
     done = printed("sim.bump", "--controller", "all", "--json", "--no-logs")
     assert (done.code, done.err, list(done.folder.iterdir())) == (0, "", [])
     return done.json
@@ -209,16 +181,6 @@ def test_json_names_the_logs(capsys, tmp_path):
     code, result = run_json(capsys, "--controller", "passive", "--duration", "0.1", "--logs", str(folder))
     assert code == 0
     assert sorted(result["logs"].values()) == sorted(str(path) for path in folder.iterdir())
-
-
-@pytest.mark.parametrize(("arguments", "said"), BAD_OPTIONS, ids=[" ".join(row[0]) or "nothing" for row in BAD_OPTIONS])
-def test_bad_options(tmp_path, monkeypatch, capsys, arguments, said):
-    """A bad option is refused in one line that says what was found and what is allowed; nothing is printed or written."""
-    monkeypatch.chdir(tmp_path)
-    with refused(*said):
-        main(arguments)
-    assert capsys.readouterr().out == ""
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_design_that_fails_writes_nothing(tmp_path, monkeypatch):
@@ -318,7 +280,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
 
 
 def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):
-    """Where MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
+    """If MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
     assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4)]) == 0
     lines = capsys.readouterr().out.splitlines()
     (until,) = [line for line in lines if "the linear comparison does not apply from" in line]

@@ -258,7 +258,7 @@ def test_adjustable_dampers_are_sampled(tmp_path):
     ],
 )
 def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
-    """What dampers do not share, cannot be or have not is refused in one line."""
+    """A key that dampers do not share, cannot be or do not have is refused in one line."""
     (tmp_path / "car.toml").write_text(BOTH)
     text = 'vehicles = ["car.toml"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [9.0]\n[samples]\ncount = 2\n'
     (tmp_path / "c.toml").write_text(f"{text}[samples.parameters]\n{entry}\n")
@@ -268,7 +268,7 @@ def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
 
 
 def test_a_short_road_has_no_iri(tmp_path):
-    """Of a way shorter than 11 m there is no IRI; of a car's two tracks there are four, which are of no vehicle with one."""
+    """For a way shorter than 11 m there is no IRI; of a car's two tracks there are four, which are of no vehicle with one."""
     text = (
         'vehicles = ["full_car", "quarter_car"]\ncontrollers = ["passive"]\nroads = ["iso8608:class=C"]\nspeeds = [10.0, 30.0]\n'
     )
@@ -294,7 +294,7 @@ def test_an_iri_is_of_its_road(small):
 
 
 def test_a_late_controller_has_no_exact_response_here(tmp_path):
-    """Where a controller is sampled or late, rows have neither a linear error nor linear metrics; passive's have both."""
+    """If a controller is sampled or late, rows have neither a linear error nor linear metrics; passive's have both."""
     vehicle = (ROOT / "models" / "quarter_car.toml").read_text()
     (tmp_path / "late.toml").write_text(f"{vehicle}\n[implementation]\nsample_period = 4e-3\ndelay = 1\n")
     text = QUICK.replace('"quarter_car"', '"quarter_car", "late.toml"').replace("seeds = 60", "seeds = 1")

@@ -19,18 +19,10 @@ from sim.campaign import manifest as campaign_manifest
 from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.manifest import read_manifest
+from tests import test_campaign
 from tests.commands import prose
 
-QUICK = """
-vehicles = ["quarter_car"]
-controllers = ["passive", "I_printed"]
-roads = ["iso8608:class=B", "bump:height=0.02"]
-speeds = [10.0, 20.0]
-seeds = 12
-duration = 0.2
-settle = 0.0
-timestep = 2e-3
-"""
+QUICK = test_campaign.QUICK.replace("seeds = 60", "seeds = 12")
 RUNS = 2 * 2 * (12 + 1)
 
 

@@ -65,7 +65,7 @@ def campaign_of(folder: Path, mine: str = "", many: str = "", text: str = TEXT) 
 
 
 def rows_of(file: Path, *arguments: str, results: str = "results") -> list[dict]:
-    """What a campaign comes to."""
+    """Returns what a campaign comes to."""
     folder = file.parent / results
     workers = [] if "--workers" in arguments else ["--workers", "1"]  # each has a process for laws
     assert main([str(file), "--results", str(folder), *workers, *arguments]) == 0

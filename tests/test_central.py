@@ -97,7 +97,7 @@ def _satisfies_24(plant, X, Y, eta):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("slope", [1e150, 1e170, 1e190])
 def test_a_step_too_far_is_no_warning(slope):
-    """Where a step of Newton's method leaves the range of floats its decrement says there is no centre; numpy is silent."""
+    """If a step of Newton's method leaves the range of floats its decrement says there is no centre; numpy is silent."""
     barrier = Barrier([(np.eye(2), np.array([np.diag([1e-150, 1.0]), np.diag([0.0, 1.0])]))])
     p, decrement, _ = newton(barrier, np.zeros(2), np.array([slope, -1.0]), 1e-6)
     assert np.all(np.isfinite(p))

@@ -93,7 +93,7 @@ def test_no_actuator_withholds_a_proof():
 
 @pytest.mark.parametrize("seed", [0, 1])  # the optimum at an infinite gain, and at a finite one
 def test_design_of_what_hardly_moves(seed):
-    """Where every proof along the path is beyond any actuator, the design is proved all the same."""
+    """If every proof along the path is beyond any actuator, the design is proved all the same."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((2, 2))
     plant = GeneralizedPlant(
@@ -127,7 +127,7 @@ def test_speed_is_printed(paper):
 
 @pytest.mark.parametrize(("slow", "fast"), [(5e-5, 1e3), (1e-6, 1e4)])
 def test_a_norm_of_what_nearly_cancels_has_a_bound(slow, fast):
-    """Of what follows a slow reference z sees the small difference of two large states: a bound within a factor is proved."""
+    """For what follows a slow reference z sees the small difference of two large states: a bound within a factor is proved."""
     loop = GeneralizedPlant(
         np.array([[-fast, fast, 0, 0], [0, -slow, 0, 0], [0, 0, -slow, 0], [0, 0, fast, -fast]]),
         np.zeros((4, 1)),

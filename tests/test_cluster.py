@@ -72,14 +72,14 @@ def until(happened: Callable[[], bool], what: str) -> None:
 
 
 def listens(port: int) -> bool:
-    """Whether a port of this machine answers."""
+    """Returns True if a port of this machine answers."""
     with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
         return True
     return False
 
 
 def works(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a worker of a node is at a batch; Ray calls it so."""
+    """Returns True if a worker of a node is at a batch; Ray calls it so."""
     psutil = pytest.importorskip("psutil")
     with suppress(psutil.Error):
         return any("run_timed" in " ".join(one.cmdline()) for one in psutil.Process(process.pid).children(recursive=True))
@@ -87,10 +87,10 @@ def works(process: subprocess.Popen[bytes]) -> bool:
 
 
 class Shrinking:
-    """What of Ray a campaign uses, with as many cores as it is told, the last for ever."""
+    """The part of Ray that a campaign uses, with as many cores as it is told, the last for ever."""
 
     def __init__(self, *cores: int) -> None:
-        """Those it has whenever it is asked."""
+        """Returns those it has whenever it is asked."""
         self.cores, self.most = list(cores), 0
 
     def remote(self, **options):
@@ -102,7 +102,7 @@ class Shrinking:
         return thing
 
     def cluster_resources(self):
-        """How many cores there are now."""
+        """Returns how many cores there are now."""
         return {"CPU": float(self.cores.pop(0) if len(self.cores) > 1 else self.cores[0])}
 
     def wait(self, references, num_returns):
@@ -117,7 +117,7 @@ class Shrinking:
 
 @pytest.mark.parametrize("cores", [(8, 1), (8, 4, 0, 2, 8), (1,), (0,)])
 def test_a_cluster_that_shrinks(monkeypatch, cores):
-    """Where nodes go while batches are in flight, no batch is lost, and no more are handed out than the cores left can take."""
+    """If nodes go while batches are in flight, no batch is lost, and no more are handed out than the cores left can take."""
     ray: Any = Shrinking(*cores)
     monkeypatch.setitem(sys.modules, "ray", ray)
     batches = [(i, i + 1) for i in range(50)]

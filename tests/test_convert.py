@@ -53,7 +53,7 @@ def test_weighted_loop_has_the_norm_of_the_certificate(name):
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car"])
 def test_closed_loop_answers_in_units(name):
-    """What is called like a signal is that signal, in its unit: over a bump every output moves as our response does."""
+    """A system's output is the signal of its name, in its unit: over a bump every output moves as our response does."""
     vehicle, road = read_vehicle(name), Bump()
     controller = design(vehicle, "I")
     system, own = closed_loop(vehicle, controller), continuous_response(vehicle, controller, road, TIME)

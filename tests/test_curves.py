@@ -85,7 +85,7 @@ def test_it_has_left_its_line_where_it_says():
 
 
 def test_a_fine_table_is_fewer_lines_to_the_error_it_says():
-    """Of thousands of points remain as few lines as will do, no farther from any than is said; more error, fewer lines."""
+    """For thousands of points remain as few lines as will do, no farther from any than is said; more error, fewer lines."""
     v = np.linspace(-2, 2, 4001)
     force = 1500 * np.tanh(2 * v) + 100 * v
     counts = []
@@ -183,7 +183,7 @@ def test_against_equations_written_out_and_integrated_by_scipy():
     ids=["ideal", "lagging", "late", "acceleration", "states"],
 )
 def test_rk4_is_foretold_to_rounding(more):
-    """What RK4 makes of a quarter-car with curves is foretold stage by stage: MuJoCo does just that, whatever the loop."""
+    """The error of RK4 on a quarter-car with curves is foretold stage by stage: MuJoCo does just that, whatever the loop."""
     vehicle = with_curves(more=more, **BOTH)
     time = sample_times(vehicle, 0.5, 1e-3)
     for name in vehicle.controllers if "controllers" in more else ("passive", "I"):

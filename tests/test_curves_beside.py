@@ -134,7 +134,7 @@ def test_energy_has_what_stands_beside():
 
 
 def test_limits_move_with_the_nominal_damper():
-    """What a coefficient may be beyond the nominal one is from the line at rest, whatever stands beside."""
+    """The limits of a coefficient beyond the nominal one are from the line at rest, whatever stands beside."""
     of = range_of([parse_vehicle(ROUGH + DAMPER).adjustable], ["control_force"])
     assert (of.low.item(), of.high.item()) == (-700.0, 3000.0)
 

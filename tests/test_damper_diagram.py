@@ -77,13 +77,13 @@ def test_an_adjustable_damper_stays_between_its_limits():
 
 
 def test_there_is_none_of_a_line(paper):
-    """Where every suspension is a line there is nothing to draw."""
+    """If every suspension is a line there is nothing to draw."""
     assert diagram(paper)[0] is None
 
 
 @pytest.mark.attack
 def test_a_report_has_it_where_there_is_something_to_draw(tmp_path, capsys):
-    """It is among a report's figures, and the page says that what MuJoCo is held against has the curves."""
+    """The diagram is among a report's figures, and the page says that what MuJoCo is held against has the curves."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
     asked = ["--quick", "--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--timestep", "0.002"]
     assert main([*asked, "--out", str(tmp_path / "report.html"), "--figures", str(tmp_path / "figures")]) == 0

@@ -117,13 +117,13 @@ def runs(text, *names, road=BUMP, duration=0.8):
     ],
 )
 def test_bad_dampers(old, new, said):
-    """What is wrong with [actuators] is said in one line."""
+    """A mistake in [actuators] is said in one line."""
     with refused(match=said):
         parse_vehicle(QUARTER + DAMPER.replace(old, new))
 
 
 def test_one_for_all_and_for_one():
-    """What [actuators] says goes for every suspension that has no section, and for what its section leaves out."""
+    """The keys of [actuators] go for every suspension that has no section, and for what its section leaves out."""
     text = HALF[: HALF.index("[actuators.front]")] + DAMPER + "[actuators.rear]\nc_max = 2500.0\nbandwidth = 80.0\n"
     front, rear = parse_vehicle(text).adjustable
     assert (front.force, front.damper.c_min, front.damper.c_max, front.damper.bandwidth) == (
@@ -202,7 +202,7 @@ def test_the_exact_response(name, more):
 
 @pytest.mark.parametrize("text", [pytest.param(MIXED, marks=pytest.mark.attack), BOTH], ids=["front only", "both, one lags"])
 def test_a_car(text):
-    """Where a body turns, all but geometry is exact: at a millimetre of bump every signal is within 1e-5 of its peak.
+    """If a body turns, all but geometry is exact: at a millimetre of bump every signal is within 1e-5 of its peak.
 
     Geometry is in proportion to the bump: 1e-3 of a peak at 0.1 m, 1e-5 at 1 mm.
     """

@@ -121,7 +121,7 @@ def test_nearly_dependent_signals_that_say_all(apart):
 @pytest.mark.parametrize("apart", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_design_depends_on_what_the_signals_span(seed, apart):
-    """Of the two steps: signals of which one nearly follows from the other give the loop that any others of their span give."""
+    """For the two steps: signals of which one nearly follows from the other give the loop that any others of their span give."""
     rng = np.random.default_rng(seed)
     plant, Cy = plant_with_feedthrough(seed), np.linalg.qr(rng.standard_normal((5, 3)))[0].T
     plant = replace(plant, A=plant.A - (np.linalg.eigvals(plant.A).real.max() + 0.2) * np.eye(5))  # so that 3 signals suffice
@@ -135,7 +135,7 @@ def test_a_design_depends_on_what_the_signals_span(seed, apart):
 
 
 def test_rounding_that_ends_l_is_said():
-    """Where X leaves (14) no inverse there is a reason in words, not numpy's error."""
+    """If X leaves (14) no inverse there is a reason in words, not numpy's error."""
     with pytest.raises(DesignError, match=r"L \(14\) could not be computed: C_y X C_y' is singular to rounding"):
         l_matrix(np.diag([1.0, 0, 0]), np.eye(3)[1:], np.eye(3)[:, :1])
 
@@ -405,7 +405,7 @@ def test_sampled_state_space_is_a_discrete_plant(space):
     ],
 )
 def test_a_mode_that_no_static_gain_damps_is_named(A, Cy, message):
-    """Where what is measured leaves the sum or the sign of the product of the poles, the mode in the way is named, and why."""
+    """If what is measured leaves the sum or the sign of the product of the poles, the mode in the way is named, and why."""
     force, nothing = np.array([[0.0], [1.0]]), np.zeros((2, 1))
     plant = GeneralizedPlant(A=np.array(A), B=force, Bw=force, C=np.diag([1.0, 0.0]), D=0.1 * force, Dw=nothing)
     with pytest.raises(InfeasibleError, match=message) as caught:

@@ -203,7 +203,7 @@ def test_designs_tend_to_the_continuous_ones(paper, name):
 
 
 def test_conditioning_at_a_megahertz(paper):
-    """Where A is I to five digits designs are still proved, and refined ones, too."""
+    """If A is I to five digits designs are still proved, and refined ones, too."""
     plant, Cy = held(Designer(paper).plant, 1e-6), MEASURED["I"]
     design = two_step_design(plant, Cy)
     assert design.certificate.failures == ()
@@ -237,7 +237,7 @@ def test_refined_at_any_period(dt):
 
 
 def test_no_refinement_is_worse_than_its_start(monkeypatch):
-    """Where the landscape overlooks a peak, the gain that its own loop finds worse is not returned."""
+    """If the landscape overlooks a peak, the gain that its own loop finds worse is not returned."""
     plant, Cy = random_plant(1, radius=0.9)
     K = np.zeros((plant.B.shape[1], len(Cy)))
     far = np.full(K.shape, 0.02)
@@ -433,7 +433,7 @@ def test_bad_periods(dt, message):
     ],
 )
 def test_what_cannot_be_stabilised(A, B, Cy, message):
-    """Where no gain stabilises a discrete plant the mode, or what forbids it, is named in one line."""
+    """If no gain stabilises a discrete plant the mode, or what forbids it, is named in one line."""
     A, B, Cy = (np.array(part, dtype=float) for part in (A, B, Cy))
     C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0], [1]])
     plant = GeneralizedPlant(A, B, np.eye(2), C, D, np.zeros((3, 2)), dt=0.1)
@@ -443,7 +443,7 @@ def test_what_cannot_be_stabilised(A, B, Cy, message):
 
 
 def test_an_integrator_that_z_does_not_see():
-    """Where z does not see a mode on the circle there is no optimum, and it is said where that is."""
+    """If z does not see a mode on the circle there is no optimum, and it is said where that is."""
     A, B = np.array([[1.0, 0], [0, 0.5]]), np.array([[1.0], [1]])
     plant = GeneralizedPlant(A, B, np.eye(2), np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.zeros((2, 2)), dt=0.1)
     with pytest.raises(DesignError, match="z does not see the mode at z = 1, which does not decay"):
@@ -451,7 +451,7 @@ def test_an_integrator_that_z_does_not_see():
 
 
 def test_formulas_of_continuous_plants_refuse_discrete_ones(paper):
-    """What is not done for discrete plants is refused, and not done as if they were continuous."""
+    """A formula of continuous plants refuses discrete ones, and not done as if they were continuous."""
     plant = held(Designer(paper).plant, 1e-2)
     with pytest.raises(InputError, match=r"the plant is discrete \(dt = 0.01\)"):
         invariant_limit(plant)

@@ -13,7 +13,7 @@ from sim.drive import main
 from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers
 from sim.studies.ride.metrics import metrics_of
-from tests.commands import prose, refused
+from tests.commands import prose
 
 
 def run_json(capsys, *arguments):
@@ -108,7 +108,7 @@ def test_full_car_in_words(capsys, tmp_path):
 
 @pytest.mark.parametrize("seed", ["1", *(pytest.param(seed, marks=pytest.mark.attack) for seed in "23")])
 def test_verdict_before_a_wheel_lifts(capsys, seed):
-    """Where a wheel lifts within a moment, the time before it agrees, though the body turns: later says nothing of that."""
+    """If a wheel lifts within a moment, the time before it agrees, though the body turns: later says nothing of that."""
     arguments = [
         "--vehicle",
         "half_car",
@@ -129,31 +129,6 @@ def test_verdict_before_a_wheel_lifts(capsys, seed):
     assert "  agrees" in out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "no controller is given"),
-        (["--controller", "I", "--class", "I"], "unknown road class 'I'"),
-        (["--controller", "I", "--class", "A", "--road", "bump"], "not both"),
-        (["--controller", "I", "--seed", "1.5"], "'1.5' is not a whole number"),
-        (["--controller", "I", "--seed", "-1"], "seed = -1"),
-        (["--controller", "I", "--speed", "0"], "speed = 0"),
-        (["--controller", "I", "--road", "gravel"], "unknown road 'gravel'"),
-        (["--controller", "I", "--road", "pothole:length=0.01:edge=0.005"], "two timesteps"),
-        (["--controller", "I", "--road", "bump:track=left"], "only one track"),
-        (["--controller", "I", "--duration", "nan"], "finite"),
-        (["--controller", "I", "--logs", "/dev/null"], "folder"),
-    ],
-)
-def test_bad_options(capsys, tmp_path, monkeypatch, arguments, said):
-    """A bad option is refused in one line, and nothing is printed or written."""
-    monkeypatch.chdir(tmp_path)
-    with refused(said):
-        main(arguments)
-    assert capsys.readouterr().out == ""
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_run_that_ends_early_has_no_metrics(capsys):
     """On a flat tyre a run breaks off: what and when is said, no number of it is printed as a metric, and JSON has nulls."""
     arguments = ["--controller", "I", "--road", "step:height=1", "--duration", "1", "--no-logs"]
@@ -169,7 +144,7 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
 
 
 def test_what_an_error_is_of_is_said(capsys):
-    """Where the comparison ends, the table says until when its errors are; where it does not, they are of the whole run."""
+    """If the comparison ends, the table says until when its errors are; where it does not, they are of the whole run."""
     about = "peak and rms: of the whole run"
     assert main(["--controller", "I", "--class", "D", "--duration", "3", "--no-logs"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -182,7 +157,8 @@ def test_what_an_error_is_of_is_said(capsys):
 
 
 def test_what_metrics_rest_on_is_said(capsys):
-    """How much of the variance is there when measuring begins, what is approximate, and what is in one column alone."""
+    """The table says which share of the variance is there when measuring begins, what is approximate, and what is in one
+    column alone."""
     arguments = ["--controller", "passive", "--class", "C", "--duration", "4", "--no-logs"]
     _, result = run_json(capsys, *arguments)
     (run,) = result["runs"]
@@ -208,7 +184,7 @@ def test_what_metrics_rest_on_is_said(capsys):
 
 
 def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
-    """Of limits, and of noise on what is measured, a sentence says that only MuJoCo's numbers have them."""
+    """For limits, and of noise on what is measured, a sentence says that only MuJoCo's numbers have them."""
     text = read_vehicle("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\n[implementation]\n"
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
     main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
@@ -218,7 +194,7 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
 
 
 def test_why_the_comparison_ends_is_said(paper, designer):
-    """Where it ends before the first lift-off, that a tyre may leave the road within a step is said; at a lift-off, nothing."""
+    """If it ends before the first lift-off, that a tyre may leave the road within a step is said; at a lift-off, nothing."""
     run = run_controllers(paper, [designer.design("passive")], Bump(), np.arange(200) * 1e-3)[0]
     for until, said in ((0.05, True), (0.1, False)):
         agreement = dataclasses.replace(run.agreement, ended={**run.agreement.ended, "lift-off": 0.1}, until=until)

@@ -1,4 +1,4 @@
-"""What road and actuators put into a run is found again: stored, or dissipated."""
+"""The energy that road and actuators put into a run is found again: stored, or dissipated."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""How far signals go for a disturbance of given energy: norms and proofs."""
+"""Peaks of signals for a disturbance of given energy: norms and proofs."""
 
 import dataclasses
 
@@ -107,7 +107,7 @@ def test_nothing_disturbs(designer):
 
 
 def test_bad_input(designer):
-    """What does not fit, an unstable loop and a discrete plant are refused in one line each."""
+    """A wrong shape, an unstable loop and a discrete plant are refused in one line each."""
     plant, G, Cs, Ds = designer.plant, np.zeros((1, 4)), np.eye(4)[:1], np.zeros((1, 1))
     for arguments, said in [
         ((dataclasses.replace(plant, dt=0.1), G, Cs, Ds), "is done for continuous ones alone"),

@@ -113,7 +113,7 @@ def test_why_it_is_disputed():
 
 
 def test_outside_the_linear_regime():
-    """Where a bump stop is touched MuJoCo's own least load is given, as on a plate driven like a rig, and is no failure."""
+    """If a bump stop is touched MuJoCo's own least load is given, as on a plate driven like a rig, and is no failure."""
     vehicle, h = car("[limits]\nsuspension_stroke = 1e-3\nstop_stiffness = 1e5\n"), 5e-4
     ((load,),) = minimum_loads(vehicle, [design(vehicle, "passive")], h)
     assert load.ended == ("bump stop",)
@@ -127,7 +127,7 @@ def test_outside_the_linear_regime():
 
 
 def test_curve():
-    """Where a damper has a curve MuJoCo's least load is the curve's, held to no line of it, and a digressive one leaves less."""
+    """If a damper has a curve MuJoCo's least load is the curve's, held to no line of it, and a digressive one leaves less."""
     curve = "[curves]\nsuspension_damping = { velocity = [-1.0, -0.2, 0, 0.2, 1.0], force = [-700, -360, 0, 360, 700] }\n"
     text = car().text.replace("suspension_damping = 1800.0\n", "") + curve
     straight, curved = (minimum_loads(one, [design(one, "passive")], H)[0][0] for one in (car(), parse_vehicle(text)))

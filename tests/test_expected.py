@@ -1,4 +1,4 @@
-"""What ride metrics are expected to be over random roads, from the spectrum: by closed forms, covariances and sums over lines."""
+"""Expected ride metrics over random roads, from the spectrum: by closed forms, covariances and sums over lines."""
 
 import dataclasses
 import functools
@@ -258,7 +258,7 @@ def test_lightly_damped(paper, wide_band, damping):
 
 @pytest.mark.parametrize(("damping", "short"), [(0.07, False), (2e-4, True)])
 def test_what_an_expectation_is_off_is_said(paper, damping, short):
-    """Where resonances are narrower than the lines of the road are apart, the error says that a sum is no integral."""
+    """If resonances are narrower than the lines of the road are apart, the error says that a sum is no integral."""
     p = paper.parameters
     rate = np.sqrt(p["suspension_stiffness"] / p["sprung_mass"])
     light = dataclasses.replace(paper, parameters=p | {"suspension_damping": 2 * damping * rate * p["sprung_mass"]})

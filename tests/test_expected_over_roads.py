@@ -1,4 +1,4 @@
-"""What ride metrics are expected to be is what they are over many random roads, in linear responses and in MuJoCo."""
+"""The expected ride metrics are those measured over many random roads, in linear responses and in MuJoCo."""
 
 import numpy as np
 import pytest

@@ -19,7 +19,8 @@ from tests.pages import section
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
 def test_it_is_what_a_drive_expects(name):
-    """It is `sim.drive`'s expectation of the loop that a computer runs, for short steps: half as far at half a step."""
+    """The expected ride is `sim.drive`'s expectation of the loop that a computer runs, for short steps: half as far at half a
+    step."""
     vehicle = read_vehicle(name)
     spectrum = Iso8608("C", speed=20.0, track_width=track_width(vehicle)).spectrum
     designer = Designer(vehicle, search=False)

@@ -85,7 +85,7 @@ def test_a_loop_is_rounded_once():
 
 
 def test_a_norm_that_rounding_may_have_moved_is_said_so(monkeypatch):
-    """Where no digits are won in time the certificate fails, and says by how much the norm may be off."""
+    """If no digits are won in time the certificate fails, and says by how much the norm may be off."""
     plant, G = next((plant, G) for plant, G in map(stiff, range(40)) if np.abs(G).max() > 1e12)
     assert certify(plant, G).failures == ()
     monkeypatch.setattr(extended, "MOST_TURNS", 1)

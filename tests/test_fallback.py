@@ -1,4 +1,4 @@
-"""Where the two steps cannot be gone to their end, descent goes on, and it is said in the table and in JSON."""
+"""If the two steps cannot be gone to their end, descent goes on, and it is said in the table and in JSON."""
 
 import dataclasses
 import json
@@ -91,7 +91,7 @@ def test_where_there_is_no_path_descent_goes_on(performance, reason, best):
 
 
 def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
-    """Where rounding leaves no proof of a bound the gain comes with its norm, and that there is no bound is said."""
+    """If rounding leaves no proof of a bound the gain comes with its norm, and that there is no bound is said."""
     monkeypatch.setattr(design, "MOST", 14)
     monkeypatch.setattr(static, "certify_tightly", lambda plant, G, below, by_itself: certify(plant, G, lower_bound=below))
     found = Designer(designer.vehicle).design("II")
@@ -103,7 +103,7 @@ def test_a_gain_without_a_proof_is_said_to_be(designer, monkeypatch):
 
 
 def test_what_has_no_solution_is_not_searched_for():
-    """Where problem (25) has no solution from any X, that is the answer; x'' = x + u from x' has no static gain."""
+    """If problem (25) has no solution from any X, that is the answer; x'' = x + u from x' has no static gain."""
     C, D = np.vstack([np.eye(2), np.zeros((1, 2))]), np.array([[0.0], [0.0], [1.0]])
     plant = GeneralizedPlant(
         np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[0.0], [1.0]]), np.ones((2, 1)), C, D, np.zeros((3, 1))
@@ -113,7 +113,7 @@ def test_what_has_no_solution_is_not_searched_for():
 
 
 def test_one_broken_path_is_no_proof(monkeypatch, designer):
-    """Where (25) is infeasible from some X and its path breaks off from another, there may be a gain: no InfeasibleError."""
+    """If (25) is infeasible from some X and its path breaks off from another, there may be a gain: no InfeasibleError."""
     turns = iter([InfeasibleError("no solution"), DesignError("broke off")])
 
     def fails(*_):

@@ -37,7 +37,7 @@ def six(paper) -> list[GeneralizedPlant]:
 
 
 def check_proved(design: SlackDesign, plants, Cys) -> None:
-    """What a design claims, by the norms and proofs of its loops computed here."""
+    """Returns what a design claims, by the norms and proofs of its loops computed here."""
     norms = [hinf_norm(plant.closed_loop(Feedback(design.gain, Cy))).value for plant, Cy in zip(plants, Cys, strict=True)]
     assert design.worst == max(norms)
     assert design.worst <= design.proved <= design.worst * (1 + 1.1e-6)  # the closest proof that is tried
@@ -50,7 +50,7 @@ def check_proved(design: SlackDesign, plants, Cys) -> None:
 
 @pytest.mark.parametrize(("name", "most"), [pytest.param("I", 12.533, marks=pytest.mark.attack), ("II", 12.517)])
 def test_family_of_six(paper, six, name, most):
-    """Of six cars, for which one X finds nothing, the worst norm is near what the worst car alone admits: 12.51487."""
+    """For six cars, for which one X finds nothing, the worst norm is near what the worst car alone admits: 12.51487."""
     Cys = [measured(paper, paper.controllers[name].measured)] * 6
     design = slack_design(six, Cys)
     check_proved(design, six, Cys)
@@ -60,7 +60,7 @@ def test_family_of_six(paper, six, name, most):
 
 
 def test_one_plant(paper, designer):
-    """Of one plant the gains have lower norms than those of the paper's two steps, whose X is W."""
+    """For one plant the gains have lower norms than those of the paper's two steps, whose X is W."""
     for name in ("I", "II"):
         Cys = [measured(paper, paper.controllers[name].measured)]
         design = slack_design([designer.plant], Cys)
@@ -160,7 +160,7 @@ def test_units_do_not_matter(paper, designer):
 
 
 def test_what_cannot_be_stabilised():
-    """Where no gain stabilises all plants this is said, with every f that was tried."""
+    """If no gain stabilises all plants this is said, with every f that was tried."""
     plants = [
         GeneralizedPlant(
             A=np.array([[1.0]]), B=np.array([[b]]), Bw=np.eye(1), C=np.eye(1), D=np.zeros((1, 1)), Dw=np.zeros((1, 1))
@@ -172,7 +172,7 @@ def test_what_cannot_be_stabilised():
 
 
 def test_bad_input(designer):
-    """What does not fit is refused in one line that says what fits."""
+    """A wrong shape is refused in one line that says what fits."""
     plant, Cy = designer.plant, np.eye(4)[:2]
     smaller = GeneralizedPlant(
         A=-np.eye(2), B=np.ones((2, 1)), Bw=np.ones((2, 1)), C=np.eye(2), D=np.zeros((2, 1)), Dw=np.zeros((2, 1))

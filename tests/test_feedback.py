@@ -1,4 +1,4 @@
-"""What is claimed of u = K y is true of it in exact arithmetic, however much of K C_y cancels."""
+"""A claim on u = K y is true of it in exact arithmetic, however much of K C_y cancels."""
 
 from fractions import Fraction
 

@@ -26,7 +26,7 @@ def write(path: Path, text: str = "new") -> None:
 
 
 def alone(folder: Path, *names: str) -> bool:
-    """Whether a folder holds just these."""
+    """Returns True if a folder holds just these."""
     return sorted(path.name for path in folder.iterdir()) == sorted(names)
 
 
@@ -46,7 +46,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
 
 @POSIX
 def test_a_link_stays_a_link(tmp_path):
-    """What a link points to is written, through links to links, also where it is not there yet; a hard link keeps what it had."""
+    """The target of a link is written, through links to links, also where it is not there yet; a hard link keeps what it had."""
     target = tmp_path / "target.csv"
     (tmp_path / "first").symlink_to("second")
     (tmp_path / "second").symlink_to(target)
@@ -112,7 +112,7 @@ def test_what_is_anothers_is_whole_or_as_it_was(tmp_path, monkeypatch, sticky):
 @POSIX
 @pytest.mark.parametrize("kind", ["hard link", "plain"])
 def test_a_disk_that_is_full_leaves_the_old_content(tmp_path, kind):
-    """Where less is free than is written, every name of a file still holds all of what it held."""
+    """If less is free than is written, every name of a file still holds all of what it held."""
     old, file, other = "old\n", tmp_path / "r.csv", tmp_path / "o.csv"
     file.write_text(old)
     if kind == "hard link":

@@ -344,7 +344,7 @@ BAD = [
 
 @pytest.mark.parametrize(("line", "expected"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
 def test_bad_filters(line, expected):
-    """What is no filter is refused in one line that says what it found and what is allowed."""
+    """A filter that is none is refused in one line that says what was found and what is allowed."""
     with pytest.raises(InputError) as caught:
         parse_vehicle(file_with(line))
     message = str(caught.value)

@@ -32,7 +32,7 @@ def honest(designer):
 
 
 def failures(designer, controller, record) -> tuple[str, ...]:
-    """What `--check` says of a record; it reads TOML and JSON, so numbers go through text."""
+    """Returns what `--check` says of a record; it reads TOML and JSON, so numbers go through text."""
     entry = ControllerEntry("forged", controller.measured, controller.law, json.loads(json.dumps(record)))
     vehicle = dataclasses.replace(designer.vehicle, controllers={"forged": entry})
     (row,) = check(Designer(vehicle), None)
@@ -145,7 +145,7 @@ def first_order(c: float, d: float) -> GeneralizedPlant:
 
 
 def test_flat_peak():
-    """Where the gain is the same at every frequency each of them is a peak; where it is not, only that of the norm."""
+    """If the gain is the same at every frequency each of them is a peak; where it is not, only that of the norm."""
     flat = certify(first_order(-2.0, 1.0), np.zeros((1, 1)))
     assert all(flat.peaks_at(omega) for omega in (0.0, 1e-5, 1.0, 1e5))
     low = certify(first_order(1.0, 0.0), np.zeros((1, 1)))
@@ -178,7 +178,8 @@ def test_norm_of_poles_that_nearly_meet(apart, claim):
 
 
 def test_bound_is_rounded_upwards():
-    """What eta proves is never more than the bound that is claimed, to the last bit, both ways; nor is what it prints as one."""
+    """The bound that eta proves is never more than the bound that is claimed, to the last bit, both ways; nor is what it
+    prints as one."""
     rng, any_ = np.random.default_rng(0), definiteness(np.eye(1))
     for bound in 10.0 ** rng.uniform(-60, 60, 300):
         eta = eta_of(bound)
@@ -188,7 +189,7 @@ def test_bound_is_rounded_upwards():
 
 
 def test_matrix_of_the_proof():
-    """What is judged is the matrix of (20) in rational arithmetic, whatever the sizes of its numbers, rounded once."""
+    """The judged matrix is that of (20) in rational arithmetic, whatever the sizes of its numbers, rounded once."""
     rng = np.random.default_rng(1)
     for n, m, r, d in ((1, 1, 1, 1), (4, 2, 1, 3), (3, 0, 2, 1), (2, 1, 0, 2)):
         shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (d, n), "D": (d, m), "Dw": (d, r)}
@@ -230,7 +231,7 @@ def hold_to_the_truth(rng, count: int) -> int:
 
 @pytest.mark.parametrize("count", [100, pytest.param(5000, marks=pytest.mark.attack)])
 def test_definiteness(count):
-    """What is proved is true, next to singularity, in rows of all sizes; and what is well beyond rounding is proved."""
+    """A proof is true next to singularity, in rows of all sizes; and what is well beyond rounding is proved."""
     assert 0.2 < hold_to_the_truth(np.random.default_rng(2), count) / count < 0.8  # neither all nor none: the question was hard
     assert not definiteness(np.array([[1.0, np.nan], [np.nan, 1.0]])).proved
     assert not definiteness(np.array([[1.0, 0.0], [0.0, np.inf]])).proved
@@ -351,7 +352,7 @@ def attack_at_the_edge(rng, count: int) -> tuple[int, int]:
     ("seed", "count", "more", "some"), [(6, 100, 10, 0), pytest.param(7, 1500, 200, 15, marks=pytest.mark.attack)]
 )
 def test_no_proof_at_the_edge_is_rounding(seed, count, more, some):
-    """Where the last digits of eta or of X decide, what is proved is true; without the allowance some of it would not be."""
+    """If the last digits of eta or of X decide, what is proved is true; without the allowance some of it would not be."""
     proved, fooled = attack_at_the_edge(np.random.default_rng(seed), count)
     assert proved > more
     assert fooled > some

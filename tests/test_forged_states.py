@@ -50,7 +50,7 @@ def proved(vehicle: Vehicle, law: LinearLaw, name: str = "mine") -> Controller:
 
 
 def failures(vehicle: Vehicle, controller: Controller, law: LinearLaw, record: dict) -> tuple[str, ...]:
-    """What `--check` says of a law and a record, which go through text."""
+    """Returns what `--check` says of a law and a record, which go through text."""
     entry = ControllerEntry("mine", controller.measured, law, json.loads(json.dumps(record)))
     (row,) = check(Designer(dataclasses.replace(vehicle, controllers={"mine": entry})), None)
     assert ("checked: every claim of its certificate holds" in row.notes) == (not row.failures)
@@ -158,7 +158,7 @@ def log(request, tmp_path_factory):
 
 
 def inspected(path, capsys) -> tuple[int, list]:
-    """What sim.inspect says of a log."""
+    """Returns what sim.inspect says of a log."""
     capsys.readouterr()
     code = inspect([str(path), "--json"])
     found = json.loads(capsys.readouterr().out)

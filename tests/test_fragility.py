@@ -1,4 +1,4 @@
-"""How large errors of readings and forces a law bears, proved below and found above; and laws rounded to what computers hold."""
+"""The errors of readings and forces that a law bears, proved below and found above; and laws rounded to what computers hold."""
 
 import json
 from dataclasses import replace
@@ -161,7 +161,7 @@ def test_errors_inside_a_box_may_do_most():
 
 
 def test_several_forces_are_off_too():
-    """Of several forces each is off by itself; of one, which is off as all its readings are, none is."""
+    """For several forces each is off by itself; of one, which is off as all its readings are, none is."""
     one, two = _random(0)[0], _random(1)[0]
     assert (one.forces, two.forces) == (1, 2)
     assert not np.any(fragility(one).stable.forces)
@@ -169,14 +169,14 @@ def test_several_forces_are_off_too():
 
 
 def test_an_unstable_loop_is_no_question():
-    """How much a loop bears that is unstable as it is has no answer."""
+    """A loop that is unstable as it is bears no error."""
     gain, _ = _random(0)
     with pytest.raises(ValueError, match="unstable as it is"):
         fragility(replace(gain, plant=replace(gain.plant, A=gain.plant.A + 10 * np.eye(len(gain.plant.A)))))
 
 
 def test_more_errors_than_corners_are_looked_at():
-    """Of more errors at once than a proof is tried of nothing is proved, and that is said; the worst of them are found."""
+    """For more errors at once than a proof is tried of nothing is proved, and that is said; the worst of them are found."""
     gain, generator = _random(0)
     copies = 14  # sensors of the same two signals, each with a share of the gain
     shares = generator.uniform(0.05, 0.1, copies)
@@ -248,7 +248,7 @@ def test_the_command_prints_what_its_json_has(capsys):
 
 
 def test_a_discrete_law_is_its_continuous_counterpart(tmp_path, capsys):
-    """Of a discrete law with states, errors are those of its continuous counterpart, whose norm is printed above."""
+    """For a discrete law with states, errors are those of its continuous counterpart, whose norm is printed above."""
     path = tmp_path / "car.toml"
     law = "A = [[0.5]]\nB = [[0.5]]\nC = [[-4000.0]]\nD = [[-2000.0]]\nsample_period = 0.005\n"
     car = f"{read_vehicle('quarter_car').text}\n[implementation]\nsample_period = 0.005\n"
@@ -260,7 +260,7 @@ def test_a_discrete_law_is_its_continuous_counterpart(tmp_path, capsys):
 
 
 def test_check_and_rates_know_nothing_of_it():
-    """What asks for other answers is refused beside it, in a line."""
+    """Options for other answers are refused beside it, in a line."""
     for arguments in (["--check", "models/quarter_car.toml"], ["--rates", "1"]):
         with pytest.raises(InputError, match="goes with"):
             main([*arguments, "--fragility"])

@@ -35,7 +35,7 @@ from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
-from tests.commands import attacks, prose, refused
+from tests.commands import attacks, prose
 from tests.shared import made
 
 COUNT, QUICK = 12, 5
@@ -66,7 +66,7 @@ FEW_RATIOS = range(-1, 2)
 
 
 def quick_front(vehicle: Vehicle, name: str, axes: tuple[FrontAxis, ...], others: tuple[str, ...]) -> Front:
-    """What `quick` commands design."""
+    """Returns what `quick` commands design."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synth.vehicle.trade_off.lower_bound, "RATIOS", FEW_RATIOS)
         return front(vehicle, name, axes, others, QUICK)
@@ -126,7 +126,7 @@ def test_norms_are_those_of_a_sweep(few):
 
 
 def test_no_gain_of_a_grid_beats_the_front(few):
-    """Of many gains, all over and around the front, none is better than a design in both by more than rounding."""
+    """For many gains, all over and around the front, none is better than a design in both by more than rounding."""
     generator = np.random.default_rng(18)
     gains = np.array([point.controller.gain for point in few.points])
     axes, entry = few.axes, entry_of(few.vehicle, "I")
@@ -316,7 +316,7 @@ def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
 
 @pytest.mark.attack
 def test_a_first_ctrl_c_lets_certifying_go_on(quick, capsys, monkeypatch, tmp_path):
-    """It would keep less than one that came earlier, while designs were looked for: those are all certified, too."""
+    """A second one would keep less than one that came earlier, during the search: designs are all certified, too."""
     true, calls, path = synth.vehicle.trade_off.front.certify_tightly, itertools.count(1), tmp_path / "front.csv"
 
     def stopped(*given, **options):
@@ -350,7 +350,7 @@ def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp
 
 
 def _processor_time(pid: int) -> float:
-    """What a process has had of the processors [s]."""
+    """Returns what a process has had of the processors [s]."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:  # it is over
@@ -381,41 +381,6 @@ def test_nothing_finished_is_lost(tmp_path, arguments):
     assert all(later >= earlier - slack for earlier, later in itertools.pairwise(counts)), counts
 
 
-REFUSED = [
-    (["--front", "ride"], "names 1 axis"),
-    (["--front", "ride:travel:force:band"], "names 4 axes"),
-    (["--front", "ride:ride"], "names ride twice"),
-    (["--front", "ride:speed"], "there is no axis 'speed'"),
-    (["--front", ""], "argument --front: is empty"),
-    (["--front", "band=8-4:travel"], "band=8-4: not a band"),
-    (["--front", "band=x:travel"], "band=x: not a band"),
-    (["--front", "band=:travel"], "band=: not a band"),
-    (["--front", "tolerance=200:travel"], "tolerance=200: not a share"),
-    (["--front", "ride=3:travel"], "ride takes nothing behind it"),
-    (["--front", "ride:travel", "--controller", "passive"], "it measures nothing"),
-    (["--front", "ride:travel", "--controller", "all"], "all is not allowed, as this command takes one controller"),
-    (["--front", "ride:travel", "--controller", "I", "--controller", "II"], "of one controller, and 2 are given"),
-    (["--front", "ride:travel", "--refine"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--rates", "1"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--fragility"], "--front designs a trade-off"),
-    (["--front", "ride:travel", "--point", "3"], "--point says which designs --save writes"),
-    (["--front", "ride:travel", "--picture", "a.png", "--csv", "a.png"], "is the file of"),
-    (["--front", "ride:travel", "--csv", "/nowhere/a.csv"], "/nowhere"),
-    (["--front", "ride:travel", "--csv", "/dev/stdout", "--json"], "both write to standard output"),
-    (["--csv", "a.csv"], "--csv is of the designs of --front"),
-    (["--point", "3"], "--point is of the designs of --front"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), REFUSED, ids=[words for _, words in REFUSED])
-def test_refused(arguments, words, monkeypatch, tmp_path):
-    """In one line, before the work."""
-    monkeypatch.chdir(tmp_path)
-    with refused(words):
-        main(arguments)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_point_beyond_the_last(designed_once, tmp_path):
     """A design that there is not cannot be saved, and nothing is written."""
     with pytest.raises(InputError, match="the front has 5 points"):
@@ -435,7 +400,7 @@ def test_rays():
 
 
 def test_undominated():
-    """Of points that are alike one is left, and of others those that none is as good as in all."""
+    """For points that are alike one is left, and of others those that none is as good as in all."""
     generator = np.random.default_rng(1)
     values = generator.integers(0, 6, size=(200, 3)).astype(float)
     kept = undominated(values)
@@ -466,7 +431,7 @@ def test_report(monkeypatch, few):
 
 
 def test_mujoco_tends_to_the_norm(few):
-    """What MuJoCo measures of a design tends to its norm with the first power of the step over which forces are held."""
+    """The gain of a design in MuJoCo tends to its norm with the first power of the step over which forces are held."""
     scope = Scope(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
     off = [measure(scope, few, 2, few.axes[0], turn) / few.points[2].values[0] - 1 for turn in (0.008, 0.004)]
     assert 0 < abs(off[1]) < 0.002

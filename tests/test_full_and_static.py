@@ -30,7 +30,7 @@ def best_on_the_grid(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -
 
 
 def holds(found: FullOrderDesign) -> None:
-    """What is claimed of every design."""
+    """Returns what is claimed of every design."""
     assert not found.certificate.failures
     assert found.certificate.lower_bound is not None
     assert found.certificate.lower_bound <= found.certificate.norm.value
@@ -69,7 +69,7 @@ def no_grid_beats(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> F
 
 @pytest.mark.parametrize(("a", "dt"), [(0.5, 1.0), (-0.5, None)])
 def test_static_gain_next_to_the_bound(a, dt):
-    """Where the central law needs a pole a thousand times as fast, what is left of it without that pole is as near, and taken."""
+    """If the central law needs a pole a thousand times as fast, what is left of it without that pole is as near, and taken."""
     found = no_grid_beats(*first_order(a, 0.1, dt))
     assert found.remark == ""
     assert found.certificate.speed_up < FASTEST
@@ -85,7 +85,7 @@ def test_static_gain_next_to_the_bound(a, dt):
     ],
 )
 def test_no_static_gain_is_better(seed, dt):
-    """Of random plants no static gain of a grid beats full order by more than 0.2 %."""
+    """For random plants no static gain of a grid beats full order by more than 0.2 %."""
     no_grid_beats(*any_noisy(seed, dt))
 
 

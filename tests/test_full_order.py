@@ -132,7 +132,7 @@ def designed(plant: GeneralizedPlant, Cy: np.ndarray) -> FullOrderDesign:
 
 @pytest.mark.parametrize("seed", in_the_suite((2,), range(6)))
 def test_a_trade(seed):
-    """Where it takes poles beyond actuators it stays short of them, and says to what norm which speed leads: both are true."""
+    """If it takes poles beyond actuators it stays short of them, and says to what norm which speed leads: both are true."""
     plant, Cy = any_plant(seed)
     found = made(designed, plant, Cy)
     holds(plant, Cy, found)
@@ -242,7 +242,7 @@ def test_redundant_measurements():
 
 
 def test_what_cannot_be_designed():
-    """It says in a line which mode is not reached or not seen, or what is missing from the plant."""
+    """A line names the mode that is not reached or not seen, or what is missing from the plant."""
     plant, Cy = a_plant("undamped", 0)
     n = len(plant.A)
     A = np.asarray(linalg.block_diag(plant.A, [[0.5]]))

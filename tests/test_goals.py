@@ -114,7 +114,7 @@ def test_a_tolerance(measured, best):
     ],
 )
 def test_a_family(measured, family, count, worst, regret):
-    """Of some vehicles the worst norm is as asked, and the largest ratio to a vehicle's own best better than what was known."""
+    """For some vehicles the worst norm is as asked, and the largest ratio to a vehicle's own best better than what was known."""
     _, promises = designed(f"measured = {measured}\nfamily = [{family}]")
     assert promises[f"largest norm of {count} vehicles"] <= worst
     _, promises = designed(f'measured = {measured}\nminimise = {{ over = "regret" }}\nfamily = [{family}]')
@@ -244,7 +244,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
     ],
 )
 def test_wrong_goals_are_refused_in_one_line(section, said):
-    """What is wrong is quoted, and what is allowed is said."""
+    """A wrong goal is quoted, and what is allowed is said."""
     with refused(said):
         Designer(vehicle_with(f"measured = {TWO}\n{section}")).design("goal")
 
@@ -270,7 +270,7 @@ def test_what_is_no_bound_is_offered_every_kind():
     ],
 )
 def test_a_bound_that_cannot_be_is_named_with_its_file(bound, said, tmp_path):
-    """What is found wrong where a bound is posed, not read, names the vehicle file and the bound, of designs and gains alike."""
+    """A mistake that shows where a bound is posed, not read, names the vehicle file and the bound, of designs and gains alike."""
     path = tmp_path / "car.toml"
     for gain in ("", "gain = [[1e4, -2e3]]"):
         goal = f"measured = {TWO}\n{gain}\nbounds = [{{ decay = 0.1 }}, {{ {bound}, at_most = 0.1 }}]"
@@ -315,15 +315,19 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         assert slope == pytest.approx(differences, rel=1e-3, abs=1e-3 * np.abs(slope).max())  # peaks may be close to another
 
 
-def test_the_slope_of_a_peak_over_a_road():
-    """How the largest travel moves with the gain, against differences of the response itself."""
-    section = f"measured = {THREE}\nbounds = [{{ peak = 'suspension_deflection', at_most = 0.1 }}]"
-    vehicle = vehicle_with(section)
+def bounded(bound: str):
+    """The problem of gains on three measurements with one bound, and its landscape."""
+    vehicle = vehicle_with(f"measured = {THREE}\nbounds = [{{ {bound} }}]")
     entry = vehicle.controllers["goal"]
     assert entry.goals is not None
-    asked = goal_problem(vehicle, entry, entry.goals)
-    landscape = asked.nominal()
-    term = RoadPeak(asked.members[0].driven_by[0], landscape.scale, 0.1)
+    problem = goal_problem(vehicle, entry, entry.goals)
+    return problem, problem.nominal()
+
+
+def test_the_slope_of_a_peak_over_a_road():
+    """The slope of the largest travel in the gain agrees with differences of the response itself."""
+    problem, landscape = bounded("peak = 'suspension_deflection', at_most = 0.1")
+    term = RoadPeak(problem.members[0].driven_by[0], landscape.scale, 0.1)
     x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
     support = term.support(x, term.value(x), 0.01)
     slope = support.slopes[support.values.argmax()]
@@ -413,14 +417,9 @@ def _decaying(A, x, t):
 
 
 def test_the_slope_of_an_energy_peak():
-    """How it moves with the gain, against differences, for a signal with the force in it."""
-    section = f"measured = {THREE}\nbounds = [{{ energy_peak = 'control_force', at_most = 1.0 }}]"
-    vehicle = vehicle_with(section)
-    entry = vehicle.controllers["goal"]
-    assert entry.goals is not None
-    asked = goal_problem(vehicle, entry, entry.goals)
-    landscape = asked.nominal()
-    term = EnergyPeak(landscape, asked.members[0].signals[0], 1e4)
+    """The slope in the gain agrees with differences, for a signal with the force in it."""
+    problem, landscape = bounded("energy_peak = 'control_force', at_most = 1.0")
+    term = EnergyPeak(landscape, problem.members[0].signals[0], 1e4)
     x = landscape.point(np.array([[10000.0, -900.0, -200.0]]))
     slope = term.support(x, term.value(x), 0.01).slopes[0]
     differences = [(term.value(x + e) - term.value(x - e)) / 2e-6 for e in 1e-6 * np.eye(3)]
@@ -506,7 +505,7 @@ def test_no_peak_lies_above_what_is_proved(road, speed, signal):
 
 @pytest.mark.attack
 def test_a_peak_alone_leaves_no_loop_on_the_border():
-    """Where nothing says how fast a loop has to decay it decays a tenth as fast as the best start; its peak is the true one."""
+    """If nothing says how fast a loop has to decay it decays a tenth as fast as the best start; its peak is the true one."""
     bounds = '{ peak = "suspension_deflection", road = "bump", at_most = 0.1 }, { gain = 3e4 }'
     controller, promises = designed(f"measured = {THREE}\n{BAND}\nbounds = [{bounds}]")
     assert max(pole.real for pole in controller.certificate.poles) < -0.02
@@ -534,7 +533,7 @@ def test_nothing_to_minimise_is_no_error():
 
 
 def test_a_band_with_errors(paper):
-    """What is met with errors is at least what is met without, and what any sample of the errors meets; proved lies above."""
+    """The norm with errors is at least that without, and that of any sample of the errors; proved lies above."""
     section = f'measured = {TWO}\nminimise = {{ signals = ["sprung_acceleration"], band = [0.5, 10.0] }}\n'
     vehicle = vehicle_with(section + "bounds = [{ gain = 2e4 }]\ntolerance = { sprung_velocity = 0.2 }")
     controller = Designer(vehicle).design("goal")
@@ -646,7 +645,7 @@ def test_an_energy_peak_beside_a_filter():
 
 @pytest.mark.parametrize("signal", ["suspension_deflection", "control_force"])
 def test_a_peak_of_a_loop_whose_poles_are_all_real(signal):
-    """Where no pole swings a road's response is computed as where one does, without a warning, and is the other solver's."""
+    """If no pole swings a road's response is computed as where one does, without a warning, and is the other solver's."""
     gain = [[10121.047619047633, -108653.04761904797, -1630.6525396825323, 5240.445079365075]]
     measured = '["suspension_deflection", "tyre_deflection", "sprung_velocity", "unsprung_velocity"]'
     bound = f'{{ peak = "{signal}", road = "bump", at_most = 1e4 }}'
@@ -692,7 +691,7 @@ def stable_in_its_box(seed: int) -> bool:
 
 @pytest.mark.parametrize("seed", [4, pytest.param(3, marks=pytest.mark.attack)])
 def test_a_band_alone_leaves_no_loop_of_the_box_unstable(seed):
-    """Where only a norm in a band counts, errors that make a loop unstable are looked for all the same; it is proved."""
+    """If only a norm in a band counts, errors that make a loop unstable are looked for all the same; it is proved."""
     assert stable_in_its_box(seed)
 
 
@@ -708,7 +707,7 @@ def test_no_design_is_unstable_in_its_box(seed):
 
 
 def test_a_design_says_of_what_stability_is_not_proved():
-    """Of a gain that some errors make unstable it is said, by the member."""
+    """For a gain that some errors make unstable it is said, by the member."""
     asked = boxed(3)
     found = MultiObjectiveDesign(np.zeros((2, 3)), 1.0, None, (), asked)  # the plant itself is unstable
     assert found.unproved == (0,)

@@ -71,7 +71,7 @@ def test_said_by_a_campaign(vehicles, tmp_path, capsys):
 
 
 def test_of_a_design_too(designer, capsys):
-    """It is the design's own promises that are said."""
+    """The promises that are said are the design's own."""
     controller = designer.design("II")
     say_false_claims([replace(controller, specifications=(Specification("norm", 6.0, at_most=7.0),))])
     assert capsys.readouterr().err == ""

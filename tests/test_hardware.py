@@ -163,7 +163,7 @@ def test_less_noise_is_no_noise():
 
 
 def test_saved_checked_logged_inspected(tmp_path, capsys):
-    """What is saved and logged is proved again, with the noise and lag that it was designed for, and not with far more noise."""
+    """Saved and logged laws are proved again, with the noise and lag that it was designed for, and not with far more noise."""
     file, saved, logs = tmp_path / "car.toml", tmp_path / "saved.toml", tmp_path / "logs"
     measured = BUILT.replace(", sprung_acceleration = 0.3", "")
     file.write_text(built("noise = true", "lag = true", with_what=measured).text)
@@ -278,7 +278,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("law", SHAPES)
 def test_a_matrix_that_does_not_fit_is_described(law):
-    """What does not fit is said as it was found, and what would fit."""
+    """A matrix that does not fit is described, and one that would fit."""
     with pytest.raises(InputError, match=re.escape(SHAPES[law])):
         built(law, section='[controllers.one]\nmeasured = ["sprung_velocity"]\n')
 
@@ -292,7 +292,8 @@ def test_a_law_without_states_however_written(none):
 
 
 def test_messages_name_the_file(tmp_path):
-    """What is found wrong at the design, as where it is read, is said with the file that it stands in; a NUL is in quotes."""
+    """A mistake that the design finds, as one that the reader finds, is said with the file that it stands in; a NUL is in
+    quotes."""
     file = tmp_path / "car.toml"
     alone = '[controllers.one]\nmeasured = ["sprung_acceleration"]\ngain = [[504.5]]\n'  # I - D_c D is zero
     file.write_text(built(section=alone).text)

@@ -14,7 +14,7 @@ POSIX = pytest.mark.skipif(sys.platform == "win32", reason="each case is forked,
 @pytest.mark.attack
 @pytest.mark.parametrize("first", [0, 10_000])
 def test_hostile_inputs(first):
-    """Of 480 inputs, by kind of damage over all commands and files, none gives a traceback, hangs, or fills memory."""
+    """For 480 inputs, by kind of damage over all commands and files, none gives a traceback, hangs, or fills memory."""
     # In a process of its own: each input is forked from it, and has its memory.
     asked = [sys.executable, "-m", "tests.benchmarks.hostile_inputs", "--first", f"{first}", "--count", "240"]
     done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True)

@@ -194,7 +194,7 @@ def test_applied_again(kind, more, options, said, tmp_path, capsys):
 
 
 def test_loops_too_large_to_judge(designer, paper):
-    """Of a loop with more delayed forces than asked for, growth is not said, and with noise nothing is predicted at all."""
+    """For a loop with more delayed forces than asked for, growth is not said, and with noise nothing is predicted at all."""
     late, time = replace(paper, implementation=Implementation(delay=20)), sample_times(paper, 0.1, 1e-3)
     controller = designer.design("II")
     states = len(paper.linear_model.A) + 20
@@ -484,7 +484,7 @@ def test_unchanged_is_proved(parts, tmp_path, capsys):
 
 @pytest.mark.parametrize("share", [0.25, 0.6, 0.9, 0.999])
 def test_cut_short(share, parts, tmp_path, capsys):
-    """Of a cut log, whole chunks are read and proved as far as they go, and what is missing is said."""
+    """For a cut log, whole chunks are read and proved as far as they go, and what is missing is said."""
     whole = written(parts)
     path = tmp_path / "cut.mcap"
     path.write_bytes(whole[: int(share * len(whole))])
@@ -561,7 +561,7 @@ def test_line_that_cannot_have_written_the_log(parts, tmp_path, capsys):
 
 
 def test_no_log_is_refused(tmp_path, parts):
-    """What is no log of ours is refused by one line, whatever it is."""
+    """A file that is no log of ours is refused by one line."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "text").write_text("time,height\n")
     (tmp_path / "empty").touch()
@@ -613,7 +613,7 @@ for path in sys.argv[1:]:
 
 
 def test_text_does_not_steer_the_terminal(parts, tmp_path, capsys):
-    """What a log holds is shown, not obeyed."""
+    """Text of a log is shown, not obeyed."""
     path = tmp_path / "escape.mcap"
     path.write_bytes(written(parts.with_claim("roadproof", "command_line", lambda _: "\x1b[2J\nthe log still proves\u202e")))
     main([str(path)])

@@ -54,7 +54,7 @@ def test_an_interrupted_map_is_kept(tmp_path, name, code, word):
 @pytest.mark.parametrize("stderr", [False, True])
 @pytest.mark.parametrize(("name", "code", "word"), ENDINGS)
 def test_who_reads_it_has_gone_too(name, code, word, stderr):
-    """What was printed and can go nowhere any more, as when the terminal has ended, does not change the exit code."""
+    """Output that can go nowhere any more, as when the terminal has ended, does not change the exit code."""
     gone, output = os.pipe()
     os.close(gone)
     child = f"print('some'); import signal; signal.raise_signal(signal.{name})"

@@ -40,7 +40,7 @@ BARE = 1.0  # s; Python may take as long, on a busy machine, until our first lin
 
 
 def prepare(folder: Path) -> None:
-    """What the commands read."""
+    """Returns what the commands read."""
     folder.mkdir()
     (folder / "campaign.toml").write_text(CAMPAIGN)
 
@@ -120,7 +120,7 @@ def test_what_python_imports_as_it_starts_is_not_ours():
 
 
 def interrupted(command: str, folder: Path, after: float, by: signal.Signals) -> tuple[str, bool]:
-    """What is wrong with a command that is told to end some seconds after its start, in words, and whether it was."""
+    """Returns what is wrong with a command that is told to end some seconds after its start, in words, and whether it was."""
     process = start(command, folder)
     time.sleep(after)
     os.killpg(process.pid, by)

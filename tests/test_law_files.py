@@ -100,7 +100,7 @@ def test_a_sample_period_comes_with_it(tmp_path):
 )
 @pytest.mark.parametrize("compressed", [False, True])
 def test_a_struct_of_a_system_says_more_than_its_matrices(tmp_path, more, said, compressed):
-    """What get(sys) writes beside A, B, C and D is read too: what changes the law is refused, what says nothing is not."""
+    """Fields of get(sys) beside A, B, C and D are read too: what changes the law is refused, what says nothing is not."""
     nothing = {"E": np.zeros((0, 0)), "InputDelay": np.zeros((2, 1)), "OutputDelay": 0.0, "TimeUnit": "seconds", "Name": "mine"}
     law = read_vehicle(vehicle_with(tmp_path, mat({"s": LAW | nothing}, do_compression=compressed))).controllers["mine"].law
     assert law is not None
@@ -191,7 +191,7 @@ def element(kind: int, content: bytes) -> bytes:
 
 
 def head(kind: int, rows: int, columns: int, name: bytes) -> bytes:
-    """What a variable begins with."""
+    """Returns what a variable begins with."""
     return element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack("<ii", rows, columns)) + element(1, name)
 
 
@@ -338,7 +338,7 @@ def attack(rng: np.random.Generator, count: int) -> int:
 
 
 def test_damage_is_seen():
-    """Of a few hundred damaged files none gets through as what it is not, and some are still whole."""
+    """For a few hundred damaged files none gets through as what it is not, and some are still whole."""
     assert 100 < attack(np.random.default_rng(0), 300) < 300
 
 

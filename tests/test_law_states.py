@@ -80,7 +80,7 @@ def test_states_follow_from_the_measurements(how):
 
 @pytest.mark.parametrize("period", [0.002, 0.004])
 def test_a_discrete_law_keeps_its_own_states(period):
-    """Of a law of 4 ms, run at that or another period, the logged states are in its coordinates in every response."""
+    """For a law of 4 ms, run at that or another period, the logged states are in its coordinates in every response."""
     vehicle = dataclasses.replace(read_vehicle("quarter_car"), implementation=Implementation(sample_period=period))
     given = controller(vehicle, "velocity", 2)
     law = given.law.sampled(0.004)
@@ -102,7 +102,7 @@ def log(tmp_path_factory):
 
 
 def inspected(path, capsys, *options) -> tuple[int, list]:
-    """What sim.inspect says of the run of the law with states."""
+    """Returns what sim.inspect says of the run of the law with states."""
     capsys.readouterr()
     code = inspect([str(path), "--json", *options])
     (run,) = [one for one in json.loads(capsys.readouterr().out)["runs"] if one["name"] == "accelerometer"]

@@ -88,7 +88,7 @@ def test_physics_agrees_to_rk4s_own_error(name, reality):
 
 
 def test_a_static_law_is_a_law_without_states():
-    """What a law of states that do nothing asks for is what its gain does, in every form of it."""
+    """A law whose states do nothing asks for what its gain does, in every form of it."""
     vehicle = read_vehicle("quarter_car")
     gain = np.array([[9000.0, -1500.0]])
     silent = LinearLaw(-np.eye(2), np.zeros((2, 2)), np.ones((1, 2)), gain)
@@ -202,7 +202,7 @@ def test_a_force_in_its_own_measurement_bears_no_more_gain_than_it_comes_back_wi
 
 
 def test_a_vehicle_with_an_accelerometer_ships():
-    """It is found by its name, its law is within 0.1 % of the norm of I, which needs the velocity, and MuJoCo agrees."""
+    """The vehicle is found by its name, its law is within 0.1 % of the norm of I, which needs the velocity, and MuJoCo agrees."""
     vehicle = read_vehicle("quarter_car_accelerometer")
     found = Designer(vehicle).design("accelerometer")
     assert found.certificate.norm.value == pytest.approx(Designer(vehicle).design("I").certificate.norm.value, rel=1e-3)
@@ -331,7 +331,7 @@ def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
 
 @pytest.mark.parametrize("how", [Implementation(), Implementation(sample_period=0.004, delay=1)])
 def test_runs_without_accelerations_are_the_same_runs(how):
-    """Where an accelerometer is measured and accelerations and forces are not recorded, all else is the same to the last bit.
+    """If an accelerometer is measured and accelerations and forces are not recorded, all else is the same to the last bit.
 
     So they are where one of the runs is not wanted any more.
     """

@@ -59,7 +59,7 @@ def driven(kind: str, road: Road, timestep: float, duration: float) -> list[Run]
 
 
 def apart(run: Run, reference: Response, until: float = np.inf) -> float:
-    """How far physics is from a response, of a peak, of the signal that is furthest, as long as it is compared."""
+    """Returns how far physics is from a response, of a peak, of the signal that is furthest, as long as it is compared."""
     end = min(run.agreement.until, until)
     physics, other = run.physics.until(end), reference.until(end)
     return max(
@@ -73,7 +73,8 @@ def said(run: Run) -> str:
 
 
 def check_verdict(run: Run) -> None:
-    """It agrees, only takes energy, and says how far it is from the exact response; and when and how many decisions differ."""
+    """The run agrees, only takes energy, and says how far it is from the exact response; and when and how many decisions
+    differ."""
     assert verdict(run).startswith("agrees")
     assert run.energy is not None
     assert run.energy.least is not None

@@ -46,7 +46,7 @@ def loaded(code: str) -> set[str]:
 
 
 def own(modules: set[str]) -> list[str]:
-    """Those of ours."""
+    """Returns those of ours."""
     return sorted(name for name in modules if name.split(".")[0] in ("models", "synth", "sim"))
 
 
@@ -77,6 +77,6 @@ for name in {names}:
 
 
 def test_help_pages_name_every_kind():
-    """What help pages say that there is of roads and loads is what there is."""
+    """Help pages name all kinds of roads and loads."""
     assert ("iso8608", *OBSTACLES, "rig") == ROAD_KINDS
     assert tuple(LOADS) == LOAD_KINDS

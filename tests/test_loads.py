@@ -388,33 +388,8 @@ def test_bad_files_are_refused(text, words):
         parse_history(text, "pull.csv")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--load", "brake"], ["brake", "pitches", "a quarter_car only goes up and down"]),
-        (["--load", "payload:x=1"], ["pitches", "only goes up and down"]),
-        (["--vehicle", "half_car", "--load", "corner"], ["rolls", "half_car only goes up and down and pitches"]),
-        (["--load", "push:g=1"], ["unknown load 'push:g=1'", "brake, corner, payload, lift, gust"]),
-        (["--load", "brake:gs=1"], ["gs=1", "g, hold, rise, start"]),
-        (["--load", "brake:g=x"], ["g = 'x' is not a finite number"]),
-        (["--load", "brake:g=nan"], ["g = 'nan' is not a finite number"]),
-        (["--load", "brake:g=3"], ["brake g = 3 is not allowed", "from -2 to 2"]),
-        (["--load", "brake:rise=0"], ["brake rise = 0", "from 0.001"]),
-        (["--load", "brake:g=0.1:g=0.2"], ["g is given twice"]),
-        (["--load", "payload:hold=-1"], ["hold = -1", "from 0 to inf"]),
-        (["--load", "nowhere.csv"], ["nowhere.csv"]),
-        (["--road", "bump + payload:mass=1e9"], ["mass = 1e+09"]),
-        (["--load", "payload", "--road", "flat", "--seed", "3"], ["--seed"]),
-    ],
-)
-def test_bad_loads_are_refused(arguments, words):
-    """A load that is none, or one that the vehicle cannot feel, is refused in one line."""
-    with refused(*words):
-        main(["--controller", "passive", "--no-logs", *arguments])
-
-
 def drive(folder, capsys, *arguments):
-    """What `sim.drive` prints, and the log that it writes."""
+    """Returns what `sim.drive` prints, and the log that it writes."""
     assert main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments]) == 0
     (log,) = folder.glob("*.mcap")
     return prose(capsys.readouterr().out), log
@@ -461,7 +436,7 @@ def test_another_line_is_found(tmp_path, capsys):
 
 @pytest.mark.parametrize("text", ["brake;1", "pull.csv;time [s],pitch [N m];0.0,1.0", "push:g=1", "", "../../etc/passwd.csv"])
 def test_described_loads_are_checked(text):
-    """What a log says of its loads is read as a stranger's: no file of that name is, and what is none is refused."""
+    """The loads of a log are read as a stranger's: no file of that name is, and what is none is refused."""
     with pytest.raises(InputError):
         described_loads([text])
 
@@ -469,7 +444,7 @@ def test_described_loads_are_checked(text):
 @pytest.mark.parametrize("kind", ["half_car", "full_car"])
 @pytest.mark.parametrize("name", ["passive", "I"])
 def test_static_angles_are_the_closed_form(kind, name):
-    """Where a loop rests is K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
+    """A loop rests at K q = f, with the vehicle's springs and, of a controller, the stiffness of its deflection gains."""
     vehicle = car(kind, BAR if kind == "full_car" else "")
     controller, p = designed(vehicle, name), vehicle.parameters
     text = "flat + brake:g=0.02 + payload:mass=5:x=0.3" + (" + corner:g=0.01" if kind == "full_car" else "")

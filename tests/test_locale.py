@@ -75,7 +75,7 @@ def test_cyrillic(tmp_path, locale):
 
 @some_locales("ASCII", "C")
 def test_what_the_terminal_lacks(tmp_path, locale):
-    """Where only ASCII was typed, what the terminal's encoding lacks is escaped, and files have their names all the same."""
+    """If only ASCII was typed, what the terminal's encoding lacks is escaped, and files have their names all the same."""
     vehicle(tmp_path / "car.toml", "Жук")
     ran = run(tmp_path, locale, "sim.bump", "--vehicle", "car.toml", "--controller", "all", "--duration", "0.1", "--logs", "logs")
     assert ran.returncode == 0, ran.stderr.decode()

@@ -81,7 +81,7 @@ def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
 
 
 def test_rates_of_it(held, capsys):
-    """It is said where its loop is stable again."""
+    """Rates say from where its loop is stable again."""
     assert synth(["--vehicle", str(held), "--controller", "I", "--rates", "50"]) == 0
     text = prose(capsys.readouterr().out)
     assert "controller I is unstable in continuous time; at once it" in text
@@ -97,7 +97,7 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
 
 
 def test_a_report_of_it(held, tmp_path, capsys):
-    """It is reported as what is stable: its norm as built, its responses and the end of its regime, and no ideal norm."""
+    """A report treats it as stable: its norm as built, its responses and the end of its regime, and no ideal norm."""
     assert (
         report(
             [

@@ -10,7 +10,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.invariant_point import invariant_limit, limit_at
 from synth.analysis.lower_bound import DualCertificate, LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
-from synth.analysis.synthesis_inequality import SynthesisInequality, costless_reachable_subspace, noise_free_observable_rows
+from synth.analysis.synthesis_inequality import SynthesisInequality, costless_reachable_subspace, transposed
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
@@ -105,7 +105,7 @@ def test_output_feedback_of_any_order(seed):
 
 def test_what_derivatives_show(designer):
     """Deflection and body velocity show, with their derivatives, all of the paper's state: no bound beyond state feedback's."""
-    assert noise_free_observable_rows(designer.plant, np.eye(4)[[0, 2]]).shape == (4, 4)
+    assert costless_reachable_subspace(transposed(designer.plant, np.eye(4)[[0, 2]])).shape == (4, 4)
     noisy = GeneralizedPlant(
         A=np.array([[0.0, 1.0], [0.0, 0.0]]),
         B=np.array([[0.0], [1.0]]),
@@ -114,7 +114,7 @@ def test_what_derivatives_show(designer):
         D=np.zeros((2, 1)),
         Dw=np.zeros((2, 2)),
     )
-    assert noise_free_observable_rows(noisy, np.array([[1.0, 0.0]])).shape == (1, 2)  # its derivative holds w
+    assert costless_reachable_subspace(transposed(noisy, np.array([[1.0, 0.0]]))).shape == (2, 1)  # its derivative holds w
     assert costless_reachable_subspace(noisy).shape == (2, 1)  # u acts on x2 at no cost, but x2 is weighed
     assert len(SynthesisInequality.of(noisy).J) == 1
 

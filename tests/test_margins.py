@@ -44,7 +44,7 @@ from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer, design
 from tests import pages
 from tests.analysed import sampled_radius
-from tests.commands import attacks, once, refused
+from tests.commands import attacks, once
 from tests.conftest import recorded_runs
 from tests.shared import designed
 
@@ -173,7 +173,7 @@ def test_search_does_not_believe_its_expectation(monkeypatch):
 
 @pytest.mark.parametrize(("step", "edge"), [(1.0, 17.5), (0.0, 17.25)])
 def test_what_is_expected_takes_two_runs(monkeypatch, step, edge):
-    """Where physics decays just below what is expected and grows just above it, no third run is asked for."""
+    """If physics decays just below what is expected and grows just above it, no third run is asked for."""
     asked = []
 
     def told(trials, timestep, progress):
@@ -282,7 +282,7 @@ def test_two_actuators_in_physics(actuators):
 
 
 def test_infinite_margins_in_physics(paper):
-    """Where |L| < 1 everywhere no delay and no sample period destabilises, and no gain but the sampling's; nor in MuJoCo."""
+    """If |L| < 1 everywhere no delay and no sample period destabilises, and no gain but the sampling's; nor in MuJoCo."""
     name, gain = "weak", -250.0
     text = f'{paper.text}\n[controllers.{name}]\nmeasured = ["sprung_velocity"]\ngain = [[{gain}]]\n'
     vehicle = parse_vehicle(text)
@@ -329,7 +329,7 @@ def search_that_found(amount: float) -> Bisection:
     ],
 )
 def test_gain_margin_is_held_against_both_loops(own, sampled, found, agrees):
-    """What physics bears must be the sampled loop's margin at every step, and tend to the loop's own: one is not enough."""
+    """The margin in physics must be the sampled loop's at every step, and tend to the loop's own: one is not enough."""
     search, finer = (search_that_found(amount) for amount in found)
     assert GainMargin(own, sampled, search, finer).agrees is agrees
 
@@ -349,7 +349,7 @@ def test_lagging_actuator(paper):
 
 @pytest.mark.parametrize("amount", [0.3, 0.9])
 def test_points_of_the_picture_are_the_slowest_pole(paper, designer, amount):
-    """What a run of MuJoCo is said to decay with is the slowest pole of its sampled loop, not what the bump excites most."""
+    """The stated decay of a run of MuJoCo is the slowest pole of its sampled loop, not what the bump excites most."""
     controller, timestep = designer.design("II"), 1e-3
     one = searches(paper, controller, [0], timestep)
     for search, unit in ((one.gain.search, one.gain.sampled[0]), (one.delay, one.predicted.delay)):
@@ -412,7 +412,7 @@ def contrary(*asked):
 
 
 def test_a_run_is_ended_by_its_loop(paper, designer, monkeypatch):
-    """What the loop confirms takes two or four seconds, not up to 32; a delay of 1.5 s takes eight, not 36."""
+    """A run that the loop confirms takes two or four seconds, not up to 32; a delay of 1.5 s takes eight, not 36."""
     timestep, taken, confirmed = 2e-3, [], growth_test._confirmed
     trials = of_every_kind(paper, designer.design("II"), timestep)
     monkeypatch.setattr("sim.studies.stability.growth_test._growth", lambda *rest: None)
@@ -576,7 +576,7 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
 
 
 def _check_fragility(printed: str, fragile) -> None:
-    """What is printed of errors is what --json has, in percent."""
+    """Checks that printed errors are those of --json, in percent."""
     stable, said = fragile["stable"], " ".join(printed.split())
     (line,) = re.findall(r"^  bears up to, % +(\S+) +(\S+)", printed, re.M)
     assert [float(word) for word in line] == pytest.approx([100 * stable["found"], 100 * fragile["mujoco"]], rel=1e-5)
@@ -622,23 +622,6 @@ def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], ["--controller", "I, II", "state"]),
-        (["--controller", "passive"], ["'passive'", "no gain", "no margin"]),
-        (["--controller", "III"], ["unknown controller 'III'"]),
-        (["--controller", "II", "--timestep", "0"], ["timestep", "above 0"]),
-        (["--controller", "II", "--timestep", "1"], ["timestep", "RK4"]),
-        (["--controller", "II", "--timestep", "x"], ["not a number"]),
-    ],
-)
-def test_bad_input(arguments, words):
-    """One line says what was found and what to give."""
-    with refused(*words):
-        main(arguments)
-
-
-@pytest.mark.parametrize(
     ("gain", "word"), [("[[0.0]]", "no gain"), ("[[90000.0]]", r"not stable as it is \(unstable: a pole at 170.7 1/s\)")]
 )
 def test_loops_without_margins(tmp_path, paper, gain, word):
@@ -650,7 +633,7 @@ def test_loops_without_margins(tmp_path, paper, gain, word):
 
 
 def test_which_loop_is_said(paper):
-    """What the vehicle file says beyond parameters is in the margins or left out of them; it is said which."""
+    """The sections of a vehicle file beyond parameters are in the margins or left out of them; it is said which."""
     plain = _which_loop(dataclasses.replace(paper, limits=Limits(actuator_force=1e3)))
     assert plain == "the loop has no actuator lag; norms of other vehicles are of the ideal loop"
     built = dataclasses.replace(paper, limits=Limits(actuator_bandwidth=60.0), implementation=Implementation(delay=1))

@@ -174,7 +174,7 @@ def test_what_a_damper_gives():
 
 
 def test_the_nominal_setting_is_where_the_parameter_says():
-    """What acts where nothing is asked for is the share of both curves whose slope at rest is suspension_damping."""
+    """The force without a request is the share of both curves whose slope at rest is suspension_damping."""
     vehicle = parse_vehicle(QUARTER + PAIR)
     (one,) = vehicle.adjustable
     assert (one.damper.c_min, one.damper.c_max) == pytest.approx(((800 + 130 / 0.15) / 2, 6000.0), rel=1e-12)

@@ -73,7 +73,7 @@ def test_the_cause_is_named_shortly(old, new, said):
 
 @pytest.mark.parametrize("most", [10, 11, 60])
 def test_the_middle(most):
-    """What is cut has exactly the length that is allowed, its first characters and its last."""
+    """A cut text has exactly the length that is allowed, its first characters and its last."""
     text = "".join(map(chr, range(48, 148)))
     cut = middle_cut(text, most)
     assert len(cut) == most
@@ -106,7 +106,7 @@ def test_files(tmp_path):
 
 
 def test_a_command_says_it_in_one_line():
-    """What argparse says against an argument is cut as well."""
+    """Messages of argparse are cut as well."""
     run = subprocess.run(
         [sys.executable, "-m", "synth", "x" * 5000], capture_output=True, text=True, encoding="utf-8", timeout=60
     )

@@ -61,7 +61,7 @@ def test_filters_in_plain_numbers(samples):
 
 
 def test_metrics_of_a_sine(paper):
-    """Of sinusoidal signals every metric is what a page of algebra says."""
+    """For sinusoidal signals every metric is what a page of algebra says."""
     vehicle = dataclasses.replace(paper, limits=Limits(suspension_stroke=0.05, stop_stiffness=1e5))
     omega, time = 2 * np.pi * 4, np.arange(40_001) * 1e-3
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)["tyre_deflection"]

@@ -29,7 +29,7 @@ def slow_road(monkeypatch):
 
 
 def of_second_order(coarse, fine, allowed):
-    """Whether numbers read every 10, 5 and 2.5 ms come to those read every 0.25 ms with about the square of that."""
+    """Numbers read every 10, 5 and 2.5 ms come to those read every 0.25 ms with about the square of that."""
     for metric, exact in fine.items():
         errors = [abs(one[metric] / exact - 1) for one in coarse]
         assert errors[0] < allowed, metric
@@ -44,7 +44,7 @@ HELD = [("quarter_car", "", "I"), ("quarter_car_semi_active", "", "sky"), ("half
 
 @pytest.mark.parametrize(("name", "reality", "controller"), HELD, ids=["force", "damper", "two forces", "lag"])
 def test_how_often_it_is_read(slow_road, name, reality, controller):
-    """Of forces and coefficients held for 10 ms, MuJoCo's ride read once a sample is that read forty times; else 15 % off."""
+    """For forces and coefficients held for 10 ms, MuJoCo's ride read once a sample is that read forty times; else 15 % off."""
     vehicle = parse_vehicle(read_vehicle(name).text + reality + HOLDING)
     designed, found = Designer(vehicle).design(controller), {}
     for h in STEPS:

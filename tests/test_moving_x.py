@@ -162,7 +162,7 @@ def test_a_damaged_proof_in_a_band_proves_nothing():
 
 @pytest.mark.parametrize("seed", [*range(3), *attacks(range(3, 5))])
 def test_random_norms_with_errors(seed):
-    """Of random plants in odd units: no sample of the errors exceeds what is proved, which is close above where it is found."""
+    """For random plants in odd units: no sample of the errors exceeds what is proved, which is close above where it is found."""
     generator = np.random.default_rng(2000 + seed)
     n, m, q, r, d = 2 + seed % 3, 1 + seed % 2, 2, 2, 2
     shapes = ((n, n), (n, m), (n, r), (d, n), (q, n), (d, m), (d, r), (q, r), (m, q))
@@ -184,7 +184,7 @@ def test_random_norms_with_errors(seed):
 
 @pytest.mark.parametrize("seed", [0, *attacks((1, 2))])
 def test_random_norms_in_bands(seed):
-    """Of random plants with noise in what is measured, in odd units: no sample of the errors exceeds what is proved."""
+    """For random plants with noise in what is measured, in odd units: no sample of the errors exceeds what is proved."""
     generator = np.random.default_rng(1000 + seed)
     n, m, q, r, d = 2 + seed % 3, 1 + seed % 2, 2, 2, 2
     A, B, Bw, C, Cy, D, Dw, Dyw, K = (

@@ -12,7 +12,7 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.combinations import KINDS, goes, readme_tables, refusal
+from models.vehicle.combinations import COMMANDS, DEMANDS, KEYS, KINDS, goes, refusal
 from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
@@ -49,7 +49,7 @@ def with_designs(name: str) -> Vehicle:
 
 @pytest.fixture(scope="module", params=["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def designer(request) -> Designer:
-    """Of each vehicle that ships, with controllers of each kind."""
+    """Designs of each vehicle that ships, with controllers of each kind."""
     return Designer(with_designs(request.param))
 
 
@@ -89,7 +89,7 @@ def test_physics_follows_them_all(designer):
 
 
 def test_saved_and_checked(tmp_path, capsys):
-    """What is designed is saved with its proof, read again and checked without the solver; a changed matrix is found."""
+    """A design is saved with its proof, read again and checked without the solver; a changed matrix is found."""
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     path.write_text(with_designs("quarter_car").text)
     chosen = [part for name in ("full", "h2") for part in ("--controller", name)]
@@ -105,23 +105,6 @@ def test_saved_and_checked(tmp_path, capsys):
     saved.write_text(text.replace(repr(entry), repr(entry * 1.01)))
     assert main(["--check", str(saved), "--controller", "full_designed"]) == 1
     assert "FAILS" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("entry", "said"),
-    [
-        ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full"),
-        ('measured = ["sprung_velocity"]\ndesign = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
-        ('measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"', 'order = "full" with design = "lqg": '),
-        ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
-        ('measured = ["sprung_velocity"]\ndesign = "lqr"', 'design = "lqr" is of the state'),
-        ('measured = ["control_force"]', "says nothing of the state"),
-    ],
-)
-def test_a_mistake_is_named(entry, said):
-    """What does not go together is refused in one line that names the controller."""
-    with refused(said, match=r"controllers[.]mine"):
-        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{entry}\n")
 
 
 def test_what_is_for_static_gains_alone(designer):
@@ -191,7 +174,7 @@ def test_a_log_is_of_the_design_that_its_vehicle_file_asks_for(kind, tmp_path, c
 
 @pytest.mark.parametrize(("change", "verdict"), [(0.0, "holds"), (1e-4, "note"), (-1.0, "FAILS")])
 def test_what_was_assumed_may_be_another_elsewhere(change, verdict):
-    """Where a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
+    """If a design rests on what was assumed, a law that is nearly as good in the mean is noted, and a worse one is none."""
     vehicle = with_designs("quarter_car")
     controller = Designer(vehicle).design("h2")
     assert "was assumed" in " ".join(controller.remarks)
@@ -274,6 +257,19 @@ def test_the_table_says_what_commands_do(paper, part):
         with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
             ask("mine")
     assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))
+
+
+def readme_tables() -> list[str]:
+    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
+    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
+    lines = []
+    for columns in (KEYS, COMMANDS):
+        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
+        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
+        for row, name in rows.items():
+            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
+            lines.append([name, *cells])
+    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]
 
 
 def test_the_readme_has_the_tables():

@@ -12,7 +12,7 @@ from synth.analysis.interpolation import limit_at_zeros
 from synth.analysis.lower_bound import LowerBound, prove_lower_bound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import read_proof, to_record
-from synth.analysis.synthesis_inequality import noise_free_observable_rows
+from synth.analysis.synthesis_inequality import costless_reachable_subspace, transposed
 from synth.design.descent.landscape import Landscape
 from synth.design.full_order.riccati import central_law
 from synth.design.static import static_output_feedback
@@ -86,7 +86,7 @@ def test_no_controller_beats_it(seed):
 
 
 def test_zeros_of_what_is_measured():
-    """Of y = (s - 1) / (s + 1) w no stable loop makes w again: z = w + u has no norm below 1; of (s + 3) / (s + 1) w it has."""
+    """For y = (s - 1) / (s + 1) w no stable loop makes w again: z = w + u has no norm below 1; of (s + 3) / (s + 1) w it has."""
     plant = GeneralizedPlant(-np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1)), np.eye(1), np.eye(1))
     found = find_lower_bound(plant, np.array([[-2.0]]), Dyw=np.eye(1))
     assert found.gamma == pytest.approx(1.0, rel=1e-8)  # how far below the best bound a proof may lie, 1e-9
@@ -117,15 +117,16 @@ def test_the_proof_is_kept():
 
 
 def test_what_is_shown_without_noise():
-    """Of two signals with one noise the difference is free of it, and its derivative is where that is free of the road."""
+    """For two signals with one noise the difference is free of it, and its derivative is where that is free of the road."""
     chain = GeneralizedPlant(
         np.diag(np.ones(2), 1), np.eye(3)[:, 2:], np.hstack([np.eye(3)[:, 2:], np.zeros((3, 1))]), np.eye(3), np.zeros((3, 1)),
         np.zeros((3, 2)),
     )  # fmt: skip
     Cy, one_noise = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.0, 1.0], [0.0, 1.0]])
-    assert noise_free_observable_rows(chain, Cy).shape == (3, 3)
-    assert noise_free_observable_rows(chain, Cy, one_noise).shape == (3, 3)
-    assert noise_free_observable_rows(chain, Cy[:1], one_noise[:1]).shape == (0, 3)
+    shown = [
+        costless_reachable_subspace(transposed(chain, *rows)) for rows in ((Cy, None), (Cy, one_noise), (Cy[:1], one_noise[:1]))
+    ]
+    assert [one.shape for one in shown] == [(3, 3), (3, 3), (3, 0)]
 
 
 def test_a_road_that_is_measured():
@@ -178,7 +179,7 @@ def test_landscape_with_noise(seed):
 
 
 def test_slope_at_infinity():
-    """Where what is fed through from noise to z leads, the slope is that of the gain at infinity, and cuts far out have it."""
+    """If what is fed through from noise to z leads, the slope is that of the gain at infinity, and cuts far out have it."""
     plant = GeneralizedPlant(-np.eye(1), np.eye(1), np.array([[0.1, 0.0]]), np.zeros((1, 1)), np.eye(1), np.zeros((1, 2)))
     landscape = Landscape(plant, np.eye(1), np.array([[0.0, 5.0]]))
     x = landscape.point(np.array([[-2.0]]))

@@ -302,7 +302,7 @@ def peak_of(A: exactly.Matrix, Bw: exactly.Matrix, C: exactly.Matrix, near: floa
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 7, 16, 26, 43, 47, 50, 55])
 def test_a_norm_is_as_far_off_as_is_said_at_most(seed):
-    """Of dampings from 1e-5 to 1e-13 exact arithmetic finds the peak, between floats: it lies within the stated rounding."""
+    """For dampings from 1e-5 to 1e-13 exact arithmetic finds the peak, between floats: it lies within the stated rounding."""
     rng = np.random.default_rng(seed)
     damping, rate = 10.0 ** rng.uniform(-13, -5), 10.0 ** rng.uniform(-1, 2)
     T = np.eye(2) + 0.3 * rng.standard_normal((2, 2))
@@ -316,7 +316,7 @@ def test_a_norm_is_as_far_off_as_is_said_at_most(seed):
 
 
 def test_what_floats_of_frequency_miss_is_rounding():
-    """Of a damping of 1e-12 the peak lies between two floats: the norm is below it by no more than its stated rounding.
+    """For a damping of 1e-12 the peak lies between two floats: the norm is below it by no more than its stated rounding.
 
     The peak of c / (s^2 + a s + b) is c / (a (b - a^2 / 4)^1/2) exactly.
     """

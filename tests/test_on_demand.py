@@ -103,7 +103,7 @@ def test_who_does_not_name_it_has_nothing_of_it(name):
 @pytest.mark.parametrize("where", NAMED)
 @pytest.mark.parametrize("name", ["quarter_car", "half_car"])
 def test_a_vehicle_has_what_its_file_names(name, where):
-    """Of the wheels those that are named, in what a controller measures, in a noise or a quantisation."""
+    """Wheels that are named have one, in what a controller measures, in a noise or a quantisation."""
     text, wheel, forces = read_vehicle(name).text, wheels(name)[-1], len(read_vehicle(name).linear_model.inputs)
     vehicle = parse_vehicle(text + NAMED[where].format(wheel, [[1.0]] * forces))
     assert [one for one in vehicle.linear_model.outputs if WHEEL in one] == [wheel]
@@ -131,7 +131,7 @@ def test_a_full_car_does_not_measure_it():
 
 
 def test_physics_agrees_to_rk4s_own_error(hub):
-    """Of laws on the hub's accelerometer MuJoCo is within 1e-6 of peak of the sampled response, and of order 4 in the step."""
+    """For laws on the hub's accelerometer MuJoCo is within 1e-6 of peak of the sampled response, and of order 4 in the step."""
     vehicle = read_vehicle(hub)
     some = [Designer(vehicle).design(name) for name in ("hub", "best")]
     errors = []
@@ -152,7 +152,7 @@ def test_margins_are_where_a_pole_crosses(hub):
 
 
 def test_commands_take_it_as_any_other(hub, tmp_path, monkeypatch, capsys):
-    """It is designed for, driven, recorded, proved from the log, and swept."""
+    """The signal is designed for, driven, recorded, proved from the log, and swept."""
     monkeypatch.chdir(tmp_path)
     asked = ["--vehicle", str(hub), "--controller", "best", "--json"]
     assert bump([*asked, "--duration", "0.3"]) == 0

@@ -32,7 +32,7 @@ def folder(tmp_path):
 
 
 def refusal(folder: Path) -> str:
-    """What the command says of the vehicle."""
+    """Returns what the command says of the vehicle."""
     with pytest.raises(InputError) as caught:
         main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"])
     assert "\n" not in str(caught.value)
@@ -155,7 +155,7 @@ def test_actuators_have_their_inputs_names(folder):
 
 
 def test_own_refusal(folder):
-    """What a kind's `check_together` says of parameters is said as it is, without a line of Python."""
+    """A kind's `check_together` speaks as it is, without a line of Python."""
     path = folder / "hopper.py"
     refuses = "def check_together(p):\n    raise InputError(f\"mass = {p['mass']:g} kg is too much\")\n\n\nKIND ="
     text = (
@@ -168,7 +168,7 @@ def test_own_refusal(folder):
 
 
 def test_what_it_prints_is_no_output(folder, capsys):
-    """What a kind prints, when it is read and when it is called, goes to stderr: `--json` stays one JSON object."""
+    """Prints of a kind, when it is read and when it is called, go to stderr: `--json` stays one JSON object."""
     path = folder / "hopper.py"
     path.write_text("print('read')\n" + path.read_text().replace(BUILD, f"{BUILD}\n    print('called')"))
     vehicle = str(folder / "hopper.toml")

@@ -272,7 +272,7 @@ def test_the_picture_is_the_data():
 
 
 def test_every_panel_is_sound_xml():
-    """What is drawn of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
+    """The SVG of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
     none, x = np.zeros(0), np.array([1.0, 2.0])
     nothing = np.full((2, 2), np.nan)
     odd = [
@@ -387,7 +387,7 @@ def test_a_figure_in_words():
 
 
 def test_a_place_with_a_name_is_told_by_it():
-    """Where an axis has names for numbers, as classes of roads, the words have them, too."""
+    """If an axis has names for numbers, as classes of roads, the words have them, too."""
     panel = Panel("ride", "class of road", "m/s²", (Curve(np.arange(3.0), np.array([1.0, 3.0, 2.0]), "I"),), None)
     panel = dataclasses.replace(panel, xticks=(0.0, 1.0, 2.0), xnames=("A", "B", "C"))
     assert "largest 3 at B, least 1 at A, at the end 2." in about(panel)[1]
@@ -395,7 +395,7 @@ def test_a_place_with_a_name_is_told_by_it():
 
 @pytest.mark.parametrize("every", [1, 7, 60, 1000])
 def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
-    """Of a line that is thinned the largest and the least are the whole line's, whatever falls between, and so are the words."""
+    """For a line that is thinned the largest and the least are the whole line's, whatever falls between, and so are the words."""
     y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
     some = y[thinned(y, every)]
     assert some.max() == y.max()

@@ -21,14 +21,14 @@ READER = Path(__file__).with_name("page_in_browser.mjs")
 
 @pytest.fixture(scope="module")
 def node_modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What drives a browser, and the checker, from the npm registry."""
+    """Returns what drives a browser, and the checker, from the npm registry."""
     if BROWSER is None:
         pytest.skip("needs a Chromium")
     return installed(PACKAGES, tmp_path_factory.mktemp("node"))
 
 
 def wrong(pages: list[Path], node_modules: Path) -> list[dict[str, list[str]]]:
-    """What is wrong with each page, by how it is read."""
+    """Returns what is wrong with each page, by how it is read."""
     command = ["node", str(READER), str(node_modules), str(BROWSER), *map(str, pages)]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
     return json.loads(done.stdout)

@@ -12,7 +12,7 @@ SLOW = ("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "synth --vehic
 
 
 def slow(one: Section) -> bool:
-    """Whether a section is for test_slow_pages.py."""
+    """Returns True if a section is for test_slow_pages.py."""
     return any(f"-m {command} " in line for command in SLOW for line in one.commands)
 
 
@@ -55,7 +55,7 @@ def test_a_stale_line_is_found():
 
 @pytest.mark.parametrize("name", [*PAGES, ".github/CONTRIBUTING.md"])
 def test_links_and_tables(name):
-    """What a page links to is there, heading included, and its tables are at most 100 columns wide."""
+    """The targets of a page's links are there, headings included, and its tables are at most 100 columns wide."""
     text, folder = page(name), (PICTURES.parent.parent / name).parent
     for path, _, heading in (link.partition("#") for link in re.findall(r"\]\((?!https?:)([^)]+)\)", text)):
         there = folder / path if path else PICTURES.parent.parent / name  # a link within the page names its heading alone

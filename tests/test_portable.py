@@ -33,7 +33,7 @@ KNOWN = {
 
 
 def found(tree: ast.AST) -> Iterator[str]:
-    """What only one system has, in a source."""
+    """Returns what only one system has, in a source."""
     docstrings, nodes = set(), list(ast.walk(tree))
     for node in nodes:
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr):
@@ -87,7 +87,7 @@ def test_no_source_counts_on_a_system():
     ],
 )
 def test_the_walk_sees_it(source):
-    """What the walk is for, it finds."""
+    """The walk finds what it is for."""
     assert list(found(ast.parse(source)))
 
 

@@ -1,4 +1,4 @@
-"""What commands print fits a terminal, whatever the vehicle, and ends with the answer."""
+"""The commands' output fits a terminal, whatever the vehicle, and ends with the answer."""
 
 import random
 import re
@@ -136,7 +136,7 @@ def test_help_fits(name, monkeypatch, capsys):
 
 
 def test_sentences_keep_their_words():
-    """Of random words of random lengths every line fits, none is lost, and no number is parted from its unit."""
+    """For random words of random lengths every line fits, none is lost, and no number is parted from its unit."""
     draw = random.Random(20261121)
     for _ in range(200):
         words = [draw.choice(("MuJoCo", "7.5 m/s", "-65 +- 3.2j", "a" * draw.randint(1, 30))) for _ in range(draw.randint(1, 60))]

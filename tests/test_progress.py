@@ -1,4 +1,4 @@
-"""How far long work has come is said on a terminal's stderr, and nowhere else."""
+"""Progress of long work is said on a terminal's stderr, and nowhere else."""
 
 import io
 import os
@@ -16,7 +16,7 @@ class Terminal(io.StringIO):
     """A stream that says it is one."""
 
     def isatty(self) -> bool:
-        """It does."""
+        """Returns True."""
         return True
 
 
@@ -60,7 +60,7 @@ def test_a_line_stays_one_line(monkeypatch):
 
 
 def test_no_terminal_no_progress(capsys):
-    """What is not a terminal, as a file or a pipe, is told nothing."""
+    """A file or a pipe, which is no terminal, is told nothing."""
     stage = Stages("designs")
     stage("designs")
     stage.end()

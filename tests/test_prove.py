@@ -16,7 +16,7 @@ from tests.test_forged_states import law_of
 
 
 def rows(capsys, *options: str) -> dict[str, dict]:
-    """What the command says, by controller, as JSON."""
+    """Returns what the command says, by controller, as JSON."""
     capsys.readouterr()
     assert main([*options, "--json"]) == 0
     return {row["name"]: row for row in json.loads(capsys.readouterr().out)["controllers"]}
@@ -39,7 +39,7 @@ def test_a_given_law_has_a_close_bound_when_asked(vehicle, name, capsys):
 
 @pytest.mark.parametrize("period", [None, 0.004])
 def test_the_proof_is_one(period):
-    """Of a random law, continuous or discrete, on an accelerometer, the X that is found satisfies (20) for its own loop."""
+    """For a random law, continuous or discrete, on an accelerometer, the X that is found satisfies (20) for its own loop."""
     paper = read_vehicle("quarter_car")
     one = certify_given(paper, "mine", ("suspension_deflection", "sprung_acceleration"), law_of(paper, 3, period))
     found, said = proved(Designer(paper), one)
@@ -70,7 +70,7 @@ def test_what_is_designed_or_unstable_is_as_it_was():
 
 
 def test_what_cannot_be_proved_is_said(monkeypatch):
-    """Where no X is found the law stays without a bound, and that is in its notes."""
+    """If no X is found the law stays without a bound, and that is in its notes."""
     import synth.command.check as prove
 
     paper = read_vehicle("quarter_car")
@@ -86,7 +86,7 @@ def record(law: LinearLaw) -> dict:
 
 @pytest.mark.parametrize("period", [None, 0.004])
 def test_a_law_in_other_coordinates_is_the_same_law(period):
-    """What a law does is compared, not its matrices; another entry, force, period or order is another law."""
+    """The effect of a law is compared, not its matrices; another entry, force, period or order is another law."""
     law = law_of(read_vehicle("quarter_car"), 4, period)
     T = np.random.default_rng(3).standard_normal((4, 4)) + 3 * np.eye(4)
     turned = LinearLaw(np.linalg.solve(T, law.A) @ T, np.linalg.solve(T, law.B), law.C @ T, law.D, law.sample_period)

@@ -91,7 +91,7 @@ EXAMPLES = [
 
 @pytest.mark.parametrize(("package", "name"), EXAMPLES, ids=lambda one: one if isinstance(one, str) else one.__name__)
 def test_examples(package, name):
-    """What stands in a docstring is what comes out."""
+    """An example in a docstring prints what it says."""
     finder = doctest.DocTestFinder(recurse=False)
     for example in finder.find(getattr(package, name), name, globs={}):
         told: list[str] = []

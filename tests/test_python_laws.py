@@ -65,7 +65,7 @@ def driven(path: Path, name: str = "mine", vehicle: Vehicle | None = None, durat
 
 
 def refusal(path: Path, command: str = "sim.bump", *options: str) -> str:
-    """What a command says of a vehicle file's controller."""
+    """Returns what a command says of a vehicle file's controller."""
     more = ["--no-logs", "--duration", "0.3"] if command == "sim.bump" else []
     with pytest.raises(InputError) as caught:
         main_of(command)(["--vehicle", str(path), "--controller", "mine", *more, *options])
@@ -123,7 +123,7 @@ def test_it_can_disagree(tmp_path):
 
 
 def test_preview_is_the_road_ahead(tmp_path):
-    """What a law is told is the heights under each wheel, now and at the next samples, also beyond the end of the run."""
+    """A law is told the heights under each wheel, now and at the next samples, also beyond the end of the run."""
     law = "def step(sample, state):\n    return sample.preview[:, -1] * 100 + sample.preview[:, 0], state\n"
     velocities = ("heave_velocity",)
     path = vehicle_of(tmp_path, law, "half_car", velocities, "preview = 0.3")
@@ -157,7 +157,7 @@ def test_vectorised_is_the_same_run_by_run(tmp_path):
 
 
 def test_runs_do_not_know_of_one_another(tmp_path):
-    """What a file keeps in names of its own, or in lists that it is given, is one run's: the same alone and beside others."""
+    """Names of a file's own, and lists that it is given, are one run's: the same alone and beside others."""
     law = "calls = []\ndef step(sample, state):\n    calls.append(sample.time)\n    sample.y[:] = 7.0\n"
     law += "    sample.parameters.clear()\n    return -float(len(calls)), state\n"
     path = vehicle_of(tmp_path, law)
@@ -325,7 +325,7 @@ def test_a_loop_of_links(tmp_path, one_way):
 
 
 def test_a_run_that_ends_at_once_agrees_with_nothing(tmp_path, capsys):
-    """Where there is no vehicle any more after one step, no comparison was made, and none is claimed to have come out well."""
+    """If there is no vehicle any more after one step, no comparison was made, and none is claimed to have come out well."""
     path = vehicle_of(tmp_path, "def step(sample, state):\n    return [1e300], state\n")
     assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1"]) == 1
     out = prose(capsys.readouterr().out)
@@ -343,7 +343,7 @@ def test_no_link_leads_out_of_the_folder(tmp_path):
 
 
 def test_prints_go_to_stderr(tmp_path, capsys):
-    """What a law prints does not come between a command and its JSON."""
+    """Prints of a law do not come between a command and its JSON."""
     path = vehicle_of(tmp_path, "print('here')\ndef step(sample, state):\n  print('there')\n  return 0.0, state")
     assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1", "--json"]) == 0
     captured = capsys.readouterr()

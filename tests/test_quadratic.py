@@ -130,7 +130,7 @@ def test_cars(kind):
 
 
 def test_a_force_that_costs_nothing():
-    """Where z does not weigh a force a small cost is assumed, and said."""
+    """If z does not weigh a force a small cost is assumed, and said."""
     plant, Cy, Dyw = noisy(2, 0.4)
     free = replace(plant, D=0 * plant.D)
     assert "a cost for forces" in lqr_design(free).remark
@@ -151,7 +151,7 @@ def test_units(seed):
 
 
 def test_no_force():
-    """Where no force does anything, and none is needed, none is applied, by whatever design."""
+    """If no force does anything, and none is needed, none is applied, by whatever design."""
     plant, Cy, _ = noisy(0, 1.0)
     idle = replace(plant, B=0 * plant.B, D=0 * plant.D)
     for found in (lqr_design(idle), lqg_design(idle, Cy), h2_design(idle, Cy), full_order_design(idle, Cy)):
@@ -160,7 +160,7 @@ def test_no_force():
 
 
 def test_refused():
-    """What has no best in the mean is refused, and why is said."""
+    """A problem without a best in the mean is refused, and why is said."""
     plant, Cy, _ = noisy(0, 1.0)
     n, m = plant.B.shape
     A = np.block([[plant.A, np.zeros((n, 1))], [np.zeros((1, n)), np.zeros((1, 1))]])

@@ -51,7 +51,7 @@ def test_own_kind_of_vehicle_is_exact(hopper):
 
 
 def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
-    """What no force pushes along a suspension is driven over random roads, expected, tabled and reported like any other."""
+    """A vehicle without a force along a suspension is driven over random roads, expected, tabled and reported like any other."""
     folder = hopper.parent
     road = ["--class", "B", "--duration", "2", "--timestep", "2e-3", "--no-logs", "--json"]
     assert main_of("sim.drive")(["--vehicle", str(hopper), "--controller", "I", *road]) in (0, 1)

@@ -1,4 +1,4 @@
-"""What .github/CONTRIBUTING.md says about adding to the project, done in a copy of it."""
+"""The recipes of .github/CONTRIBUTING.md, done in a copy of it."""
 
 import os
 import re

@@ -244,7 +244,7 @@ def test_rerun_file_has_its_layout_and_a_fixed_id(run: RunLog, paths: dict[str, 
 
 
 def test_nothing_is_overwritten(run: RunLog, tmp_path: Path) -> None:
-    """Where one of the names is taken, all files get the next free one."""
+    """If one of the names is taken, all files get the next free one."""
     (tmp_path / "bump.rrd").write_text("somebody's")
     second = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)
     third = record(tmp_path, "bump", [run], METADATA, ATTACHMENTS)

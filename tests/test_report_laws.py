@@ -44,7 +44,7 @@ def report_of(folder: Path, capsys, *options: str) -> tuple[dict, str, Path]:
 
 
 def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
-    """Those rows of a table that are of a controller."""
+    """Returns those rows of a table that are of a controller."""
     return [row for row in found["tables"][table] if row["controller"] == name]
 
 

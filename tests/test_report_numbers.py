@@ -1,4 +1,5 @@
-"""What a report prints is so: every headline, table and sentence against the commands' own JSON, with the same parameters."""
+"""The numbers of a report are true: every headline, table and sentence against the commands' own JSON, with the same
+parameters."""
 
 import dataclasses
 import json
@@ -40,7 +41,7 @@ COARSE = ("--timestep", "0.005")  # where a page is not held against others
 
 
 def printed(capsys, command, *arguments) -> dict:
-    """What a command prints with --json."""
+    """Returns what a command prints with --json."""
     capsys.readouterr()
     command([*arguments, "--json"])
     return json.loads(capsys.readouterr().out)
@@ -62,7 +63,7 @@ def vehicle_file(folder: Path, extra: str, kind: str = "quarter_car") -> str:
 
 @pytest.fixture(scope="module")
 def plain() -> PageRead:
-    """Of the paper's vehicle as it ships."""
+    """A report of the paper's vehicle as it ships."""
     return PageRead(shared.printed("sim.report", *QUICK).folder / "report.html")
 
 
@@ -74,7 +75,7 @@ def real_file(tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory, real_file) -> PageRead:
-    """Of that."""
+    """The commands' own JSON of that vehicle."""
     return page(tmp_path_factory.mktemp("page"), "--vehicle", real_file)
 
 
@@ -93,7 +94,8 @@ def test_norms(plain, capsys):
 
 @pytest.mark.parametrize("which", ["plain", "real"])
 def test_summary(which, request):
-    """What the page shows first is what it says below: norms, what the body feels over the bump, the end of the linear regime."""
+    """The page's summary agrees with what it says below: norms, what the body feels over the bump, the end of the linear
+    regime."""
     read = request.getfixturevalue(which)
     for name in NAMES:
         row, norm = read.row("summary", controller=name), float(read.row("designs", controller=name)["norm"])
@@ -263,7 +265,7 @@ def test_every_number_names_its_loop(plain, real):
 
 
 def test_no_sentence_stands_above_noise(plain, real):
-    """What RK4 and the step make is said of runs without noise only; seeds are listed where something is random."""
+    """The effect of RK4 and the step is said of runs without noise only; seeds are listed where something is random."""
     assert plain.row("provenance", what="seeds")["value"] == "none: nothing is random"
     assert real.row("provenance", what="seeds")["value"] == "0, of the noise on measurements"
     for row in real.tables["agreement"]:

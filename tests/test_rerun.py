@@ -1,4 +1,4 @@
-"""What Rerun shows beside plain curves: tyres, struts and forces, differences, what happened, several controllers."""
+"""Views of Rerun beside plain curves: tyres, struts and forces, differences, what happened, several controllers."""
 
 import json
 import re
@@ -268,7 +268,7 @@ def test_a_plot_says_how_far_its_curves_go(lifting: RunLog) -> None:
 
 
 def test_an_axis_of_no_numbers_is_left_to_rerun() -> None:
-    """What is nowhere finite has no range, and does not spoil that of others."""
+    """A signal that is nowhere finite has no range, and does not spoil that of others."""
     nothing = np.full(5, np.nan)
     assert value_axis([nothing]) is None
     (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([nothing, np.array([0.0, 3.0, np.inf])])))
@@ -297,7 +297,7 @@ def _parts(container) -> list:
 
 
 def test_what_no_one_scrolls_through_is_cut():
-    """Of a claim that is longer than a page, as a road with a load from a file is, the page has the beginning and its length."""
+    """For a claim that is longer than a page, as a road with a load from a file is, the page has the beginning and its length."""
     page = listed({"gain": "[[1.0]]", "long": "0.125, " * 200, "road": "9" * (READ + 1)})
     assert "| gain | [[1.0]] |" in page
     assert "0.125, " * 200 in page

@@ -215,7 +215,7 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
     ],
 )  # fmt: skip
 def test_bad_files(text, said, tmp_path, capsys):
-    """What is no drive file is refused in one line that names it, the line, and what to do."""
+    """A file that is no drive file is refused in one line that names it, the line, and what to do."""
     (tmp_path / "drive.csv").write_text(text)
     with refused(said, "drive.csv"):
         main(["--vehicle", "half_car", "--controller", "passive", "--road", f"rig:file={tmp_path}/drive.csv", "--no-logs"])

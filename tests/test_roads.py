@@ -517,7 +517,7 @@ def test_bad_profiles(tmp_path, text, said):
 
 
 def test_lines_may_end_in_any_way(tmp_path):
-    """Those of Unix, Windows and old Macs are the same road, and a bad line has the same number."""
+    """Line ends of Unix, Windows and old Macs give the same road, and a bad line has the same number."""
     path = tmp_path / "road.csv"
     for end in (b"\n", b"\r\n", b"\r"):
         path.write_bytes(end.join([b"distance,height", b"0,0", b"1,0.01", b"2,0", b"3,0", b""]))
@@ -529,7 +529,7 @@ def test_lines_may_end_in_any_way(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
 def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
-    """It is said that it is no UTF-8, and what to do about it."""
+    """A file that is no UTF-8 is refused, with what to do about it."""
     path = tmp_path / "road.csv"
     path.write_bytes("Höhe,m\n0,0\n".encode(encoding))
     with pytest.raises(InputError, match=r"not a text file in UTF-8 \(.*\); save it as UTF-8"):
@@ -558,6 +558,11 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("road.csv:offset=3", "'offset=3' is not NAME=VALUE with a NAME out of columns, distance_unit"),
         ("road.crg:height_unit=mm", "says its own units"),
         ("bump:height=0.1:height=0.2", "height is given twice, '0.1' and '0.2'"),
+        ("iso8608:iri=2:class=C", "a road of class = C and iri = 2; give one of them"),
+        ("iso8608:iri=0", "road iri = 0 is not allowed; give a number from 0.01 to 300"),
+        ("iso8608:iri=301", "road iri = 301 is not allowed"),
+        ("iso8608:iri=-1", "road iri = -1 is not allowed"),
+        ("iso8608:iri=nan", "iri = 'nan' is not a finite number"),
         ("road.csv:height_unit=mm:height_unit=m", "height_unit is given twice"),
     ],
 )
@@ -601,7 +606,8 @@ def test_a_road_is_level_after_its_duration(road):
 
 
 def test_roads_that_cannot_be_driven():
-    """What is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is not."""
+    """A road that is over within two timesteps, beside a vehicle's only track, or lost in rounding is refused; a flat road is
+    not."""
     quarter, full, time = read_vehicle("quarter_car"), read_vehicle("full_car"), np.arange(1000) * 1e-3
     for vehicle, road, words in (
         (quarter, Bump(length=0.0249), "the road is over in 0.00199 s, less than two timesteps of 0.001 s"),
@@ -656,6 +662,6 @@ def test_description_is_enough(road):
     ],
 )
 def test_bad_description(description, message):
-    """What describes no road, or another one than it says, is refused."""
+    """A description of no road, or of another one than it says, is refused."""
     with pytest.raises(InputError, match=message):
         described_road(description)

@@ -139,7 +139,7 @@ def test_example_of_a_manual(period, of_example):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_two_routes_meet_with_noise(seed):
-    """Of any loop with noise, what an actual disturbance reaches is the norm, and no other angle's gain is above it."""
+    """For any loop with noise, what an actual disturbance reaches is the norm, and no other angle's gain is above it."""
     rng = np.random.default_rng(seed)
     loop = any_loop(rng)
     loop = replace(loop, noise=rng.standard_normal((len(loop.K) + len(loop.A_register), 2)))

@@ -33,7 +33,7 @@ def said(capsys, *arguments: str) -> tuple[int, dict]:
 
 
 def test_json_and_table(built, capsys):
-    """What is printed is what JSON has, between the levels that prove it; and an actual road reaches it."""
+    """The table prints JSON's numbers, between the levels that prove them; an actual road reaches it."""
     code, found = said(capsys, "--vehicle", str(built))
     assert code == 0
     synth(["--vehicle", str(built)])

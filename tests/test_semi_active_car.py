@@ -37,7 +37,7 @@ def test_every_claim_holds(capsys):
 
 
 def test_a_report_says_which_analysis_agrees(tmp_path, capsys):
-    """Where dampers are switched, what MuJoCo agrees with is the analysis with them, and no linear one."""
+    """If dampers are switched, what MuJoCo agrees with is the analysis with them, and no linear one."""
     assert (
         report(["--quick", "--vehicle", VEHICLE, "--controller", "I", "--timestep", "4e-3", "--out", str(tmp_path / "r.html")])
         == 0

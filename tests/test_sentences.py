@@ -1,4 +1,4 @@
-"""What is written is read once: docstrings begin with what something is or does, and sentences are short."""
+"""Prose is read once: docstrings begin with what something is or does, and sentences are short."""
 
 import ast
 import functools

@@ -1,4 +1,4 @@
-"""How much of the final variance is there when measuring begins."""
+"""The share of the final variance when measuring begins."""
 
 import dataclasses
 from typing import Any

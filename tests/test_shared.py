@@ -1,4 +1,4 @@
-"""What tests share is made once, is found by content, and is nobody's to change."""
+"""A shared object is made once, is found by content, and is nobody's to change."""
 
 from dataclasses import dataclass, replace
 
@@ -47,7 +47,7 @@ def test_is_made_once(paper):
 
 
 def test_everybody_has_a_copy(paper):
-    """What one test does to it no other sees, and arrays that are read-only stay so."""
+    """Changes of one test are seen by no other, and arrays that are read-only stay so."""
     made(pair, paper, 3.0).names.append("changed")
     again = made(pair, paper, 3.0)
     assert again.names == [paper.text]
@@ -55,7 +55,7 @@ def test_everybody_has_a_copy(paper):
 
 
 def test_what_raises_is_not_kept(paper):
-    """It raises every time."""
+    """A call that raises does so every time."""
     MADE.clear()
     for _ in range(2):
         with pytest.raises(ValueError, match="not this time"):
@@ -73,7 +73,7 @@ def test_functions_are_told_apart_by_their_code():
 
 
 def test_a_command_runs_in_a_folder_with_its_files(paper):
-    """What it prints, writes and returns is kept with the folder; with other files it is run again."""
+    """Prints, files and exit code are kept with the folder; with other files it is run again."""
     light = paper.text.replace("504.5", "500.5")
     arguments = ("--controller", "state", "--vehicle", "car.toml", "--json", "--save", "out.toml")
     one, other = (printed("synth", *arguments, files={"car.toml": text}) for text in (paper.text, light))

@@ -89,7 +89,7 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
 
 
 def test_a_run_that_is_not_wanted_stays_where_it_is(paper, designer):
-    """What is left of the runs goes on as it would have beside the others, and those that are not wanted do not move."""
+    """The remaining runs go on as they would have beside the others, and those that are not wanted do not move."""
     time = times(1e-3, 0.3)
     heights = np.sin(20 * time)[:, None, None] * np.linspace(0.01, 0.03, 3)[:, None]
     vehicles = [paper, replace(paper, implementation=Implementation(sample_period=4e-3, delay=2)), paper]

@@ -75,7 +75,7 @@ def right_run(name: str) -> Run:
 
 
 def over_a_share(prediction: Prediction, built: Vehicle) -> tuple[ScaledPrediction, Response]:
-    """What is predicted, and made of a vehicle, over a hundredth of the road."""
+    """Returns what is predicted, and made of a vehicle, over a hundredth of the road."""
     time, road = prediction.time, prediction.road.scaled(SMALL)
     small = simulate([built], [driver_again(prediction, time, SMALL)], [road], time).response.run(0)
     return reference_at(SMALL, prediction, small), small
@@ -91,7 +91,7 @@ def judged(name: str, built: Vehicle) -> Agreement:
 
 
 def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
-    """What is predicted of a run, of physics where that is needed."""
+    """Returns what is predicted of a run, of physics where that is needed."""
     if vehicle.dampers:
         return predict_replayed(vehicle, controller, road, time, physics, asked)
     return predict(vehicle, controller, road, time)
@@ -99,7 +99,7 @@ def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
 
 @pytest.mark.parametrize("name", in_the_suite(("friction", "bends", "measured pair, with friction", "full car"), CARS))
 def test_right_physics_agrees(name):
-    """What RK4 makes of knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
+    """The effect of RK4 at knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
     run = right_run(name)
     assert run.passed
     assert verdict(run).startswith("agrees to first order throughout")
@@ -144,7 +144,7 @@ def test_rk4_is_foretold_over_a_share_of_the_road(name):
 
 @pytest.mark.parametrize("kind", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def test_what_is_in_proportion_is_not_computed_again(kind):
-    """Of a car without curves the integrator's share of a smaller motion is that of the whole, to the last bit."""
+    """For a car without curves the integrator's share of a smaller motion is that of the whole, to the last bit."""
     vehicle = read_vehicle(kind)
     (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 0.35, 1e-3))
     share = smaller(run.prediction, SMALL)
@@ -157,7 +157,7 @@ def test_what_is_in_proportion_is_not_computed_again(kind):
 @pytest.mark.parametrize("name", SOME)
 @pytest.mark.parametrize("height", [LOWEST, pytest.param(1e-4, marks=pytest.mark.attack)])
 def test_over_the_lowest_roads_rounding_counts(name, height):
-    """Where a bump is next to none and friction holds, right physics agrees, too."""
+    """If a bump is next to none and friction holds, right physics agrees, too."""
     vehicle, controller, road = car(name)
     time = sample_times(vehicle, 0.35, 1e-3)
     (run,) = run_controllers(vehicle, [controller], replace(road, height=height), time)
@@ -165,7 +165,7 @@ def test_over_the_lowest_roads_rounding_counts(name, height):
 
 
 def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
-    """Where RK4 cannot follow friction near rest at a step, though it can over the whole bump, that is said; a quarter agrees."""
+    """If RK4 cannot follow friction near rest at a step, though it can over the whole bump, that is said; a quarter agrees."""
     vehicle, controller, road = car("much friction")
 
     def run_at(step):

@@ -55,7 +55,7 @@ def test_a_shell_reads_it_back():
 
 
 def test_ordinary_words_are_as_they_were():
-    """What needs no quotation has none, and what does has the shell's usual one."""
+    """Words that need no quotation have none, and others have the shell's usual one."""
     assert pasted(["python", "-m", "synth", "it's"]) == shlex.join(["python", "-m", "synth", "it's"])
 
 

@@ -93,7 +93,7 @@ def test_many_slow_discrete_plants(first):
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("digits", [1, 3, 6, 12, 15])
 def test_one_slow_discrete_mode(digits, sign):
-    """Of a scalar plant the optimum has a formula, and the gain meets it, to the last pole that is not 1, in odd units."""
+    """For a scalar plant the optimum has a formula, and the gain meets it, to the last pole that is not 1, in odd units."""
     pole = 1 - sign * 10.0**-digits
     design = two_step_design(scalar(pole, 0.1, state=1e3, force=1e-2), np.eye(1))
     # The norm of u = k x is hypot(1, k) / (1 - |pole + k|), least where the loop's pole is 0; the path ends within

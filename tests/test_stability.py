@@ -43,7 +43,7 @@ def test_verdict_depends_on_no_coordinates(A, verdict):
 
 
 def test_allowance_is_rounding_not_more():
-    """What is damped by a thousand roundings is stable, what is damped by a tenth of one is not, whatever the size of A."""
+    """A mode damped by a thousand roundings is stable, one damped by a tenth of one is not, whatever the size of A."""
     for size in 10.0 ** np.arange(-20, 21, 5):
         for damping, verdict in ((1e-12, STABLE), (1e-17, MARGINAL), (-1e-17, MARGINAL), (-1e-12, UNSTABLE)):
             assert stability(size * np.array([[-damping, 1.0], [-1.0, -damping]])).verdict == verdict
@@ -63,7 +63,7 @@ def test_sampled_growth():
 
 @pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
 def test_no_car_turns_marginal_by_mistake(kind):
-    """What ships is stable, from a thousandth of its damping up; without any it is marginal, also in its sampled loop."""
+    """A shipped vehicle is stable, from a thousandth of its damping up; without any it is marginal, also in its sampled loop."""
     vehicle = read_vehicle(kind)
     damped = [name for name in vehicle.parameters if "damping" in name]
     for factor, verdict in ((1.0, STABLE), (1e-3, STABLE), (1e-9, STABLE), (1e-17, MARGINAL), (0.0, MARGINAL)):

@@ -12,7 +12,6 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import law_system
-from tests.commands import refused
 from tests.shared import made, printed
 
 HUB = 'measured = ["unsprung_acceleration", "control_force"]\norder = "full"\n'
@@ -80,27 +79,3 @@ def test_where_none_is_found_it_says_so():
     )
     with pytest.raises(DesignError, match="no law was found that is stable by itself"):
         full_order_design(plant, np.array([[1.0, 0.0]]), stable=True)
-
-
-@pytest.mark.parametrize(
-    ("entry", "said"),
-    [
-        (
-            'measured = ["sprung_velocity"]\nstable = true',
-            'no law, order or design with stable = true: it is a law designed with order = "full"',
-        ),
-        (
-            'measured = ["sprung_velocity"]\ndesign = "lqg"\nstable = true',
-            'with stable = true: it is a law designed with order = "full"',
-        ),
-        (
-            'measured = ["sprung_velocity"]\ngain = [[1.0]]\nstable = true',
-            'with stable = true: it is a law designed with order = "full"',
-        ),
-        ('measured = ["sprung_velocity"]\norder = "full"\nstable = 1', "stable = 1 is not allowed; give true or false"),
-    ],
-)
-def test_a_mistake_is_named(entry, said):
-    """Where no full order is designed, `stable = true` is refused in one line that names the controller."""
-    with refused(said, match=r"controllers[.]mine"):
-        parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{entry}\n")

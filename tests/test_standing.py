@@ -88,7 +88,7 @@ def test_no_force_is_no_merit():
 
 
 def test_the_worst_point_counts():
-    """Of a vehicle with several wheels the worst one stands in the table, whichever that is."""
+    """For a vehicle with several wheels the worst one stands in the table, whichever that is."""
     vehicle = read_vehicle("half_car")
     metrics = {"suspension_deflection_front_peak": 0.03, "suspension_deflection_rear_peak": 0.04, "off_ground_front": 0.1}
     found = standing(vehicle, "I", metrics).values

@@ -131,6 +131,6 @@ def test_what_is_no_controller_is_refused(paper, measured, system, said):
 
 
 def test_no_system_of_nothing(paper, designer):
-    """What measures nothing is no system."""
+    """A controller that measures nothing is no system."""
     with pytest.raises(ValueError, match="measures nothing"):
         law_system(paper, designer.design("passive"))

@@ -1,4 +1,4 @@
-"""What is expected over random roads of vehicles with curves: the line that does the same on average."""
+"""The expected ride of vehicles with curves over random roads: the line that does the same on average."""
 
 import dataclasses
 import itertools
@@ -148,7 +148,7 @@ def test_the_line_is_consistent_and_the_body_stands_lower():
 
 
 def test_where_second_order_is_not_enough_that_is_said():
-    """Where a gain all but cancels a spring that gets far stiffer, lines alone are consistent, and the sentence says so."""
+    """If a gain all but cancels a spring that gets far stiffer, lines alone are consistent, and the sentence says so."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
     line = equivalent(vehicle, design(vehicle, "I"), Iso8608("D", 0, 20.0).spectrum, 1e-3)
     assert line is not None
@@ -187,7 +187,7 @@ def test_without_curves_nothing_changes(paper):
 
 
 def test_it_says_so(tmp_path, capsys):
-    """What is printed names slopes and mean deflections, as JSON has them."""
+    """The text names slopes and mean deflections, as JSON has them."""
     (tmp_path / "mine.toml").write_text(curved_text("half_car", **AXLES))
     asked = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--class", "C", "--duration", "0.5"]
     assert main([*asked, "--no-logs"]) == 0
@@ -209,7 +209,7 @@ def test_it_says_so(tmp_path, capsys):
 
 
 def test_energy_has_the_mean_force_in_it():
-    """Of a controller that holds up what an asymmetric damper pulls down, the energy is that of its mean force, too."""
+    """For a controller that holds up what an asymmetric damper pulls down, the energy is that of its mean force, too."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
     controller, time = design(vehicle, "I"), sample_times(vehicle, SETTLED + WINDOW, STEP)
     roads = [Iso8608("C", seed, 20.0) for seed in range(16)]
@@ -225,7 +225,7 @@ def test_energy_has_the_mean_force_in_it():
 
 
 def test_positive_part_of_a_product():
-    """Of two Gaussians, one of which has a mean, the positive part of the product is what a quadrature of both makes of it."""
+    """For two Gaussians, one of which has a mean, the positive part of the product is what a quadrature of both makes of it."""
     z, step = np.linspace(-9.0, 9.0, 1201, retstep=True)
     w = np.exp(-(z**2) / 2) * step / math.sqrt(2 * math.pi)
     for r, mean in ((0.3, 1.0), (-0.9, 40.0), (0.99, -4.0), (0.0, 0.2), (0.5, 0.0)):

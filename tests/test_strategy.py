@@ -74,7 +74,7 @@ def test_not_worse_than_the_two_steps_refined(seed, n, m):
 
 @pytest.mark.attack
 def test_narrow_valley():
-    """Where gains must cancel to 1e-4 in all but one direction, the strategy beats the lead compensators of a textbook."""
+    """If gains must cancel to 1e-4 in all but one direction, the strategy beats the lead compensators of a textbook."""
     plant, Cy = follower()
     design = static_output_feedback(plant, Cy)
     norms = [
@@ -211,7 +211,7 @@ def test_samples_of_large_plants_cost_no_more(monkeypatch):
 
 
 def covariance(A, B, C) -> np.ndarray:
-    """Of C x, where white noise drives x' = A x + B v: the integral of its density over frequency."""
+    """Returns the covariance of C x, where white noise drives x' = A x + B v: the integral of its density over frequency."""
     frequencies = np.concatenate([-np.geomspace(1e-7, 1e5, 20001)[::-1], np.geomspace(1e-7, 1e5, 20001)])
     answers = np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) for w in frequencies])
     return np.trapezoid(np.real(answers @ answers.conj().transpose(0, 2, 1)), frequencies, axis=0) / (2 * np.pi)
@@ -252,7 +252,7 @@ def test_samples_are_stable():
 
 
 def test_lowest_of_the_first_stable_samples():
-    """Of many points the one with the smallest norm of the first 24 stable ones, however rare those are."""
+    """For many points the one with the smallest norm of the first 24 stable ones, however rare those are."""
     plant, Cy = random_plant(0)
     landscape = Landscape(plant, Cy)
     for seed, size in ((0, 1.0), (1, 0.2)):
@@ -275,7 +275,7 @@ def test_proof_of_stiff_and_slow(stiffness):
 
 
 def test_norm_of_zero_is_proved():
-    """Where w does not reach z, an absolute bound is proved: a millionth of what the plant's matrices could do."""
+    """If w does not reach z, an absolute bound is proved: a millionth of what the plant's matrices could do."""
     plant = GeneralizedPlant(
         np.diag([-1.0, -2.0]), np.eye(2), np.array([[1.0], [0.0]]), np.array([[0.0, 1.0]]), np.zeros((1, 2)), np.zeros((1, 1))
     )

@@ -169,7 +169,7 @@ FORGED = {
 
 
 def test_only_an_answer_is_one():
-    """What is not of the batch that was asked for, or no JSON, is no answer."""
+    """A line of another batch than was asked for, or that is no JSON, is no answer."""
     for said in ({"rows": ROWS}, {"left": "why"}, {"error": "what"}):
         answer = {"batch": [4, 6], **said}
         assert answer_to(json.dumps(answer).encode() + b"\n", 4, 6) == answer

@@ -107,7 +107,7 @@ def test_hessian_is_the_difference_quotient_of_the_gradient(seed, phase):
 
 
 def test_outside_there_is_nothing():
-    """Where a constraint does not hold there are no derivatives."""
+    """If a constraint does not hold there are no derivatives."""
     _, quick, basis = both(a_plant(0, 5, 2, 0.0), 0, "path")
     assert quick.at(basis.pack(-np.eye(5), np.zeros((2, 5)), 0.0)) is None
 
@@ -147,7 +147,7 @@ def test_same_path(designer, monkeypatch, name):
 
 
 def test_coordinates_that_no_longer_fit(monkeypatch):
-    """Where X grows by orders of magnitude the path goes on in other coordinates, to the same limit."""
+    """If X grows by orders of magnitude the path goes on in other coordinates, to the same limit."""
     plant, _ = chain(8)
     Q, R = np.zeros((8, 0)), np.eye(8)
     expected = central_path(plant, Q, R)[-1]

@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from models.common.errors import InputError
 from models.roads.sinusoids import chirp, random_road, sinusoid
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, Limits
@@ -43,7 +42,7 @@ def test_lines(some):
 
 
 def test_order(paper, designer, some):
-    """It tends to the paper's continuous response with the step where a force is held, passive with its square."""
+    """The response tends to the paper's continuous one with the step where a force is held, passive with its square."""
     fine = identify(paper, [designer.design(name) for name in ("passive", "I")], 1e-4, STEP / 2, 12.5)
     for one, expected in zip(fine, (2, 1), strict=True):
         coarse = next(other.lines for other in some if other.lines.controller.name == one.controller.name)
@@ -218,27 +217,9 @@ def test_command(capsys, tmp_path):
     assert recorded_runs(result["logs"]["mcap"]) == {"II"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["--timestep", "0.02"], "too coarse"),
-        (["--amplitude", "0"], "amplitude"),
-        (["--amplitude", "nan"], "finite"),
-        (["--controller", "X"], "unknown controller"),
-        (["--picture", "sweep.pdf"], ".png or .svg"),
-        (["--picture", "/nowhere/sweep.png"], "no folder"),
-        (["--speed", "0"], "speed"),
-    ],
-)
-def test_bad_input(arguments, text):
-    """Bad input is one line that says what is allowed."""
-    with pytest.raises(InputError, match=text):
-        main(["--vehicle", "quarter_car", *arguments])
-
-
 @pytest.mark.parametrize("name", ["passive", "I"])
 def test_a_drawn_line_has_its_peak(paper, designer, name):
-    """What a line is said to come to at most is what its signal comes to, also between the points of an even grid."""
+    """The stated maximum of a line is that of its signal, also between the points of an even grid."""
     controller = designer.design(name)
     omega, drawn = drawn_line(paper, controller, 1e-3, 12.5)
     norms = controller.certificate.norm.value

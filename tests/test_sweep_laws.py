@@ -54,14 +54,14 @@ step.vectorised = True
 
 @pytest.fixture(scope="module", autouse=True)
 def few_sinusoids():
-    """What holds of a sinusoid holds of every one, and each costs three periods of the slowest."""
+    """Takes few sinusoids: each is like the others, and costs three periods of the slowest."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("sim.studies.frequency.describing_function.SINUSOIDS", FEW)
         yield
 
 
 def found_of(folder, law: str, how: Implementation | None = None, more: str = "", step: float = STEP):
-    """What a law makes of sinusoids, and its vehicle."""
+    """Returns what a law makes of sinusoids, and its vehicle."""
     vehicle = read_vehicle(vehicle_of(folder, law, more=more))
     vehicle = replace(vehicle, implementation=how or Implementation())
     (mine,) = controllers_of(vehicle, ["mine"], Designer(vehicle).design)
@@ -71,7 +71,7 @@ def found_of(folder, law: str, how: Implementation | None = None, more: str = ""
 
 @pytest.fixture(scope="module")
 def gain(tmp_path_factory):
-    """What a gain in Python makes of them."""
+    """Returns what a gain in Python makes of them."""
     return found_of(tmp_path_factory.mktemp("gain"), GAIN)
 
 
@@ -79,7 +79,7 @@ def gain(tmp_path_factory):
     "how", [None, pytest.param(Implementation(sample_period=4e-3, delay=1), marks=pytest.mark.attack)], ids=["prompt", "slow"]
 )
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
-    """Of a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
+    """For a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
     found, vehicle = gain if how is None else found_of(tmp_path, GAIN, how)
     linear = Designer(vehicle).design("I_printed")
     linear = replace(linear, law=replace(linear.law, D=np.array([[10825.2, -2069.5]])))
@@ -149,7 +149,7 @@ step.vectorised = True
 
 @pytest.mark.parametrize("limit", [8e-6, -1.0])
 def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
-    """Where runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
+    """If runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
     found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {COARSE}", step=COARSE)
     wild, count = np.isfinite(found.diverged), len(found.omega)
     # A road of 0.1 mm rises by 0.05 mm * omega * 8 ms in a step, at most: more than 8e-6 m from 20 rad/s on.
@@ -190,7 +190,7 @@ def test_shares_read_as_percent(gain):
 
 
 def test_a_picture_has_points_and_no_line(gain):
-    """Where analysis has no response none is drawn: a law's points stand alone."""
+    """If analysis has no response none is drawn: a law's points stand alone."""
     from models.figures.figure import styles
     from sim.studies.frequency.figure import sweep_figure
 

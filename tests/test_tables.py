@@ -38,7 +38,7 @@ def written(caller: str, mark: str, decimal: str, quotes: str, comments: bool, u
 
 
 def read(caller: str, text: str, folder) -> np.ndarray:
-    """What a caller makes of it, in SI units, as columns."""
+    """Returns what a caller makes of it, in SI units, as columns."""
     (folder / "table.csv").write_bytes(text.encode())
     if caller == "road":
         profile = choose_road("table.csv", folder).profile

@@ -96,7 +96,7 @@ def _sampled(worst: WorstNorm, loop, count, generator, d, e) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_in_the_box_exceeds_what_is_proved(seed):
-    """Of random plants in odd units, with noise or without, continuous or discrete: the loop with any errors stays below the
+    """For random plants in odd units, with noise or without, continuous or discrete: the loop with any errors stays below the
     bound, by a norm that is computed from the plant and the scaled gain alone."""
     plant, Cy, K, Dyw, generator = _plant(seed, 3 + seed % 3, 1 + seed % 2, 2, 0.1 if seed % 4 == 3 else None)
     d, e = generator.uniform(0.0, 0.1, 2), generator.uniform(0.0, 0.1, len(K)) * (seed % 3 > 0)
@@ -121,7 +121,7 @@ def test_nothing_in_the_box_exceeds_what_is_proved(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_law_with_states_stands_between_its_errors(seed):
-    """Of a law with states the readings and the forces are off, not its states: its scaled matrices say what its norm is."""
+    """For a law with states the readings and the forces are off, not its states: its scaled matrices say what its norm is."""
     plant, Cy, K, Dyw, generator = _plant(100 + seed, 3, 1 + seed % 2, 2)
     law = _law_with_states(K, generator)
     d, e = np.full(2, 0.08), np.full(len(K), 0.05)
@@ -143,7 +143,7 @@ def test_a_law_with_states_stands_between_its_errors(seed):
 
 @pytest.mark.parametrize("seed", [0, 1, *attacks((2, 3))])
 def test_forces_in_what_is_measured(seed):
-    """Where a reading has the force in it, the loop through it is solved with the errors in it."""
+    """If a reading has the force in it, the loop through it is solved with the errors in it."""
     plant, Cy, K, Dyw, generator = _plant(200 + seed, 3, 1, 2)
     through = np.array([[0.3], [0.0]]) / K[0, 0]
     d, e = np.full(2, 0.1), np.full(1, 0.1)
@@ -261,7 +261,7 @@ def test_an_unstable_loop_has_no_x():
 
 
 def test_a_discrete_plant_with_a_pole_at_minus_one():
-    """Where the plant is mapped under a gain of its own, errors are those of the gain, and not of that one."""
+    """If the plant is mapped under a gain of its own, errors are those of the gain, and not of that one."""
     plant = GeneralizedPlant(
         np.array([[-1.0, 0.2], [0.0, 0.5]]),
         np.array([[1.0], [0.5]]),
@@ -282,7 +282,7 @@ def test_a_discrete_plant_with_a_pole_at_minus_one():
 @pytest.mark.attack
 @pytest.mark.parametrize("seed", range(1000, 1008))
 def test_attack_on_what_is_proved(seed):
-    """Of more random plants, with more readings, forces and noise, in odder units, no errors lead above what is proved."""
+    """For more random plants, with more readings, forces and noise, in odder units, no errors lead above what is proved."""
     generator = np.random.default_rng(seed)
     n, m, q = (int(generator.integers(low, high)) for low, high in ((2, 7), (1, 3), (1, 4)))
     plant, Cy, K, Dyw, generator = _plant(seed, n, m, q, 0.05 if seed % 5 == 0 else None)

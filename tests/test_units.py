@@ -182,7 +182,7 @@ def test_units_change_neither_verdict_nor_norm(seed):
 
 
 def test_what_z_does_not_see_is_the_same_in_any_units():
-    """Where a force can keep states out of z, how these follow the others has no unit: the two steps end at the same norm.
+    """If a force can keep states out of z, how these follow the others has no unit: the two steps end at the same norm.
 
     That of COMPleib's HE1 was anywhere from 0.16 to 0.40.
     """
@@ -233,7 +233,7 @@ def test_a_force_that_costs_nothing_is_named_in_any_units():
 
 
 def test_more_forces_than_the_problem_has_entries(capfd):
-    """Where z weighs one of so many forces that (22) has more unknowns than entries, that is said, and LAPACK prints nothing."""
+    """If z weighs one of so many forces that (22) has more unknowns than entries, that is said, and LAPACK prints nothing."""
     rng = np.random.default_rng(1)
     for n, m in ((2, 3), (3, 4), (3, 5)):
         A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((1, n))
@@ -276,7 +276,7 @@ def test_own_units_are_no_units():
 
 
 def test_no_unit_is_a_tie():
-    """Of a plant whose entries are powers of two, own units lie half-way between two of these: rounding does not choose."""
+    """For a plant whose entries are powers of two, own units lie half-way between two of these: rounding does not choose."""
     A, one = np.array([[-1.0, 2.0], [1.0, -1.0]]), np.eye(2)[:, :1]  # the unit of x2 is 2^-0.5 of that of x1
     plant = GeneralizedPlant(A, one, one, one.T, np.zeros((1, 1)), np.zeros((1, 1)))
     units = own_units(plant)

@@ -169,7 +169,7 @@ def test_reasons(change, reason):
 
 @pytest.mark.parametrize("seed", range(len(FAMILIES)))
 def test_a_gain_or_the_truth(seed):
-    """Of every family: a certified gain, or a reason that an independent computation confirms."""
+    """For every family: a certified gain, or a reason that an independent computation confirms."""
     check(*drawn(seed))
 
 

@@ -6,6 +6,7 @@ import pytest
 from models.common.errors import InputError
 from models.kinds.kind import MOST_SQUEEZE
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from tests.commands import refused
 
 MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
 MASS = "sprung_mass = 504.5"
@@ -102,6 +103,100 @@ CHANGES = [
     ("a name too long for a file", "[controllers.I]", f"[controllers.{'I' * 300}]", ["at most 60"]),
 ]
 
+VELOCITY = '[controllers.mine]\nmeasured = ["sprung_velocity"]'
+SAMPLED = "[implementation]\nsample_period = 0.01"
+BOTH = f"[controllers.mine]\n{MINE}"
+
+# By vehicle, and what begins the lines that are added to its file: the rest of them, what the message says.
+ADDED = {
+    ("quarter_car", VELOCITY): [
+        ("stable = true", 'no law, order or design with stable = true: it is a law designed with order = "full"'),
+        ('design = "lqg"\nstable = true', 'with stable = true: it is a law designed with order = "full"'),
+        ("gain = [[1.0]]\nstable = true", 'with stable = true: it is a law designed with order = "full"'),
+        ('order = "full"\nstable = 1', "stable = 1 is not allowed; give true or false"),
+        ('order = "half"', "order = 'half' is not known; known: full"),
+        ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
+        ('order = "full"\ndesign = "lqg"', 'order = "full" with design = "lqg": '),
+        ('order = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),
+        ('design = "lqr"', 'design = "lqr" is of the state'),
+        ("gain = [[-100.0]]\nanti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
+        ("anti_windup = 20.0\n[limits]\nactuator_force = 40.0", "a static gain has no states that wind up"),
+        ("sampled = true", "mine] has sampled = true, and ", "no sample period"),
+        (
+            f'sampled = true\ndesign = "lqg"\n{SAMPLED}',
+            *('design = "lqg" with sampled = true: ', '; choose design = "lqg" ', "or sampled = true ", "the two steps"),
+        ),
+        (f"sampled = true\ngain = [[1.0]]\n{SAMPLED}", "gain with sampled = true: a law that is given is not designed"),
+    ],
+    ("quarter_car", "[controllers.mine]"): [
+        ('measured = ["control_force"]', "says nothing of the state"),
+    ],
+    ("quarter_car", BOTH): [
+        (f"{LAW}\nanti_windup = 20.0", "has anti_windup, and nothing clips its forces"),
+        ("loads = { pitch_load = 10.0 }", "unknown load 'pitch_load'", "heave_load"),
+        ("loads = { heave_load = 0.0 }", "heave_load = 0.0", "from 1e-06"),
+        ("loads = { heave_load = nan }", "heave_load = nan"),
+        ("loads = { heave_load = true }", "heave_load = True"),
+        ("loads = true", "loads = True is no table"),
+        ("loads = {}", "is no table"),
+        ('loads = { heave_load = 1e3 }\ndesign = "h2"', 'design = "h2" with loads: ', 'choose design = "h2"'),
+        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", "bounds with loads: ", "or loads"),
+    ],
+    ("quarter_car_semi_active", "[controllers.mine]"): [
+        ('semi_active = "skyhook"\nanti_windup = 20.0', "semi_active with anti_windup: it is run as it is"),
+        ('semi_active = "sky"', "semi_active = 'sky' is not known; known: "),
+        ('semi_active = "skyhook"\nmix = 0.5', "'skyhook' has no key 'mix'; it has nothing beside its name"),
+        ('semi_active = "hybrid"\nmix = 1.5', "mix = 1.5 is not allowed; give a number from 0 to 1"),
+        ('semi_active = "hybrid"\nmeasured = ["sprung_velocity"]', "no key 'measured'; beside its name it has"),
+        ('semi_active = "skyhook_add"\ncrossover = nan', "crossover = nan is not allowed; give a number ", " rad/s"),
+        ('semi_active = "skyhook_modal"', "is of a body that pitches or rolls"),
+    ],
+    ("quarter_car", "[implementation]"): [
+        ("sampled = true", "[implementation] has sampled = true, and ", "gives no sample period"),
+        ("sampled = 1\nsample_period = 0.01", "[implementation] sampled = 1 is not allowed; give true or false"),
+        ("delay = -0.5", "delay = -0.5", "number from 0 to 50"),
+        ("delay = nan", "delay = nan", "number from 0 to 50"),
+        ("delay = true", "delay = True", "number from 0 to 50"),
+        ("sample_period = -1", "sample_period = -1", "a number from 1e-06 to 1 s"),
+        ("sample_period = 1.5", "sample_period = 1.5", "a number from 1e-06 to 1 s"),
+        ("seed = 1.5", "seed = 1.5", "whole number"),
+        ("delay = 51", "delay = 51", "from 0 to 50"),
+        ("noise = { speed = 1.0 }", "unknown signal 'speed'", "sprung_velocity"),
+        ("noise = 1.0", "noise is not a table"),
+    ],
+    ("quarter_car_semi_active", VELOCITY): [
+        ("mix = 0.5", "mix is of a semi-active law; give one"),
+    ],
+    ("full_car", ""): [
+        ("[limits.middle]\nsuspension_stroke = 0.1", "[limits.middle]", "no suspension", "front, front_left, front_right, rear"),
+        ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
+        ("[limits.rear]\nsuspension_stroke = 0.1", "of rear_left", "give both or neither"),
+        ("[limits.rear]\nsuspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
+        ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
+        ("[limits.rear.left]\nsuspension_stroke = 0.1", "[limits.rear] unknown key 'left'"),
+    ],
+    ("full_car", "[limits]"): [
+        ("rear = 0.1", "unknown key 'rear'"),
+    ],
+    ("quarter_car", "[limits]"): [
+        ("suspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5", "suspension_stroke", "bump = ..., rebound = ..."),
+        ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
+        ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "suspension_stroke rebound = -0.1"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1e5, -1.0]", "stop_stiffness[1] = -1.0", "from 0"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [0.0, 1e5]", "stop_stiffness[0] = 0", "from 1e-06"),
+        ("suspension_stroke = 0.1\nstop_stiffness = []", "has 0 coefficients", "1 to 3"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
+        ("suspension_stroke = 0.1\nstop_stiffness = [[1e5]]", "is not a number", "N/m"),
+        ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
+        ('suspension_stroke = "0.1"\nstop_stiffness = 1e5', "'0.1' is not a number"),
+        ("suspension_stroke = true\nstop_stiffness = 1e5", "suspension_stroke = True"),
+        ("suspension_stroke = -0.1\nstop_stiffness = 1e5", "suspension_stroke = -0.1", "from 1e-06"),
+        ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),
+        ("stroke = 0.1", "unknown key 'stroke'", "suspension_stroke"),
+    ],
+}
+
 
 @pytest.fixture(scope="module")
 def text(paper):
@@ -151,6 +246,17 @@ def test_a_mistake_is_named(text, old, new, said):
         assert part in message
     assert len(message.splitlines()) == 1
     assert len(message) < 400  # a line, not a page: values are shortened
+
+
+@pytest.mark.parametrize(
+    ("kind", "lines", "said"),
+    [(kind, f"{head}\n{row[0]}", row[1:]) for (kind, head), rows in ADDED.items() for row in rows],
+    ids=[row[1] for rows in ADDED.values() for row in rows],
+)
+def test_what_is_added_wrongly_is_named(kind, lines, said):
+    """Keys that do not go together, and sections of what a vehicle does not have, are refused in one line that says where."""
+    with refused(*said, *(["[controllers.mine]"] if "[controllers.mine]" in lines else [])):
+        parse_vehicle(f"{read_vehicle(kind).text}\n{lines}\n")
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ def test_a_slow_law_is_allowed_no_more(vehicle, slow):
     ],
 )
 def test_right_physics_agrees(vehicle, controllers, road, duration, timestep):
-    """Where nothing is wrong the verdict is agreement: over high roads and low ones, for a moment and for long, at any step."""
+    """If nothing is wrong the verdict is agreement: over high roads and low ones, for a moment and for long, at any step."""
     for run in run_controllers(vehicle, controllers, road, sample_times(vehicle, duration, timestep)):
         assert run.passed, (run.controller.name, verdict_lines(run))
 
@@ -195,7 +195,7 @@ NOISY = {
 @pytest.mark.parametrize("how", NOISY)
 @pytest.mark.parametrize("height", [0.1, 1e-3])
 def test_noise_in_an_unstable_loop_agrees(how, height):
-    """What noise makes grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
+    """The effect of noise grows with an unstable loop; physics that is right stays within that, a heavier body does not."""
     paper = dataclasses.replace(read_vehicle("quarter_car"), implementation=NOISY[how])
     controller = certify_given(
         paper, "wild", ("suspension_deflection", "sprung_velocity"), static_law(np.array([[20000.0, 2000.0]]))
@@ -240,7 +240,7 @@ def _says_what_is_wrong(run: Run) -> str:
 
 
 def test_rounding_counts_alike_over_every_height(vehicle, controllers):
-    """What rounding makes is allowed over the road and over a hundredth of it; three hundred times as much is over neither."""
+    """The effect of rounding is allowed over the road and over a hundredth of it; three hundred times as much is over neither."""
     prediction = predict(vehicle, controllers[2], Bump(height=LOWEST), sample_times(vehicle, 0.5, 1e-4))
     sampled, allowed = prediction.sampled, roundings(vehicle, controllers[2])
     off = np.array([allowed.get(name, 0.0) for name in sampled.names])
@@ -257,7 +257,7 @@ def test_rounding_counts_alike_over_every_height(vehicle, controllers):
 
 
 def test_the_signal_that_fails_is_named():
-    """It is not the one that geometry moves most."""
+    """The named signal is not the one that geometry moves most."""
     car = read_vehicle("full_car")
     (run,) = run_controllers(car, [Designer(car).design("passive")], Bump(), sample_times(car, 0.2, 1e-3))
     signals = run.agreement.signals

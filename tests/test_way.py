@@ -41,7 +41,7 @@ def room(code: CodeType) -> str:
 
 
 def is_property(frame: FrameType) -> bool:
-    """Whether it reads something off an object, which then is where it was."""
+    """Returns True if it reads something off an object, which then is where it was."""
     return isinstance(getattr(type(frame.f_locals.get("self")), frame.f_code.co_name, None), property)
 
 

@@ -16,7 +16,7 @@ from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import weighted_loop
 from synth.vehicle.trade_off.front import front
-from tests.commands import attacks, once, prose, refused
+from tests.commands import attacks, once, prose
 
 MEASURED = 'measured = ["suspension_deflection", "sprung_velocity"]'
 CARRIED = f"\n[controllers.carried]\n{MEASURED}\nloads = {{ heave_load = 1000.0 }}\n"
@@ -154,25 +154,6 @@ def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
     designed = synth.command.trade_off.front()  # pyright: ignore[reportCallIssue] (the one that was found)
     scope = Scope(read, Designer(read), (), 1e-3, True, lambda text: None)
     assert np.isnan(measure(scope, designed, 0, designed.axes[0]))  # no road alone reaches it
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("loads = { pitch_load = 10.0 }", ["unknown load 'pitch_load'", "heave_load"]),
-        ("loads = { heave_load = 0.0 }", ["heave_load = 0.0", "from 1e-06"]),
-        ("loads = { heave_load = nan }", ["heave_load = nan"]),
-        ("loads = { heave_load = true }", ["heave_load = True"]),
-        ("loads = true", ["loads = True is no table"]),
-        ("loads = {}", ["is no table"]),
-        ('loads = { heave_load = 1e3 }\ndesign = "h2"', ['design = "h2" with loads: ', 'choose design = "h2"']),
-        ("loads = { heave_load = 1e3 }\nbounds = [{ decay = 1.0 }]", ["bounds with loads: ", "or loads"]),
-    ],
-)
-def test_bad_loads_are_refused(line, words):
-    """What cannot be weighed is refused in one line."""
-    with refused(*words):
-        parse_vehicle(read_vehicle("quarter_car").text + f"\n[controllers.mine]\n{MEASURED}\n{line}\n")
 
 
 def test_a_peak_over_a_road_with_loads_is_refused():

@@ -59,7 +59,7 @@ def test_generalized():
 
 
 def test_refused():
-    """What is no filter, or does not fit, is refused in a line."""
+    """A filter that is none, or does not fit, is refused in a line."""
     with pytest.raises(InputError, match="would differentiate"):
         transfer_function([1, 2], [3])
     with pytest.raises(InputError, match="denominator of a filter is zero"):

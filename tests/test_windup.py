@@ -108,7 +108,7 @@ def test_growth(A, period, growth):
 
 
 def test_a_law_that_overflows_breaks_off_and_is_named():
-    """Where a law's own states overflow the run ends, and everything that speaks of it says that it was the law, not the car."""
+    """If a law's own states overflow the run ends, and everything that speaks of it says that it was the law, not the car."""
     vehicle = semi_active(FAST)
     (controller,) = design(vehicle, [f"law_{FAST:g}"])
     (run,) = run_controllers(vehicle, [controller], BUMP, sample_times(vehicle, 0.6, 1e-3))

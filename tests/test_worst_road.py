@@ -65,7 +65,7 @@ def test_physics_reaches_the_norm(car, name, how, bandwidth):
 
 
 def test_filters_are_in_it():
-    """Where weights of z and of the road are filters, the gain is from what comes into the road's."""
+    """If weights of z and of the road are filters, the gain is from what comes into the road's."""
     weights = 'sprung_acceleration = { weight = 1.0, filter = "iso2631_wk" }\n'
     weights += "road = { numerator = [30.0], denominator = [1.0, 30.0] }"
     text = read_vehicle("quarter_car").text
@@ -80,7 +80,7 @@ def test_filters_are_in_it():
 
 
 def test_nothing_exceeds_it(monkeypatch):
-    """Of the same sinusoids no other combination gains as much in MuJoCo, one under each wheel of a half-car."""
+    """For the same sinusoids no other combination gains as much in MuJoCo, one under each wheel of a half-car."""
     vehicle = replace(read_vehicle("half_car"), implementation=Implementation(1e-2))
     norm, best = driven(vehicle, "I")
     worst, rng = sim.studies.frequency.worst_case_gain._worst, np.random.default_rng(3)
@@ -156,7 +156,7 @@ def test_it_is_printed(capsys, car, of_one_sweep):
 
 
 def test_without_an_implementation_there_is_none(capsys, of_one_sweep):
-    """Of a file that says nothing of its computer nothing is said of it."""
+    """For a file that says nothing of its computer nothing is said of it."""
     _, found, printed = sweep(capsys, "quarter_car", "--controller", "I", timestep="4e-3")
     assert "worst_road" not in found
     assert "worst road" not in printed

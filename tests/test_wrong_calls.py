@@ -209,7 +209,7 @@ NAMED_OTHERWISE = {
 
 
 def mistake(name: str, argument: str, what: str) -> str:
-    """What is wrong with how a wrong call ends; empty for an error in a line that names the argument."""
+    """Returns what is wrong with how a wrong call ends; empty for an error in a line that names the argument."""
     call, right = calls()[name]
     try:
         call(**{**right, argument: WRONG[what]})

@@ -59,7 +59,7 @@ def test_a_zero_of_more_outputs_or_of_forces_that_do_nothing():
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 6])
 def test_zeros_are_all_there_is_to_state_feedback(seed):
-    """Of as many forces as outputs, each weighed, the zeros from u to z prove the optimum of (22): by quite another route."""
+    """For as many forces as outputs, each weighed, the zeros from u to z prove the optimum of (22): by quite another route."""
     rng = np.random.default_rng([3, seed])
     n, m = int(rng.integers(2, 6)), int(rng.integers(1, 3))
     A, B, C, D = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((m, n)), np.eye(m)
@@ -73,7 +73,7 @@ def test_zeros_are_all_there_is_to_state_feedback(seed):
 
 
 def test_zeros_of_both_kinds_are_all_there_is_to_output_feedback():
-    """Of one z, u, w, y the zeros of both kinds prove what central controllers of full order come to; either alone much less."""
+    """For one z, u, w, y the zeros of both kinds prove what central controllers of full order come to; either alone much less."""
     plant, Cy = unstable()
     gamma, (of_z, of_y) = zero_limit(plant, Cy)
     assert limit_at_zeros(plant, Cy, (of_z, of_y)) == gamma  # to the last bit: so says a record

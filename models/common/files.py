@@ -361,9 +361,6 @@ def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
 def open_plain(path: Path, what: str, give: str) -> BufferedReader:
     """Opens a plain file for reading.
 
-    Args:
-        path, what, give: see `read_bytes`.
-
     Raises:
         InputError: the file does not exist, is not a plain file, or cannot be opened.
     """

@@ -171,12 +171,7 @@ def wrapped(text: str, start: str = "", hang: int | None = None) -> list[str]:
         hang = len(start) - len(start.lstrip(" ")) + len(GAP)
     glued = re.sub(r"(?<=\d) (?=\S)|(?<=\+-) (?=\d)", GLUE, inner)
     lines = textwrap.wrap(
-        glued,
-        WIDTH,
-        initial_indent=start,
-        subsequent_indent=" " * hang,
-        break_long_words=False,
-        break_on_hyphens=False,
+        glued, WIDTH, initial_indent=start, subsequent_indent=" " * hang, break_long_words=False, break_on_hyphens=False
     )
     return [line.replace(GLUE, " ") for line in lines] or [start.rstrip()]
 
@@ -295,9 +290,9 @@ def cells(columns: Sequence[Column[T]], ones: Iterable[T]) -> tuple[tuple[str, .
     return tuple(tuple(column.cell(one) for column in columns) for one in ones)
 
 
-def column_table(columns: Sequence[Column[T]], ones: Iterable[T], indent: str = GAP) -> list[str]:
+def column_table(columns: Sequence[Column[T]], ones: Iterable[T]) -> list[str]:
     """Returns the lines of a table for the terminal, a row per result."""
-    return table([titles(columns), *cells(columns, ones)], indent)
+    return table([titles(columns), *cells(columns, ones)])
 
 
 def json_object(columns: Iterable[Column[T]], one: T) -> dict[str, Any]:

@@ -64,12 +64,12 @@ class Heading:
     unit: str = ""
     column: int = 0
 
-    def scale(self, units: Mapping[str, float], asked: str = "", option: str = "", unsaid: str = "") -> float:
+    def scale(self, units: Mapping[str, float], wanted: str = "", option: str = "", unsaid: str = "") -> float:
         """Returns the size of the column's unit in SI.
 
         Args:
             units: the allowed ones.
-            asked: the unit that the option asks for; empty for none.
+            wanted: the unit that the option asks for; empty for none.
             option: the setting's name; empty for none.
             unsaid: the unit of a heading without one; empty if a unit is required.
 
@@ -77,12 +77,12 @@ class Heading:
             InputError: the unit is missing or unknown, or another one was asked for.
         """
         column = f"column {self.column}, {quoted(self.text)}," if self.text else f"column {self.column}"
-        if asked and self.unit in units and asked != self.unit:
-            raise InputError(f"{column} is in {self.unit}, and {option} = {asked} was asked for; leave one out, or mend it")
+        if wanted and self.unit in units and wanted != self.unit:
+            raise InputError(f"{column} is in {self.unit}, and {option} = {wanted} was asked for; leave one out, or mend it")
         allowed, instead = f"allowed: {listing(units)}", f", or say :{option}={next(iter(units))}" if option else ""
-        if not asked and self.unit and self.unit not in units:
+        if not wanted and self.unit and self.unit not in units:
             raise InputError(f"{column} is in {quoted(self.unit)}; {allowed}; convert it{instead}")
-        unit = asked or self.unit or unsaid
+        unit = wanted or self.unit or unsaid
         if not unit:
             raise InputError(f"{column} has no unit; {allowed}; write {self.name} [{next(iter(units))}] above it{instead}")
         return units[unit]

@@ -36,7 +36,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters
+from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
     HEAVE_LOAD,
@@ -53,6 +53,12 @@ LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave
 CENTRE_HEIGHT = Parameter(
     "centre_height", "m", "h, of the body's centre of mass over the ground: brakes and curves push with m_s a h", usual=0.55
 )
+AXLES = ("front", "rear")
+
+
+def per_axle(name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None) -> tuple[Parameter, ...]:
+    """Returns a parameter of every axle."""
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied) for axle in AXLES)
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,13 @@ class Corner:
     suspension_stiffness: float
     suspension_damping: float
     tyre_stiffness: float
+
+    @classmethod
+    def on_axle(cls, p: Parameters, name: str, axle: str, y: float) -> "Corner":
+        """Returns a corner with the parameters of its axle."""
+        x = p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"]
+        own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
+        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own))
 
 
 @dataclass(frozen=True)
@@ -174,11 +187,7 @@ class RigidBody:
 
 
 def linear_model(
-    body: RigidBody,
-    states: Sequence[Signal],
-    inputs: Sequence[Signal],
-    disturbances: Sequence[Signal],
-    outputs: Sequence[Signal],
+    body: RigidBody, states: Sequence[Signal], inputs: Sequence[Signal], disturbances: Sequence[Signal], outputs: Sequence[Signal]
 ) -> LinearModel:
     """Returns the linear model of a body on corners.
 
@@ -292,9 +301,9 @@ def check_stands(body: RigidBody) -> None:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
-    held = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
-    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(held) - 1], start=1):
-        holding, turning = 1 / held[i, i], body.weight[i, i]
+    freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+    for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(freed) - 1], start=1):
+        holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
             raise InputError(
                 f"the body falls over as it {turns}: its weight turns it with {turning:.4g} N m/rad, and springs, bars and tyres "

@@ -207,8 +207,8 @@ class LinearLaw:
         augmented[:k, :k], augmented[:k, k : k + q] = period * law.A, period * law.B
         augmented[k : k + q, k + q :] = np.eye(q)
         step = linalg.expm(augmented)
-        Phi, held, ramp = step[:k, :k], step[:k, k : k + q], step[:k, k + q :]
-        return LinearLaw(Phi, held - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period, self.anti_windup)
+        Phi, Gamma, ramp = step[:k, :k], step[:k, k : k + q], step[:k, k + q :]
+        return LinearLaw(Phi, Gamma - ramp + Phi @ ramp, law.C, law.D + law.C @ ramp, period, self.anti_windup)
 
     def _at(self, period: float) -> bool:
         """Returns True if the period is the law's own sample period."""

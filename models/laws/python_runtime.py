@@ -111,9 +111,6 @@ class OwnLaw:
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
         """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
 
-        Args:
-            y, time, period, preview, parameters: as for `Sample`.
-
         Raises:
             InputError: the law fails, takes too long, or returns something else than forces and a state.
         """
@@ -155,7 +152,7 @@ class OwnLaw:
         assert self._path is not None, "code comes from files only"
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
         said = f"{self._what}: {name} {over}; mend that"
-        told = interrupt.interrupts_raise()
+        raised = interrupt.interrupts_raise()
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
@@ -165,7 +162,7 @@ class OwnLaw:
                         raise
         except _TooLong:  # raised a moment after their code had ended
             pass
-        if interrupt.interrupts_raise() != told:
+        if interrupt.interrupts_raise() != raised:
             raise KeyboardInterrupt
         raise InputError(said)
 
@@ -249,9 +246,9 @@ def leave_by(leave: Callable[[str], None]) -> None:
 
 
 def _leave_command(said: str) -> None:
-    told = interrupt.interrupts_raise() > 0
-    complain(interrupt.word() if told else said)
-    leave_at_once(interrupt.code() if told else BAD_INPUT)
+    raised = interrupt.interrupts_raise() > 0
+    complain(interrupt.word() if raised else said)
+    leave_at_once(interrupt.code() if raised else BAD_INPUT)
 
 
 def _flag(value: Any) -> bool | None:

@@ -1,6 +1,5 @@
 """Roads by name: converts the text `KIND[:NAME=VALUE...]` of a command line or a campaign file to a road."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from models.common.errors import InputError
 from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.load import Load
-from models.roads.load_choice import choose_load
+from models.roads.load_choice import choose_load, setting
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
@@ -85,7 +84,6 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     """Returns a road from its text: `iso8608:class=C`, `profile.csv`, `rig:file=drive.csv`, `bump + brake:g=0.3`.
 
     Args:
-        text: the text.
         folder: base of relative file names.
 
     Raises:
@@ -128,7 +126,8 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     except InputError as error:
         raise InputError(f"road {text!r}: {error}") from error
     values: dict[str, Any] = {
-        name: value if isinstance(allowed[name], str) else _number(text, name, value) for name, value in given.items()
+        name: value if isinstance(allowed[name], str) else setting(f"road {text!r}: {name}", value)
+        for name, value in given.items()
     }
     if kind == "iso8608":
         _random(values)
@@ -163,13 +162,3 @@ def _random(values: Mapping[str, Any], *rest: Any) -> Iso8608:
 def _defaults(road: type) -> dict[str, Any]:
     """Returns the settings of an obstacle with their defaults: all but the speed."""
     return {field.name: field.default for field in fields(road) if field.name != "speed"}
-
-
-def _number(text: str, name: str, value: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"road {text!r}: {name} = {value!r} is not a finite number")
-    return number

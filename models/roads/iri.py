@@ -132,8 +132,8 @@ def _modes(step: float) -> tuple[Array, Array, Array]:
     values, vectors = np.linalg.eig(A)
     time = step / SPEED
     shapes, start = C @ vectors, np.array([1.0, 0.0, 1.0, 0.0])
-    held = np.expm1(values * time) / values * np.linalg.solve(vectors, B)
-    return values * time, shapes * held, shapes * np.linalg.solve(vectors, start.astype(complex))
+    inputs = np.expm1(values * time) / values * np.linalg.solve(vectors, B)
+    return values * time, shapes * inputs, shapes * np.linalg.solve(vectors, start.astype(complex))
 
 
 @lru_cache(maxsize=4)

@@ -212,8 +212,20 @@ def _pushed(force: float, x: float, y: float) -> dict[str, float]:
     return {HEAVE: force} | ({PITCH: -force * x} if x else {}) | ({ROLL: force * y} if y else {})
 
 
+class _Placed(Ramped):
+    """Load by a vertical force at a place on the body."""
+
+    x: float
+    y: float
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """Names of its force and moments."""
+        return tuple(_pushed(1.0, self.x, self.y))
+
+
 @dataclass(frozen=True)
-class Payload(Ramped):
+class Payload(_Placed):
     """Added weight.
 
     Attributes:
@@ -230,11 +242,6 @@ class Payload(Ramped):
     rise: float = 0.5
     hold: float = math.inf
 
-    @property
-    def ways(self) -> tuple[str, ...]:
-        """Names of its force and moments."""
-        return tuple(_pushed(1.0, self.x, self.y))
-
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force down, and its moments."""
         return _pushed(-self.mass * GRAVITY, self.x, self.y)
@@ -245,7 +252,7 @@ class Payload(Ramped):
 
 
 @dataclass(frozen=True)
-class Lift(Ramped):
+class Lift(_Placed):
     """Aerodynamic lift.
 
     Attributes:
@@ -261,11 +268,6 @@ class Lift(Ramped):
     start: float = 0.5
     rise: float = 0.5
     hold: float = math.inf
-
-    @property
-    def ways(self) -> tuple[str, ...]:
-        """Names of its force and moments."""
-        return tuple(_pushed(1.0, self.x, self.y))
 
     def amplitudes(self, p: Parameters) -> Mapping[str, float]:
         """Returns a force up, and its moments."""

@@ -137,7 +137,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     load = LOADS[kind]
     try:
         given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: _setting(name, value) for name, value in given.items()})
+        return load(**{name: setting(name, value) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 
@@ -166,7 +166,12 @@ def choose_described(text: str) -> Load:
     return choose_load(text)
 
 
-def _setting(name: str, value: str) -> float:
+def setting(name: str, value: str) -> float:
+    """Returns a number that is given as text.
+
+    Raises:
+        InputError: it is not a finite number.
+    """
     try:
         number = float(value)
     except ValueError:

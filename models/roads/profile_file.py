@@ -157,22 +157,22 @@ def read_profile(path: Path, speed: float, table: TableFormat | None = None) -> 
     Raises:
         InputError: the file cannot be read, a line has no such numbers, or they make no road. The message names file and line.
     """
-    asked = table or TableFormat()
-    return read_content(path, "road file", TABLE, FORMAT, lambda text: _profile(text, speed, str(path), asked))[0]
+    form = table or TableFormat()
+    return read_content(path, "road file", TABLE, FORMAT, lambda text: _profile(text, speed, str(path), form))[0]
 
 
-def _profile(text: str, speed: float, source: str, asked: TableFormat) -> Profile:
-    table = find_table(text, FORMAT, asked.separator, (asked.columns or (1,))[0] - 1)
+def _profile(text: str, speed: float, source: str, form: TableFormat) -> Profile:
+    table = find_table(text, FORMAT, form.separator, (form.columns or (1,))[0] - 1)
     headings = headings_of(table)
-    columns = choose_columns(headings, asked.columns)
+    columns = choose_columns(headings, form.columns)
     if len(columns) not in (2, 3):
         raise InputError(f"line {table.first + 1} has {table.count} column(s); {FORMAT}, or say which, as in :columns=1,4{A_RIG}")
-    points, lines = table.numbers(columns, ragged=bool(asked.columns))
+    points, lines = table.numbers(columns, ragged=bool(form.columns))
     used = [headings[column] if column < table.count else Heading("", column=column + 1) for column in columns]
     used = [heading if heading.name or heading.unit in UNITS else replace(heading, unit="") for heading in used]
-    distances = used[0].scale(UNITS, asked.distance_unit, "distance_unit", "m")
-    metres = [heading.scale(UNITS, asked.height_unit, "height_unit", "m") for heading in used[1:]]
-    if len(columns) == 3 and not (asked.separator or asked.columns or used[1].name):
+    distances = used[0].scale(UNITS, form.distance_unit, "distance_unit", "m")
+    metres = [heading.scale(UNITS, form.height_unit, "height_unit", "m") for heading in used[1:]]
+    if len(columns) == 3 and not (form.separator or form.columns or used[1].name):
         _check_commas(table, columns[1:], max(metres) == UNITS["m"])
     distance, heights = points[:, 0] * distances, points[:, [1, -1]] * [metres[0], metres[-1]]
     check_points(distance, heights, lambda i: f"line {lines[i]}")

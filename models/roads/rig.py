@@ -112,9 +112,9 @@ class Rig(Road):
 
     def check(self, vehicle: Vehicle, time: Array) -> None:
         """Checks the rig as any road, and that every wheel of the vehicle stands on a post."""
-        met = {self.track_of(wheel) for wheel in vehicle.kind.wheels}
+        posts = {self.track_of(wheel) for wheel in vehicle.kind.wheels}
         for post in self.posts:
-            if post not in met:
+            if post not in posts:
                 names = [_names(wheel)[0] for wheel in vehicle.kind.wheels]
                 raise InputError(
                     f"column {quoted(post)} is of no wheel of this vehicle, which has {listing(names)}; leave it out"

@@ -41,8 +41,8 @@ def _rig(text: str, settings: Mapping[str, str], source: str) -> Rig:
         raise InputError(f"{len(clocks)} columns are called time, and one must be; {FORMAT}")
     posts = [heading for heading in headings if heading is not clocks[0]]
     check_posts([heading.name for heading in posts])
-    asked = [settings.get(name, "") for name in SETTINGS]
-    scales = [clocks[0].scale(TIME, asked[0], SETTINGS[0]), *(post.scale(LENGTH, asked[1], SETTINGS[1]) for post in posts)]
+    given = [settings.get(name, "") for name in SETTINGS]
+    scales = [clocks[0].scale(TIME, given[0], SETTINGS[0]), *(post.scale(LENGTH, given[1], SETTINGS[1]) for post in posts)]
     numbers, lines = table.numbers([heading.column - 1 for heading in (clocks[0], *posts)])
     numbers = numbers * scales
     time, heights = numbers[:, 0], numbers[:, 1:]

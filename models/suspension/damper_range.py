@@ -78,24 +78,24 @@ class CoefficientRange:
         beyond = np.minimum(np.maximum(forces / closing, self.low[which]), self.high[which])
         return np.concatenate([beyond, forces - beyond * closing], axis=-1)
 
-    def clip_coefficients(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+    def clip_coefficients(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
 
         Args:
-            asked: coefficients beyond the nominal ones [N s/m], shape (..., N, m).
+            coefficients: of the dampers, beyond the nominal ones [N s/m], shape (..., N, m).
             closing: how fast each suspension closes [m/s], shape (..., N, m).
             which: of the N.
         """
-        asked = self.coefficient_for(asked, closing, which)
-        beyond = np.minimum(np.maximum(asked, self.low[which]), self.high[which])
-        return np.concatenate([beyond, (asked - beyond) * self.effective_velocity(closing, which)], axis=-1)
+        coefficients = self.coefficient_for(coefficients, closing, which)
+        beyond = np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
+        return np.concatenate([beyond, (coefficients - beyond) * self.effective_velocity(closing, which)], axis=-1)
 
-    def coefficient_for(self, asked: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
+    def coefficient_for(self, coefficients: Array, closing: Array, which: Array | slice = slice(None)) -> Array:
         """Returns the coefficient whose force over velocity is `requested_force`, not clipped to the limits."""
         if self.bent is None:
-            return asked
+            return coefficients
         low, soft = self.low[which], _pieces(self.bent.soft[:, which], -closing)
-        return low + (asked - low + soft / closing) * (closing / self.effective_velocity(closing, which))
+        return low + (coefficients - low + soft / closing) * (closing / self.effective_velocity(closing, which))
 
     def clipped_off(self, forces: Array, closing: Array | None, which: Array | slice = slice(None)) -> Array:
         """Returns the forces at the settings less the requested ones [N], shape (N, m): exactly 0 where nothing is clipped.
@@ -106,8 +106,8 @@ class CoefficientRange:
             which: of the N.
         """
         turned = 1.0 if closing is None else self.effective_velocity(closing, which)
-        asked = forces / turned
-        return (np.minimum(np.maximum(asked, self.low[which]), self.high[which]) - asked) * turned
+        coefficients = forces / turned
+        return (np.minimum(np.maximum(coefficients, self.low[which]), self.high[which]) - coefficients) * turned
 
     @property
     def at_rest(self) -> Array:

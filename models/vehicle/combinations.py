@@ -62,11 +62,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
     ("force", "lqr", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
-    (
-        "refine",
-        f"states {_DESIGNED} stable anti_windup {_GOALS}",
-        "it is static gains of the least norm that are refined",
-    ),
+    ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
     ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),
     ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
     ("front", "tolerance family", "a front is of one vehicle without errors"),
@@ -92,11 +88,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 
 
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
-    """Returns the parts of a section, each as the section has it written. Values are not checked.
-
-    Args:
-        inputs: the forces of the vehicle.
-    """
+    """Returns the parts of a section, each as the section has it written. Values are not checked."""
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
     if matrices := [key for key in (*MATRICES, "sample_period") if key in section]:
         parts["states"] = matrices[0]
@@ -153,16 +145,3 @@ def _with_partners(part: str, beside: str, written: str) -> str:
     names = KINDS if beside in KINDS else DEMANDS
     partners = [name.replace("`", "") for one, name in names.items() if one != part and not refusal(part, one)]
     return f"{written} (goes with {', '.join(partners)})" if partners else written
-
-
-def readme_tables() -> list[str]:
-    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
-    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
-    lines = []
-    for columns in (KEYS, COMMANDS):
-        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
-        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
-        for row, name in rows.items():
-            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
-            lines.append([name, *cells])
-    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]

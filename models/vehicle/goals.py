@@ -223,18 +223,8 @@ class Kind(Protocol):
         ...
 
 
-def read_goals(
-    where: str,
-    entry: Mapping[str, Any],
-    measured: Sequence[str],
-    outputs: Collection[str],
-    kind: Kind,
-) -> Goals:
+def read_goals(where: str, entry: Mapping[str, Any], measured: Sequence[str], outputs: Collection[str], kind: Kind) -> Goals:
     """Reads the goals of a section that has some.
-
-    Args:
-        measured: the signals that are measured.
-        outputs: the signals of the vehicle.
 
     Raises:
         InputError: a key or a number that is not allowed.

@@ -231,19 +231,19 @@ def _law(variables: Mapping[str, Variable], others: Mapping[str, str], file: str
         raise InputError(f"holds no A, B, C, D, and no K; it has {first_few(there) or 'nothing'}: {SAVE}")
     if len(holding) > 1:
         raise InputError(f"holds more than one controller, in {' and '.join(holding)}; keep one")
-    ((where, held),) = holding.items()
-    gains = [name for name in ("K", "D") if name in held]
-    if {"A", "B", "C"} & {*held}:
-        missing = [name for name in MATRICES if name not in held]
+    ((where, matrices),) = holding.items()
+    gains = [name for name in ("K", "D") if name in matrices]
+    if {"A", "B", "C"} & {*matrices}:
+        missing = [name for name in MATRICES if name not in matrices]
         if missing:
             raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
-    if "K" in held and {*MATRICES} & {*held}:
-        raise InputError(f"{where} has K beside {listing({*MATRICES} & {*held})}; keep K, a static gain, or A, B, C and D")
-    _check_plain(held)
-    static = "A" not in held or not held["A"].size
+    if "K" in matrices and {*MATRICES} & {*matrices}:
+        raise InputError(f"{where} has K beside {listing({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D")
+    _check_plain(matrices)
+    static = "A" not in matrices or not matrices["A"].size
     if static:
-        return {"gain": _numbers(gains[0], held[gains[0]]).tolist()}, None
-    return {name: _numbers(name, held[name]).tolist() for name in MATRICES}, _period(held)
+        return {"gain": _numbers(gains[0], matrices[gains[0]]).tolist()}, None
+    return {name: _numbers(name, matrices[name]).tolist() for name in MATRICES}, _period(matrices)
 
 
 def _numbers(name: str, value: Array) -> Array:
@@ -251,27 +251,27 @@ def _numbers(name: str, value: Array) -> Array:
     return real_matrix(value, name, np.inf)[0]
 
 
-def _check_plain(held: Mapping[str, Array]) -> None:
+def _check_plain(matrices: Mapping[str, Array]) -> None:
     """Refuses a struct of a system with more than its matrices, if that would change the law."""
-    E = held.get("E", np.zeros((0, 0)))
+    E = matrices.get("E", np.zeros((0, 0)))
     if E.size and not np.array_equal(E, np.eye(len(E))):
         raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
-    delayed = [name for name in DELAYS if np.any(held.get(name, 0))]
+    delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
     if delayed:
         raise InputError(
             f"has {', '.join(delayed)} above 0, and a law has no delay; give one to [implementation], or take pade(sys, 3)"
         )
-    unit = "".join(chr(int(code)) for code in np.real(held.get("TimeUnit", np.zeros(0))).ravel())
+    unit = "".join(chr(int(code)) for code in np.real(matrices.get("TimeUnit", np.zeros(0))).ravel())
     if unit not in ("", "seconds"):
         raise InputError(f"TimeUnit is {quoted(unit)}; give seconds, by chgTimeUnit(sys, 'seconds') in MATLAB")
 
 
-def _period(held: Mapping[str, Array]) -> float | None:
+def _period(matrices: Mapping[str, Array]) -> float | None:
     """Returns the sample period [s]; None for a continuous law, whose period MATLAB writes as 0."""
     periods = {}
     for name in PERIODS:
-        if name in held:
-            value = _numbers(name, held[name])
+        if name in matrices:
+            value = _numbers(name, matrices[name])
             if value.size != 1 or value.item() < 0:
                 raise InputError(f"{name} = {quoted(value)} is no sample period; give seconds, or 0 for a continuous law")
             periods[name] = value.item()

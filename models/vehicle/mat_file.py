@@ -130,9 +130,9 @@ def _version_4(content: bytes, names: Collection[str]) -> Contents:
     while at < len(content):
         if len(content) - at < 20:
             raise DamagedError("it ends within a variable")
-        made, rows, columns, parts, length = struct.unpack_from(order + "5i", content, at)
-        digits, sort = made // 10 % 10, made % 10
-        if not (made in range(5000) and digits in range(6) and sort in range(3) and parts in (0, 1) and 0 < length <= 64):
+        kind, rows, columns, parts, length = struct.unpack_from(order + "5i", content, at)
+        digits, sort = kind // 10 % 10, kind % 10
+        if not (kind in range(5000) and digits in range(6) and sort in range(3) and parts in (0, 1) and 0 < length <= 64):
             raise DamagedError("it does not begin as one")
         start, numbers = at + 20 + length, rows * columns
         number = np.dtype(order + TYPES_4[digits])

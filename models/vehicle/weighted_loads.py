@@ -10,9 +10,6 @@ from models.kinds.kind import LARGEST, SMALLEST, is_within
 def weighed_loads(where: str, section: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """Returns the size of each load [N, N m] that counts as much as 1 m/s of w, by name, from a section with loads.
 
-    Args:
-        loads: the vehicle's loads.
-
     Raises:
         InputError: a load is unknown, or a value is not allowed.
     """

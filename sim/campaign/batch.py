@@ -168,12 +168,12 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
     keys = [plan.key(run) for run in range(start, stop)]
     campaign, rows = plan.campaign, {}
     name = list(campaign.vehicles)[keys[0].vehicle]
-    made = {i: with_sample(campaign.vehicles[name], campaign.samples[name][i]) for i in {key.sample for key in keys}}
+    sampled = {i: with_sample(campaign.vehicles[name], campaign.samples[name][i]) for i in {key.sample for key in keys}}
     # Random roads are measured once their start is forgotten, others, a bump, a hump, from the start.
     # Where one controller needs a sensor before the step, signals of all are read so: a rounding that must not depend on company.
     alike: dict[tuple[int, bytes, bool], list[int]] = {}
     for i, key in enumerate(keys):
-        of = (key.controller, reads_out(made[key.sample], campaign.timestep), campaign.roads[key.road].stationary)
+        of = (key.controller, reads_out(sampled[key.sample], campaign.timestep), campaign.roads[key.road].stationary)
         alike.setdefault(of, []).append(i)
     for group in alike.values():
         todo = [group]
@@ -181,13 +181,13 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
             some = todo.pop()
             # A run alone would be summed along another axis than one among others: it gets company.
             pair = some * 2 if len(some) == 1 else some
-            runs = [PlannedRun(plan, keys[i], made[keys[i].sample]) for i in pair]
-            found = _drive(campaign, runs, stopped)
-            if found is None:
+            runs = [PlannedRun(plan, keys[i], sampled[keys[i].sample]) for i in pair]
+            results = _drive(campaign, runs, stopped)
+            if results is None:
                 return None
-            rows |= {i: {"run": start + i, **row} for i, row in zip(pair, found.rows, strict=True)}
+            rows |= {i: {"run": start + i, **row} for i, row in zip(pair, results.rows, strict=True)}
             # Of runs whose law was called for all of them, and failed, each is tried alone: who fails must not depend on company.
-            todo += [[some[i]] for i in found.doubtful] if len(some) > 1 else []
+            todo += [[some[i]] for i in results.doubtful] if len(some) > 1 else []
     return [rows[i] for i in range(len(keys))]
 
 
@@ -201,8 +201,8 @@ class _BatchRows:
 
 def _drive(campaign: Campaign, runs: Sequence[PlannedRun], stopped: Callable[[], bool]) -> _BatchRows | None:
     vehicles, time = [run.vehicle for run in runs], campaign.time
-    met = [RoadInput(run.vehicle, run.road, time) for run in runs]
-    watched = MonitoredBatch([run.controller for run in runs], met)
+    on = [RoadInput(run.vehicle, run.road, time) for run in runs]
+    watched = MonitoredBatch([run.controller for run in runs], on)
     random = runs[0].choice.stationary
     first = campaign.first if random else 0
     meter = Meter(vehicles, campaign.timestep, first, campaign.loaded, [run.road.loaded for run in runs])

@@ -101,8 +101,8 @@ class Choice:
         if candidate is None:
             return about
         controller = {"controller": candidate.controller, "variant": candidate.variant}
-        found = {**controller, "values": dict(self.values), "numbers": dict(self.numbers)}
-        return {**about, "best": found} if self.within else {**about, "nearest": {**found, "misses": self.misses}}
+        described = {**controller, "values": dict(self.values), "numbers": dict(self.numbers)}
+        return {**about, "best": described} if self.within else {**about, "nearest": {**described, "misses": self.misses}}
 
     @property
     def line(self) -> str:
@@ -230,10 +230,10 @@ def _choice(plan: Plan, store: Store, request: Request, vehicle: str, standings:
     numbers: dict[Candidate, dict[str, float]] = {}
     for candidate, runs in candidates.items():
         here = {name: _over_runs(own[name], values[name][runs]) for name in columns}
-        found = {name: here.get(name, standings[candidate].values.get(name)) for name in request.metrics}
-        if all(value is not None and math.isfinite(value) for value in found.values()):
-            numbers[candidate] = {name: float(value) for name, value in found.items() if value is not None}
-    within = [one for one, found in numbers.items() if all(found[name] <= limit for name, limit in request.limits.items())]
+        chosen = {name: here.get(name, standings[candidate].values.get(name)) for name in request.metrics}
+        if all(value is not None and math.isfinite(value) for value in chosen.values()):
+            numbers[candidate] = {name: float(value) for name, value in chosen.items() if value is not None}
+    within = [one for one, chosen in numbers.items() if all(chosen[name] <= limit for name, limit in request.limits.items())]
     best = min(within, key=lambda one: numbers[one][request.metric], default=None)
     if best is None:
         best = min(numbers, key=lambda one: _excess(numbers[one], request.limits), default=None)

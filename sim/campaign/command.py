@@ -70,13 +70,7 @@ def run_campaign(options: argparse.Namespace) -> int:
             progress.add(len(rows), took)
 
         try:
-            run_batches(
-                plan,
-                plan.batches(gaps, progress.next_batch),
-                workers,
-                options.ray is not None,
-                write,
-            )
+            run_batches(plan, plan.batches(gaps, progress.next_batch), workers, options.ray is not None, write)
         except KeyboardInterrupt:
             stage.end()
             left = sum(stop - start for start, stop in store.missing())
@@ -86,8 +80,8 @@ def run_campaign(options: argparse.Namespace) -> int:
         store.finish()
         entries, standings = summarise(plan, store), compare(plan, store)
         choices = choose(plan, store, request, standings) if request is not None else []
-        met = all(choice.within for choice in choices)
-        if options.save is not None and met:
+        within = all(choice.within for choice in choices)
+        if options.save is not None and within:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
         else:
             saved, outputs["save"] = None, None
@@ -123,7 +117,7 @@ def run_campaign(options: argparse.Namespace) -> int:
                     *([f"saved as controller {saved}"] if saved is not None else []),
                 ]
             )
-    return 0 if met else 1
+    return 0 if within else 1
 
 
 def check_results(options: argparse.Namespace) -> int:

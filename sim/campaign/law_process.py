@@ -90,11 +90,11 @@ _of_worker: list[LawProcesses] = []
 
 def of_worker(plan: Plan) -> LawProcesses:
     """Returns the processes of a cluster's worker, as long as it has batches of one plan."""
-    made = LawProcesses(plan)
-    if not _of_worker or _of_worker[0].payload != made.payload:
+    processes = LawProcesses(plan)
+    if not _of_worker or _of_worker[0].payload != processes.payload:
         for other in _of_worker:
             other.__exit__()
-        _of_worker[:] = [made]
+        _of_worker[:] = [processes]
     return _of_worker[0]
 
 
@@ -179,15 +179,15 @@ def answer_to(line: bytes, start: int, stop: int) -> dict[str, Any]:
     """Returns the answer in a line for this batch; empty if it is no answer to it."""
     try:
         said = json.loads(line)
-        asked, runs = said["batch"] == [start, stop], [row["run"] for row in said.get("rows", [])]
+        same_batch, runs = said["batch"] == [start, stop], [row["run"] for row in said.get("rows", [])]
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):  # no JSON, or other
         return {}
-    return said if asked and runs in ([], list(range(start, stop))) and said.get("rows") != [] else {}
+    return said if same_batch and runs in ([], list(range(start, stop))) and said.get("rows") != [] else {}
 
 
 def main() -> None:
     """The process: batches until there is no more to be done."""
-    asked, answers = _kept(0, os.O_RDONLY), _kept(1, os.O_WRONLY)
+    requests, answers = _kept(0, os.O_RDONLY), _kept(1, os.O_WRONLY)
     sys.stdin, sys.stdout = io.StringIO(), sys.stderr
 
     process, batch = os.getpid(), list[int]()
@@ -203,8 +203,8 @@ def main() -> None:
         leave_at_once(LEFT)
 
     leave_by(leave)
-    plan: Plan = pickle.load(asked)
-    for line in asked:
+    plan: Plan = pickle.load(requests)
+    for line in requests:
         batch[:] = start, stop = [int(number) for number in line.split()]
         try:
             rows = run_batch(plan, start, stop)

@@ -137,9 +137,9 @@ def _vehicle_samples(
         samples[name] = _drawn(distributions, _values(vehicle), method, count, seed)
         for row in samples[name]:
             try:
-                made = with_sample(vehicle, row)
-                vehicle.kind.check(made.parameters)
-                _ = made.adjustable  # which looks whether its dampers can be what they nominally are
+                sampled = with_sample(vehicle, row)
+                vehicle.kind.check(sampled.parameters)
+                _ = sampled.adjustable  # which looks whether its dampers can be what they nominally are
             except InputError as error:
                 raise InputError(f"[samples] a sample of vehicle {name!r} is no vehicle: {error}") from error
     return samples

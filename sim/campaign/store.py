@@ -201,9 +201,9 @@ class Store:
                 self._parts.append(part)
 
     def _checksum(self, start: int, stop: int, content: Any) -> str:
-        made = hashlib.sha256(f"{self.manifest.seal} {start} {stop} ".encode())
-        made.update(content)
-        return made.hexdigest()[:32]
+        checksum = hashlib.sha256(f"{self.manifest.seal} {start} {stop} ".encode())
+        checksum.update(content)
+        return checksum.hexdigest()[:32]
 
     def _read(self, part: Part) -> pa.Table:
         """The rows of a part."""
@@ -229,11 +229,11 @@ class Store:
 
     def _groups(self) -> Iterator[pa.Table]:
         """All rows in groups of one size, as how they are cut shows in a file's bytes."""
-        held = self.schema.empty_table()
+        pending = self.schema.empty_table()
         for part in self._parts:
-            held = pa.concat_tables([held, self._read(part)])
-            while len(held) >= GROUP:
-                yield held.slice(0, GROUP).combine_chunks()
-                held = held.slice(GROUP)
-        if len(held):
-            yield held.combine_chunks()
+            pending = pa.concat_tables([pending, self._read(part)])
+            while len(pending) >= GROUP:
+                yield pending.slice(0, GROUP).combine_chunks()
+                pending = pending.slice(GROUP)
+        if len(pending):
+            yield pending.combine_chunks()

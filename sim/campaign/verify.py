@@ -88,13 +88,13 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
 
 def _gains(plan: Plan) -> list[str]:
     """Designed gains that a design, made now, does not confirm."""
-    faults, held = [], gains_of(plan.controllers)
+    faults, gains = [], gains_of(plan.controllers)
     for name, vehicle in plan.campaign.vehicles.items():
         designer = Designer(vehicle, search=False)
         linear = [one for one in plan.campaign.controllers if one in vehicle.linear_names]
         now: Gains = gains_of({name: {one: designer.design(one) for one in linear}})
         for one, entry in now[name].items():
-            if not _same_law(held[name][one], entry):
+            if not _same_law(gains[name][one], entry):
                 faults.append(f"controller {one} of {name} is not the one that the vehicle file makes")
     return faults
 

@@ -46,14 +46,14 @@ def same_path(first: str, second: str) -> bool:
 USUAL = ("passive", "state", "I", "II")
 
 
-def omitted_controllers(vehicle: "Vehicle", asked: Sequence[str] | None, names: Sequence[str]) -> list[str]:
+def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: Sequence[str]) -> list[str]:
     """Controllers of a vehicle that nobody asked for, and that are not among those taken instead; none where some were asked for.
 
     Args:
-        asked: as `--controller` was given.
+        given: as `--controller` was given.
         names: of those that are taken.
     """
-    return [] if asked else [name for name in vehicle.controller_names if name not in names]
+    return [] if given else [name for name in vehicle.controller_names if name not in names]
 
 
 def left_out_lines(names: Sequence[str]) -> list[str]:
@@ -81,32 +81,27 @@ def add_run_options(parser: Parser, duration: float) -> None:
 def add_loads(parser: Parser, what: str) -> None:
     """`--load`, again and again."""
     parser.add_argument(
-        "--load",
-        dest="loads",
-        action="append",
-        default=[],
-        metavar="LOAD",
-        help=f"{what}; several act together: {LOAD_SYNTAX}",
+        "--load", dest="loads", action="append", default=[], metavar="LOAD", help=f"{what}; several act together: {LOAD_SYNTAX}"
     )
 
 
-def without_loads(road: Mapping[str, Any], asked: Sequence[str]) -> dict[str, Any] | None:
+def without_loads(road: Mapping[str, Any], given: Sequence[str]) -> dict[str, Any] | None:
     """Returns the road description without loads, or None if the loads differ from the requested ones.
 
     A load's file is compared by name, and not read.
     """
     pushed = str(road["loads"]).split(PLUS) if "loads" in road else []
-    if len(pushed) != len(asked) or not all(_is_load(*pair) for pair in zip(pushed, asked, strict=True)):
+    if len(pushed) != len(given) or not all(_is_load(*pair) for pair in zip(pushed, given, strict=True)):
         return None
     return {name: value for name, value in road.items() if name != "loads"}
 
 
-def _is_load(described: str, asked: str) -> bool:
+def _is_load(described: str, given: str) -> bool:
     """Returns True if a described load is the requested one."""
-    if is_load_file(asked):
+    if is_load_file(given):
         from models.roads.load_choice import named
 
-        return same_path(described.partition(";")[0], named(asked))
+        return same_path(described.partition(";")[0], named(given))
     from models.roads.load_choice import choose_load
 
-    return described == choose_load(asked).text
+    return described == choose_load(given).text

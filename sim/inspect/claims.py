@@ -117,7 +117,7 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     entry = vehicle.controllers.get(controller.name)
     if entry is None or entry.law is not None or entry.design not in QUADRATIC:
         return
-    best, asked = quadratic_optimum(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
+    best, design = quadratic_optimum(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
     logged, now = controller.law, best.law
     rates = np.abs(np.linalg.eigvals(now.A))
     slowest, fastest = rates[rates > 0].min(initial=1.0), rates.max(initial=1.0)
@@ -126,10 +126,10 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     far = exceeds(np.stack([logged.response(each) for each in omega]), answers) if logged.states == now.states else math.inf
     if far <= SAME:
         how = f"to {far:.0e}" if far else "to the last bit"
-        yield Finding("design", HOLDS, f"it is the law that {asked} comes to, {how}")
+        yield Finding("design", HOLDS, f"it is the law that {design} comes to, {how}")
         return
     mean = h2_norm_of(vehicle, entry, controller.law) if controller.certificate.stable else math.inf
-    text = f"it is not the law that {asked} comes to: H2 norm {mean:.7g}, and that has {best.h2_norm:.7g}"
+    text = f"it is not the law that {design} comes to: H2 norm {mean:.7g}, and that has {best.h2_norm:.7g}"
     # What was assumed is a share of the plant's own units, which are powers of two, and rounding may decide which.
     near = best.remark and logged.states == now.states and mean <= best.h2_norm * (1 + ASSUMED)
     yield Finding("design", NOTE, f"{text}; {best.remark}") if near else Finding("design", FAILS, text)
@@ -143,8 +143,8 @@ def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     """
     entry = vehicle.controllers.get(controller.name)
     if entry is not None and entry.goals is not None:
-        asked = ", ".join(entry.goals.record)
-        text = f"vehicle.toml has goals for it ({asked}), of which the log claims nothing: whether it keeps them was not checked"
+        goals = ", ".join(entry.goals.record)
+        text = f"vehicle.toml has goals for it ({goals}), of which the log claims nothing: whether it keeps them was not checked"
         yield Finding("goals", NOTE, f"{text}; python -m synth says, of a vehicle file")
 
 

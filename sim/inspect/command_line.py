@@ -61,8 +61,8 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     yield from (Finding("command", FAILS, text) for text in wrong)
     if wrong:
         return
-    held = "controllers, roads, samples and timestep" if expected.samples is not None else "controllers, roads and timestep"
-    yield Finding("command", HOLDS, f"its line asks for the {held} that were logged")
+    compared = "controllers, roads, samples and timestep" if expected.samples is not None else "controllers, roads and timestep"
+    yield Finding("command", HOLDS, f"its line asks for the {compared} that were logged")
     if ships and (HERE / f"{options.vehicle}.toml").read_text(encoding="utf-8") != vehicle.text:
         yield Finding("command", NOTE, f"vehicle.toml is not the {options.vehicle} that ships with this version")
 

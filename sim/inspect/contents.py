@@ -39,16 +39,18 @@ CHECKED = ("vehicle.toml", "model.xml", "result.json")  # attachments of which o
 SCHEMAS = ("protobuf", "foxglove-schemas-protobuf")  # packages that make the schemas of events and scene
 
 
-def check_contents(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog], current: bool) -> Iterator[Finding]:
+def check_contents(
+    log: Recorded, vehicle: Vehicle, timestep: float, written: Sequence[RunLog], current: bool
+) -> Iterator[Finding]:
     """The records, attachments and channels of a log.
 
     Args:
         timestep: [s].
-        made: its runs as they would be written now, the responses as they were logged.
+        written: its runs as they would be written now, the responses as they were logged.
         current: whether it is of this format; of an older one nothing is demanded, and what differs is said.
     """
-    wrong = [*_records(log, vehicle, timestep, made), *_attachments(log, vehicle, timestep, made)]
-    made_now = list(channels(made))
+    wrong = [*_records(log, vehicle, timestep, written), *_attachments(log, vehicle, timestep, written)]
+    made_now = list(channels(written))
     since = {channel.topic for channel in made_now if channel.topic.rpartition("/")[2] in ACTING} - log.file.channels.keys()
     kept = [channel for channel in made_now if channel.topic not in since]
     topics, older = _topics(log, kept)
@@ -102,9 +104,9 @@ def _objects(runs: Any) -> bool:
     return isinstance(runs, list) and all(isinstance(one, dict) and isinstance(one.get("controller"), dict) for one in runs)
 
 
-def _records(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
+def _records(log: Recorded, vehicle: Vehicle, timestep: float, written: Sequence[RunLog]) -> Iterator[str]:
     """Yields the differences between the metadata and those that would be written."""
-    expected = records(made, common_metadata(log.metadata.get("command_line", ""), vehicle, timestep))
+    expected = records(written, common_metadata(log.metadata.get("command_line", ""), vehicle, timestep))
     logged = log.file.metadata
     yield from _keys("metadata record", logged, expected)
     for name in expected.keys() & logged.keys():
@@ -115,15 +117,15 @@ def _records(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[Ru
     said = _json(log.metadata.get("versions", ""))
     if not isinstance(said, dict) or set(said) != set(versions()) or not all(isinstance(one, str) for one in said.values()):
         yield f"its versions are not those of {', '.join(versions())}"
-    for run in made:
+    for run in written:
         claims = logged.get(f"run/{run.name}", {})
         for key in run.metadata.keys() & claims.keys() - set(ELSEWHERE):
             yield from different({key: _json(claims[key])}, {key: _json(run.metadata[key])}, True, f"run {run.name}")
 
 
-def _attachments(log: Recorded, vehicle: Vehicle, timestep: float, made: Sequence[RunLog]) -> Iterator[str]:
+def _attachments(log: Recorded, vehicle: Vehicle, timestep: float, written: Sequence[RunLog]) -> Iterator[str]:
     """Yields the differences between the attachments and those that would be written."""
-    expected = attachments(vehicle, timestep, {}) | {name: file for run in made for name, file in run.files.items()}
+    expected = attachments(vehicle, timestep, {}) | {name: file for run in written for name, file in run.files.items()}
     attached = log.file.attachments
     yield from _keys("attachment", attached, expected)
     for name in expected.keys() & attached.keys():

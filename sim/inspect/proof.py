@@ -10,35 +10,12 @@ import numpy as np
 from models.common.errors import InputError
 from models.laws.python_law import Programmed
 from models.vehicle.vehicle import Vehicle
-from sim.inspect.claims import (
-    check_certificate,
-    check_design,
-    check_energy,
-    check_goals,
-    check_linear,
-    check_physics,
-    check_result,
-    check_samples,
-    check_states,
-    claimed_samples,
-)
+from sim.inspect import claims, reproduction
 from sim.inspect.command_line import LoggedRun, check_command
 from sim.inspect.contents import check_contents, check_whole_result
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, is_current, read_json, timestep
 from sim.inspect.mcap_contents import McapContents
-from sim.inspect.reproduction import (
-    FEWEST,
-    as_response,
-    balanced_again,
-    implemented,
-    kept,
-    predicted_again,
-    recorded_controller,
-    recorded_vehicle,
-    usable_samples,
-    written_again,
-)
 from sim.recording.run_log import MUJOCO, RunLog
 from sim.runs.prediction import Prediction
 from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING
@@ -115,7 +92,7 @@ def prove(log: Recorded, kinds: Path | None = None) -> Proof:
     if not log.runs:
         findings.append(Finding("runs", MISSING, "there is no run in it"))
     try:
-        vehicle, h = recorded_vehicle(log, kinds), timestep(log.metadata)
+        vehicle, h = reproduction.recorded_vehicle(log, kinds), timestep(log.metadata)
     except InputError as error:
         findings.append(Finding("vehicle", MISSING, str(error)))
         return Proof(log, None, math.nan, tuple(findings), tuple(Inspected(run, 0, (), None, None) for run in log.runs))
@@ -138,12 +115,12 @@ def _file(file: McapContents, current: bool) -> list[Finding]:
 
 def _beside(log: Recorded, vehicle: Vehicle, h: float, runs: Sequence[Inspected], current: bool) -> Iterator[Finding]:
     """Checks the parts of a log beside its runs, and its format."""
-    made, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
-    if len(made) < len(runs):
+    written, again = [run.made for run in runs if run.made], [run.again for run in runs if run.again]
+    if len(written) < len(runs):
         absent = ", ".join(run.recorded.name for run in runs if not run.made)
         yield Finding("format", MISSING, f"nothing is compared that rests on all runs: {absent} could not be made again")
         return
-    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, made, current))
+    yield from _guarded("format", FAILS, lambda: check_contents(log, vehicle, h, written, current))
     if not current:
         yield Finding("command", NOTE, "the command line of a log older than formats is said, and not checked")
         return
@@ -186,37 +163,38 @@ def _model(log: Recorded, vehicle: Vehicle, h: float) -> Finding:
 def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, current: bool) -> Inspected:
     """Every claim of one run. A step that fails ends what rests on it, and no more."""
     findings = [Finding("responses", MISSING, remark) for remark in recorded.damage]
-    samples = usable_samples(recorded, h)
-    findings += _guarded("samples", MISSING, lambda: check_samples(recorded, samples, h))
+    samples = reproduction.usable_samples(recorded, h)
+    findings += _guarded("samples", MISSING, lambda: claims.check_samples(recorded, samples, h))
 
     def inspected(again: Prediction | None = None, run: Run | None = None, made: RunLog | None = None) -> Inspected:
         return Inspected(recorded, samples, tuple(findings), again, run, made)
 
     try:
-        own = implemented(vehicle, recorded)
+        own = reproduction.implemented(vehicle, recorded)
         if own.implementation != vehicle.implementation:
             findings.append(Finding("implementation", NOTE, f"not that of vehicle.toml: {_differing(vehicle, own)}"))
-        controller = recorded_controller(log, own, recorded)
+        controller = reproduction.recorded_controller(log, own, recorded)
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("controller", FAILS, str(error)))
         return inspected()
     if isinstance(controller, Controller):
-        findings += _guarded("certificate", FAILS, lambda: check_certificate(own, controller, recorded, h, current))
-        findings += _guarded("design", FAILS, lambda: check_design(vehicle, controller))
-        findings += _guarded("goals", FAILS, lambda: check_goals(vehicle, controller))
+        findings += _guarded("certificate", FAILS, lambda: claims.check_certificate(own, controller, recorded, h, current))
+        findings += _guarded("design", FAILS, lambda: claims.check_design(vehicle, controller))
+        findings += _guarded("goals", FAILS, lambda: claims.check_goals(vehicle, controller))
     else:
         said = f"{NO_CLAIM}; {NOT_RUN}" if isinstance(controller, Programmed) else NO_CLAIM_OF_SWITCHING
         findings.append(Finding("certificate", NOTE, said))
-    if samples < FEWEST:
+    if samples < reproduction.FEWEST:
         return inspected()
     try:
-        again = predicted_again(log, recorded, own, controller, samples, h)
+        again = reproduction.predicted_again(log, recorded, own, controller, samples, h)
     except (ValueError, ArithmeticError) as error:
         findings.append(Finding("road", MISSING, f"it cannot be driven again: {error}"))
         return inspected()
-    findings += _guarded("linear response", MISSING, lambda: check_linear(again, recorded, samples))
+    findings += _guarded("linear response", MISSING, lambda: claims.check_linear(again, recorded, samples))
     try:
-        (run,) = compare_runs([again], [as_response(own, recorded, MUJOCO, samples, h, kept(controller))])
+        response = reproduction.as_response(own, recorded, MUJOCO, samples, h, reproduction.kept(controller))
+        (run,) = compare_runs([again], [response])
     except (ValueError, ArithmeticError, RuntimeError) as error:
         findings.append(Finding("physics", MISSING, str(error)))
         return inspected(again)
@@ -224,15 +202,15 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
     stumbled = "it is of the whole run"
     if whole:
         try:
-            run, anew = balanced_again(run)
-            made = written_again(recorded, run, samples)
+            run, anew = reproduction.balanced_again(run)
+            made = reproduction.written_again(recorded, run, samples)
         except (ValueError, ArithmeticError, RuntimeError) as error:
             stumbled = str(error)
-    findings += _guarded("physics", FAILS, lambda: check_physics(recorded, run, whole))
-    findings += check_states(run, anew)
+    findings += _guarded("physics", FAILS, lambda: claims.check_physics(recorded, run, whole))
+    findings += claims.check_states(run, anew)
     if anew is not None and made is not None:
-        findings += _guarded("energy", FAILS, lambda: check_energy(recorded, run, anew, current))
-        findings += _guarded("result", FAILS, lambda: check_result(log, recorded, run, current))
+        findings += _guarded("energy", FAILS, lambda: claims.check_energy(recorded, run, anew, current))
+        findings += _guarded("result", FAILS, lambda: claims.check_result(log, recorded, run, current))
     else:
         findings += [Finding(part, MISSING, stumbled) for part in ("energy", "result")]
     return inspected(again, run, made)
@@ -241,7 +219,7 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
 def _is_whole(recorded: RecordedRun, samples: int) -> bool:
     """Returns True if all samples are there; False if the claimed number cannot be read."""
     try:
-        return samples == claimed_samples(recorded, samples)
+        return samples == claims.claimed_samples(recorded, samples)
     except InputError:  # which `check_samples` says
         return False
 

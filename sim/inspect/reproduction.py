@@ -42,6 +42,7 @@ from synth.controller.problem import problem
 
 MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
+MOST_DELAY = 1000  # samples; `sim.margins` logs runs on either side of a delay margin
 FEWEST = 3  # samples that make a run
 
 
@@ -81,7 +82,8 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     if limits != vehicle.limits:
         raise InputError("its [limits] are not those of vehicle.toml")
     measurable = vehicle.linear_model.measurable
-    return replace(vehicle, implementation=read_implementation(_given(run.claim("implementation"), "implementation"), measurable))
+    section = _given(run.claim("implementation"), "implementation")
+    return replace(vehicle, implementation=read_implementation(section, measurable, MOST_DELAY))
 
 
 def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
@@ -140,13 +142,13 @@ def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[st
     return programmed
 
 
-def _semi_active(run: RecordedRun, found: SemiActive) -> SemiActive:
+def _semi_active(run: RecordedRun, controller: SemiActive) -> SemiActive:
     """A law that ships, as vehicle.toml has it."""
-    record = found.law.record
+    record = controller.law.record
     if {key: run.claims.get(key) if key == "semi_active" else run.claim(key) for key in record} != record:
         raise InputError("its semi-active law is not that of vehicle.toml")
     _check_unclaimed(run, "a semi-active law")
-    return found
+    return controller
 
 
 def _check_unclaimed(run: RecordedRun, what: str) -> None:
@@ -175,12 +177,7 @@ def recorded_road(log: Recorded, run: RecordedRun, samples: int) -> Road:
 
 
 def predicted_again(
-    log: Recorded,
-    run: RecordedRun,
-    vehicle: Vehicle,
-    controller: Driver,
-    samples: int,
-    timestep: float,
+    log: Recorded, run: RecordedRun, vehicle: Vehicle, controller: Driver, samples: int, timestep: float
 ) -> Prediction:
     """Recomputes the prediction of a run by linear analysis; for a law in Python, under the attached forces.
 
@@ -195,17 +192,17 @@ def predicted_again(
     """
     if not timestep <= largest_timestep(vehicle):
         raise InputError(f"the timestep of {timestep:g} s is one with which RK4 is unstable on this vehicle")
-    met = RoadInput(vehicle, recorded_road(log, run, samples), np.arange(samples) * timestep)
+    road = RoadInput(vehicle, recorded_road(log, run, samples), np.arange(samples) * timestep)
     if isinstance(controller, Controller) and not vehicle.dampers:
-        return predict(LoopModel(vehicle, controller, met.timestep), met, MOST_STATES)
-    asked = np.zeros((0, 0))
+        return predict(LoopModel(vehicle, controller, road.timestep), road, MOST_STATES)
+    forces = np.zeros((0, 0))
     if isinstance(controller, Programmed):
         content = log.attachments.get(run.claims.get("forces_file", ""))
         if content is None:
             raise InputError("the forces of its law in Python are not attached")
-        asked = read_forces(content, command_names(vehicle), samples)
+        forces = read_forces(content, command_names(vehicle), samples)
     physics = as_response(vehicle, run, MUJOCO, samples, timestep, kept(controller))
-    return predict_replayed(controller, met, physics, asked)
+    return predict_replayed(controller, road, physics, forces)
 
 
 def usable_samples(run: RecordedRun, timestep: float) -> int:
@@ -286,9 +283,9 @@ def balanced_again(run: Run) -> tuple[Run, Response]:
     A law in Python is not run: the forces that it asked for are.
     """
     time = run.prediction.time
-    made = simulate([driver_again(run.prediction, time)], [RoadInput(run.vehicle, run.road, time)])
-    (run,) = with_energy_balance([run], made)
-    return run, made.run(0)
+    physics = simulate([driver_again(run.prediction, time)], [RoadInput(run.vehicle, run.road, time)])
+    (run,) = with_energy_balance([run], physics)
+    return run, physics.run(0)
 
 
 def written_again(recorded: RecordedRun, run: Run, samples: int) -> RunLog:

@@ -22,12 +22,7 @@ BEYOND = 1e100  # of such a response: above it squares would overflow, and the s
 
 
 def noise_rms(loop: LoopModel, samples: int) -> Array:
-    """Returns the standard deviation of every output signal under the measurement noise, at every timestep, shape (T, p).
-
-    Args:
-        loop: of the vehicle and its controller.
-        samples: T.
-    """
+    """Returns the standard deviation of every output signal under the measurement noise, at every timestep, shape (T, p)."""
     noise = loop.vehicle.implementation.noise
     rms = np.array([noise.get(name, 0.0) for name in loop.controller.measured])
     return np.sqrt(_summed(loop, rms, 2, samples))

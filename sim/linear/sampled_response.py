@@ -221,20 +221,22 @@ def readings_of_loads(cut: OpenLoop, controller: Controller) -> Array:
     return cut.reading @ cut.model.Dl[rows]
 
 
-def road_forcing(A: Array, model: LinearModel, met: RoadInput) -> Array:
+def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
     """Returns the contribution of a road to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
-    road, vehicle = met.road, met.vehicle
+    road, vehicle = road_input.road, road_input.vehicle
 
     def push(t: Array) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T if model.Br.any() else pushed
 
-    return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), met.time)
+    return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time)
 
 
-def load_forcing(A: Array, Bl: Array, met: RoadInput) -> Array:
+def load_forcing(A: Array, Bl: Array, road_input: RoadInput) -> Array:
     """Returns the contribution of a road's loads over the same steps, through Bl, shape (n, l)."""
-    return _forcing(A, lambda t: met.road.loads(met.vehicle, t) @ Bl.T, np.array(met.road.load_kinks), met.time)
+    return _forcing(
+        A, lambda t: road_input.road.loads(road_input.vehicle, t) @ Bl.T, np.array(road_input.road.load_kinks), road_input.time
+    )
 
 
 def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:

@@ -101,8 +101,8 @@ class Decisions:
         if isinstance(self._law, LinearLaw):
             self._next = self._law.A @ self.kept + self._law.B @ y
             if self._anti_windup is not None:
-                asked = (self._law.D @ y + self._law.C @ self.kept)[None]
-                self._next += self._anti_windup @ self.of.clipped_off(asked, self._closing(velocity[None]))[0]
+                requested = (self._law.D @ y + self._law.C @ self.kept)[None]
+                self._next += self._anti_windup @ self.of.clipped_off(requested, self._closing(velocity[None]))[0]
         self._largest = np.maximum(self._largest, np.abs(self.kept))
         return self._decided(np.concatenate([y, velocity])[None], self.kept[None])[0]
 
@@ -172,11 +172,7 @@ class Switched:
 
 
 def switched(
-    road: RoadInput,
-    decisions: Decisions | None,
-    commands: Array,
-    measured: tuple[str, ...],
-    as_rk4: bool = False,
+    road: RoadInput, decisions: Decisions | None, commands: Array, measured: tuple[str, ...], as_rk4: bool = False
 ) -> Switched:
     """Returns the response from rest.
 

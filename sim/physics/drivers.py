@@ -241,14 +241,14 @@ class Dampers:
 
         For semi-active laws the rows of the forces are those of the measurements.
         """
-        m, count, asked = len(self.closing), len(gain), gain.shape[1] - memory.shape[2]
+        m, count, measured = len(self.closing), len(gain), gain.shape[1] - memory.shape[2]
         closing = np.zeros((count, m, gain.shape[2]))
         closing[..., : self.closing.shape[1]] = self.closing
         still = np.broadcast_to(self.of.at_rest, (*offset.shape[:2], m))
         return (
-            np.concatenate([gain[:, :asked], closing, gain[:, asked:]], axis=1),
-            np.concatenate([memory[:, :asked], np.zeros((count, m, memory.shape[2])), memory[:, asked:]], axis=1),
-            np.concatenate([offset[..., :asked], still, offset[..., asked:]], axis=-1),
+            np.concatenate([gain[:, :measured], closing, gain[:, measured:]], axis=1),
+            np.concatenate([memory[:, :measured], np.zeros((count, m, memory.shape[2])), memory[:, measured:]], axis=1),
+            np.concatenate([offset[..., :measured], still, offset[..., measured:]], axis=-1),
         )
 
     def after(self, of_reading: Array, unseen: Array) -> tuple[Array, Array]:

@@ -17,21 +17,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
-from sim.physics import RUNS_AT_ONCE
-from sim.physics.drivers import (
-    Clipped,
-    Damped,
-    Dampers,
-    Failure,
-    Limited,
-    PythonLaws,
-    RecordedForces,
-    RepeatedForces,
-    RunDriver,
-    SemiActiveLaws,
-    anti_windup_of,
-    dampers_of,
-)
+from sim.physics import RUNS_AT_ONCE, drivers
 from sim.physics.sensor_readout import (
     AntiWindup,
     Laws,
@@ -138,7 +124,7 @@ class BatchInputs:
     """
 
     vehicles: Sequence[Vehicle]
-    controllers: Sequence[RunDriver]
+    controllers: Sequence[drivers.RunDriver]
     now: Array
     midway: Array
     timestep: float
@@ -146,7 +132,7 @@ class BatchInputs:
     undelayed: Sequence[Controller | None] | None = None
     going: Array | None = None
     beyond: Array | None = None
-    failures: dict[int, Failure] | None = None
+    failures: dict[int, drivers.Failure] | None = None
     accelerations: bool = True
     loads: Array | None = None
 
@@ -208,13 +194,13 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     unmoved = np.zeros_like(now) if fresh else now - before
     offset = force_from_road(of_state, now, readout) + force_from_road(of_sensors, unmoved, readout)
     gain = np.concatenate([of_state @ readout.of_state, of_sensors @ readout.of_sensors[:, sensors]], axis=-1)
-    plain, held = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
-    if undelayed is None and going is None and not (others or vehicle.dampers) and len(held) == 1:
+    plain, periods = ideal and len(others) == len(semi_active), {steps_per_sample(one, timestep) for one in ways}
+    if undelayed is None and going is None and not (others or vehicle.dampers) and len(periods) == 1:
         # Runs that may drop out hold forces for different times; all runs are read as if they did.
         plain = not any(one.delay or one.has_measurement_noise for one in ways)
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
-    dampers = dampers_of(vehicles, readout)
+    dampers = drivers.dampers_of(vehicles, readout)
     follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
     reads = (gain, memory, offset)
     if dampers is not None:
@@ -240,9 +226,11 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             batch = Batch(model, len(driving), 1)
             if models:
                 batch.set_models(driving)
-        law, mine = None, dampers_of(vehicles[runs], readout)
-        anti_windup = anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
-        setting = None if mine is None else SemiActiveLaws(semi_active[runs], mine) if semi_active else Clipped(mine.of)
+        law, mine = None, drivers.dampers_of(vehicles[runs], readout)
+        anti_windup = drivers.anti_windup_of(vehicles[runs], None if follows is None else follows[runs])
+        setting = (
+            None if mine is None else drivers.SemiActiveLaws(semi_active[runs], mine) if semi_active else drivers.Clipped(mine.of)
+        )
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)
@@ -252,8 +240,8 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 ideal = [Implementation()] * len(how)
                 laws = LinearLaws(beside[runs], beside_memory[runs])
                 samplers.append(Sampler(ideal, laws, readout.names, timestep, len(now)))
-            played = [one.forces for one in controllers[runs] if isinstance(one, RecordedForces)]
-            law = RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
+            played = [one.forces for one in controllers[runs] if isinstance(one, drivers.RecordedForces)]
+            law = drivers.RepeatedForces(np.stack(played, axis=1)) if played else _Sampled(samplers, of_reading, unseen[:, runs])
         level, road, left = now[:, runs], midway[:, runs], before[:, runs]
         at_samples = level if felt else None
         wanted = going[runs] if going is not None else None
@@ -262,13 +250,13 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             *(sensors, stage, fresh, fresh and not course.accelerations),
             damped=setting,
             lagging=mine is not None and mine.lags,
-            held=max(held) if plain else 1,
+            held=max(periods) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
             anti_windup=anti_windup,
         )
         push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
-        for start, sensed, qpos, qvel, asked, kept, acts in steps:
+        for start, sensed, qpos, qvel, requested, kept, acts in steps:
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -279,14 +267,14 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 mix(place[:, ~inside] @ readout.of_road[~inside], np.moveaxis(level[some] - left[some], 1, 2), recorded)
             recorded[:, heights] = np.moveaxis(level[some], 1, 2)
             if mine is not None:
-                mine.record(recorded, asked, acts)
+                mine.record(recorded, requested, acts)
             physical = recorded[:, acting] if mine is not None else recorded
             largest = np.maximum(physical.max(axis=1), -physical.min(axis=1))
-            overflowed = np.asarray(~(np.isfinite(asked).all(axis=2) & np.isfinite(kept).all(axis=2)))
+            overflowed = np.asarray(~(np.isfinite(requested).all(axis=2) & np.isfinite(kept).all(axis=2)))
             # MuJoCo replaces a force beyond 1e10 by 0 and goes on, so requested forces are checked, unless they are clipped.
-            for force, given in zip(np.moveaxis(asked, 2, 0), unclipped[runs].T, strict=False):
+            for force, given in zip(np.moveaxis(requested, 2, 0), unclipped[runs].T, strict=False):
                 largest = np.maximum(largest, np.where(given & ~overflowed, np.abs(force), 0.0))
-            yield Block(start, recorded, qpos, qvel, largest, overflowed, asked, kept)
+            yield Block(start, recorded, qpos, qvel, largest, overflowed, requested, kept)
 
     def quietly(runs: slice, stopped: Callable[[], bool]) -> Iterator[Block]:
         blocks = of(runs, stopped)
@@ -325,7 +313,7 @@ def _laws_of(
     names: Sequence[str],
     gain: Array,
     memory: Array,
-    dampers: Dampers | None,
+    dampers: drivers.Dampers | None,
     anti_windup: AntiWindup | None,
 ) -> Laws:
     """Returns the laws of some of the runs, on signals of these names.
@@ -337,17 +325,17 @@ def _laws_of(
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
     if semi_active:
         assert dampers is not None, "a vehicle file has such a law with adjustable dampers alone"
-        return SemiActiveLaws(semi_active, dampers, names)
+        return drivers.SemiActiveLaws(semi_active, dampers, names)
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
         linear = LinearLaws(gain[runs], memory[runs], anti_windup)
         if dampers is not None:
-            return Damped(linear, dampers.of)
-        return linear if anti_windup is None else Limited(linear)
+            return drivers.Damped(linear, dampers.of)
+        return linear if anti_windup is None else drivers.Limited(linear)
     ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
     numbers = range(len(course.vehicles))[runs]
-    laws = PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
-    return laws if dampers is None else Damped(laws, dampers.of)
+    laws = drivers.PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
+    return laws if dampers is None else drivers.Damped(laws, dampers.of)
 
 
 class _Sampled:

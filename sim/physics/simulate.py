@@ -63,23 +63,23 @@ class PhysicsRuns:
         return self.response.run(index).beside(states, self.kept[index, :, : len(states)])
 
 
-def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
+def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int = 1) -> PhysicsRuns:
     """Runs N vehicles of one kind, each with its own parameters, controller and road, from rest.
 
     A run's numbers do not depend, to the last bit, on other runs of its controller: different implementations share no batch.
 
     Args:
         controllers: N controllers.
-        met: vehicles of the same kind with their roads, all at the same sample times from 0 [s], shape (T,). Vehicles that
+        inputs: vehicles of the same kind with their roads, all at the same sample times from 0 [s], shape (T,). Vehicles that
             differ only in the controller's implementation share one model.
         threads: largest number of threads, with `FEWEST` runs or more each; results do not depend on it. 0 means one per core.
     """
-    vehicles, time, timestep = [road.vehicle for road in met], met[0].time, met[0].timestep
+    vehicles, time, timestep = [road.vehicle for road in inputs], inputs[0].time, inputs[0].timestep
     kinds = [_kind(controller, vehicle, timestep) for controller, vehicle in zip(controllers, vehicles, strict=True)]
     if len(set(kinds)) > 1:
-        return _by_kind(kinds, controllers, met, threads)
+        return _by_kind(kinds, controllers, inputs, threads)
     signals, wheels = vehicles[0].kind.signals, vehicles[0].kind.wheels
-    once = met_alike(met)
+    once = met_alike(inputs)
     now, midway = (np.stack([getattr(road, name) for road in once], axis=1) for name in ("heights", "midway"))
     beyond = None
     if ahead := steps_ahead(vehicles, controllers, timestep):
@@ -89,7 +89,7 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
         len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
     )  # only one thread at a time executes Python
     edges = (0, len(time))
-    loads = loads_on(met)
+    loads = loads_on(inputs)
     course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
     block = _whole(in_shares(course, shares))
 
@@ -99,14 +99,14 @@ def simulate(controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads
     diverged = block.diverged(time)
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
-    response, asked = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
+    response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
     laws = [controller.law if isinstance(controller, Controller) else None for controller in controllers]
     states = [kept_signals(range(1, law.states + 1)) if law else () for law in laws]
     scales = [1.0 if law is None else _of_state(law, vehicle, timestep) for law, vehicle in zip(laws, vehicles, strict=True)]
     kept = block.kept.swapaxes(0, 1) * np.array(scales)[:, None, None]
     kept[time >= diverged[:, None]] = np.nan
     kept[(time >= diverged[:, None]) & block.ran_away[:, None]] = np.inf
-    return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, asked, kept, states)
+    return PhysicsRuns(response, qpos, qvel, diverged, block.ran_away, requested, kept, states)
 
 
 def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
@@ -121,23 +121,23 @@ def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[typ
 
 
 def _by_kind(
-    kinds: Sequence[tuple[type, int]], controllers: Sequence[RunDriver], met: Sequence[RoadInput], threads: int
+    kinds: Sequence[tuple[type, int]], controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int
 ) -> PhysicsRuns:
     """Returns the runs of `simulate`, computed for each kind of runs apart (see `_kind`), in the given order."""
     which, parts = [], []
     for kind in dict.fromkeys(kinds):
         some = [i for i, one in enumerate(kinds) if one == kind]
         which += some
-        parts.append(simulate([controllers[i] for i in some], [met[i] for i in some], threads))
+        parts.append(simulate([controllers[i] for i in some], [inputs[i] for i in some], threads))
     order = np.argsort(which)
     values = np.concatenate([one.response.values for one in parts])[order]
-    response = Response(met[0].time, parts[0].response.signals, values)
+    response = Response(inputs[0].time, parts[0].response.signals, values)
     names = ("qpos", "qvel", "diverged", "ran_away", "requested_force")
-    qpos, qvel, diverged, ran_away, asked = (np.concatenate([getattr(one, name) for one in parts])[order] for name in names)
+    qpos, qvel, diverged, ran_away, requested = (np.concatenate([getattr(one, name) for one in parts])[order] for name in names)
     most = max(one.kept.shape[2] for one in parts)
     kept = np.concatenate([np.pad(one.kept, ((0, 0), (0, 0), (0, most - one.kept.shape[2]))) for one in parts])[order]
     states = [signals for one in parts for signals in one.states]
-    return PhysicsRuns(response, qpos, qvel, diverged, ran_away, asked, kept, [states[i] for i in order])
+    return PhysicsRuns(response, qpos, qvel, diverged, ran_away, requested, kept, [states[i] for i in order])
 
 
 def shared(count: int, threads: int) -> list[slice]:
@@ -159,18 +159,18 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
     return Block(0, values, *(np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in names))
 
 
-def met_alike(met: Sequence[RoadInput]) -> list[RoadInput]:
+def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:
     """Returns, in place of each road input, the first one with equal heights under its wheels, so that these are computed
     once.
     """
-    keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in met]
-    first = dict(zip(reversed(keys), reversed(met), strict=True))
+    keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
+    first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]
 
 
-def loads_on(met: Sequence[RoadInput]) -> Array | None:
+def loads_on(inputs: Sequence[RoadInput]) -> Array | None:
     """Returns the loads that are held on the bodies of all runs [N, N m], shape (T, N, l); None if no run has any."""
-    return np.stack([road.held_loads for road in met], axis=1) if any(road.loaded for road in met) else None
+    return np.stack([road.held_loads for road in inputs], axis=1) if any(road.loaded for road in inputs) else None
 
 
 class MonitoredBatch:
@@ -187,17 +187,17 @@ class MonitoredBatch:
         ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
     """
 
-    def __init__(self, controllers: Sequence[RunDriver], met: Sequence[RoadInput]) -> None:
+    def __init__(self, controllers: Sequence[RunDriver], inputs: Sequence[RoadInput]) -> None:
         """Takes N controllers, and vehicles that read out alike with their roads, all at the same sample times from 0 [s]."""
-        vehicles, time = [road.vehicle for road in met], met[0].time
+        vehicles, time = [road.vehicle for road in inputs], inputs[0].time
         self.vehicles, self.controllers, self.time = vehicles, controllers, time
         ahead = steps_ahead(vehicles, controllers, self.timestep)
         halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
         heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
-        for i, road in enumerate(met):
+        for i, road in enumerate(inputs):
             heights[:, i] = under_wheels(road.road.displacement, road.road, road.vehicle, halves)
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
-        self.loads = loads_on(met)
+        self.loads = loads_on(inputs)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends = EndDetector(vehicles, time, anti_windup=[has_anti_windup(one) for one in controllers])
         self.diverged = np.full(len(vehicles), np.inf)

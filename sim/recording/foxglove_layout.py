@@ -208,4 +208,4 @@ def _stack(direction: str, parts: Sequence[Any], shares: Sequence[float] = ()) -
 
 def _id(name: str) -> str:
     """Returns a name with special characters encoded, for a panel's id."""
-    return re.sub(r"[^A-Za-z0-9]", lambda found: f"_{ord(found.group()):x}", name)
+    return re.sub(r"[^A-Za-z0-9]", lambda match: f"_{ord(match.group()):x}", name)

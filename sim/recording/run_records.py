@@ -51,23 +51,23 @@ BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start a
 SPACING, MOST = 0.05, 20_000  # spacing of a profile's points [m], and their largest number, without those under wheels
 
 
-def scene_of(met: RoadInput, physics: Response, qpos: Array) -> Scene:
+def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
     """Returns a run as a scene of 60 frames per second.
 
     Names in the MJCF determine the drawing: a spring from every site `NAME_bottom` to `NAME_top`, with the force of an actuator
     on the tendon NAME, and a tyre for a cylinder with the name of a tendon, of that tendon's length.
 
     Args:
-        met: the vehicle and its road, at the samples of the response.
+        road_input: the vehicle and its road, at the samples of the response.
         physics: the response, at equidistant sample times from 0.
         qpos: generalized positions, shape (T, nq).
     """
-    vehicle, road, time, timestep = met.vehicle, met.road, physics.time, met.timestep
+    vehicle, road, time, timestep = road_input.vehicle, road_input.road, physics.time, road_input.timestep
     model = build_model(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
     frames = frames[np.all(np.abs(qpos[frames]) < DIVERGED, axis=-1)]
-    heights = met.heights[frames]  # not computed again, which is slow for a random road at uneven times
+    heights = road_input.heights[frames]  # not computed again, which is slow for a random road at uneven times
     mocap = mocap_indices(vehicle, model)
     sites = [model.site(i).name for i in range(model.nsite)]
     springs = [name.removesuffix("_bottom") for name in sites if name.endswith("_bottom")]

@@ -27,22 +27,17 @@ OF_LINE = 600  # points of a curve
 def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
     """Force over velocity of every damper that has a curve or is adjustable, over deflection of every spring with a curve.
 
-    Args:
-        scope: what the report is about.
-        runs: one of every controller.
-        where: over which road, in words.
-
     Returns:
         The figure; None of a vehicle with neither.
     """
-    found = diagrams(scope.vehicle)
-    if not found:
+    drawn = diagrams(scope.vehicle)
+    if not drawn:
         return None
     title = (
         f"What dampers and springs pull with {where}, beside their curves or limits, and the lines of linear analysis.\n"
         "Points: MuJoCo, a damper with its actuator"
     )
-    panels = tuple(_panel(scope, diagram, runs) for diagram in found)
+    panels = tuple(_panel(scope, diagram, runs) for diagram in drawn)
     return Figure("suspension", title, panels, columns=min(2, len(panels)))
 
 

@@ -35,21 +35,21 @@ TITLE = "What does the one cost of the other?"
 TERM = "a trade-off: designs of which none beats another in all"
 
 
-def check_front(vehicle: Vehicle, asked: str) -> None:
+def check_front(vehicle: Vehicle, text: str) -> None:
     """Checks that the section is possible, before the work.
 
     Raises:
         InputError: bad axes, or no controller that a front can be designed for.
     """
-    axes_of(vehicle, asked)
+    axes_of(vehicle, text)
     entry_of(vehicle, usual(vehicle))
 
 
 def front_section(scope: Scope) -> Section:
     """Returns the front of the usual controller, or the reason why it is missing."""
-    vehicle, name, asked = scope.vehicle, usual(scope.vehicle), scope.front
-    assert asked is not None, "a front was asked for"
-    axes = axes_of(vehicle, asked)
+    vehicle, name, given = scope.vehicle, usual(scope.vehicle), scope.front
+    assert given is not None, "a front was asked for"
+    axes = axes_of(vehicle, given)
     total = rays_of(len(axes), DESIGNS)
     try:
         trade_off = front(
@@ -85,10 +85,10 @@ def front_section(scope: Scope) -> Section:
     return Section(TITLE, TERM, tuple(text), (table,), (front_figure(trade_off, measured),))
 
 
-def measure(scope: Scope, found: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
+def measure(scope: Scope, trade_off: Front, i: int, axis: FrontAxis, turn: float = TURN) -> float:
     """The gain of a design in MuJoCo on a sinusoid of the road at which its norm on an axis is reached; NaN where none is."""
-    controller, k = found.points[i].controller, found.axes.index(axis)
-    norm = found.points[i].norms[k]
+    controller, k = trade_off.points[i].controller, trade_off.axes.index(axis)
+    norm = trade_off.points[i].norms[k]
     if axis.off or not norm.value or controller.hardware.loads or any(controller.hardware.noise):
         return 0.0 if not norm.value else math.nan
     vehicle = ideal_measurements(weighing(scope.vehicle, axis.norm))

@@ -67,9 +67,11 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
         time: equidistant sample times from 0 [s].
     """
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)
-    met = RoadInput(vehicle.linearised, metre, time)
+    road = RoadInput(vehicle.linearised, metre, time)
     alone = (
-        switched_response(controller, met) if short else sampled_response(LoopModel(met.vehicle, controller, met.timestep), met)
+        switched_response(controller, road)
+        if short
+        else sampled_response(LoopModel(road.vehicle, controller, road.timestep), road)
     )
     used = utilisation(vehicle, alone, has_anti_windup(controller))
     if short:

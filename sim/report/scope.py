@@ -70,10 +70,7 @@ class Scope:
     @property
     def loop_qualifier(self) -> str:
         """Returns the assumptions of linear analysis on adjustable dampers and curves, after a comma; empty without them."""
-        words = (
-            "all forces given" * bool(self.vehicle.dampers),
-            "curves being their lines at rest" * self.vehicle.is_curved,
-        )
+        words = ("all forces given" * bool(self.vehicle.dampers), "curves being their lines at rest" * self.vehicle.is_curved)
         return "".join(f", {one}" for one in words if one)
 
     @property
@@ -126,8 +123,8 @@ class Scope:
     def as_it_runs(self) -> str:
         """Describes the sampled linear loop, without ends of the regime and measurement noise."""
         how = self.vehicle.implementation.without_noise
-        held = f"its force held over every step of {1e3 * self.timestep:g} ms"
-        return ", ".join([*(how.phrases or (held,)), *self._lag.phrases(())])
+        hold = f"its force held over every step of {1e3 * self.timestep:g} ms"
+        return ", ".join([*(how.phrases or (hold,)), *self._lag.phrases(())])
 
     @property
     def lag(self) -> str:

@@ -15,10 +15,10 @@ import sim.report.contents  # noqa: F401 - all that a piece needs, before the fi
 
 def main() -> None:
     """Does pieces until there is no more to be done."""
-    asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     pieces: queue.SimpleQueue = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(asked, pieces), daemon=True).start()
+    threading.Thread(target=_listen, args=(requests, pieces), daemon=True).start()
     while True:
         piece, scope = pieces.get()
         try:
@@ -29,11 +29,11 @@ def main() -> None:
         answers.flush()
 
 
-def _listen(asked: BinaryIO, pieces: queue.SimpleQueue) -> None:
+def _listen(requests: BinaryIO, pieces: queue.SimpleQueue) -> None:
     """Reads pieces; ends the process, whatever it is at, when nobody can ask for more."""
     try:
         while True:
-            pieces.put(pickle.load(asked))
+            pieces.put(pickle.load(requests))
     finally:
         leave_at_once(0)
 

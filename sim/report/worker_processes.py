@@ -74,13 +74,13 @@ class Beside:
         Returns:
             What gives all results, by name. It does here what no process has begun, from the last on, and waits for the others.
         """
-        asked: dict[Name, Future[Any]] = {}
+        futures: dict[Name, Future[Any]] = {}
         if self._threads is not None:
             import cloudpickle  # kinds of vehicle have functions without names
 
             silent = replace(scope, progress=_silent)
             written = {name: cloudpickle.dumps((piece, silent)) for name, piece in pieces.items()}  # before anything changes
-            asked = {name: self._threads.submit(self._elsewhere, piece) for name, piece in written.items()}
+            futures = {name: self._threads.submit(self._elsewhere, piece) for name, piece in written.items()}
 
         def here(name: Name) -> Any:
             _show(scope, name)
@@ -89,12 +89,12 @@ class Beside:
         def elsewhere(name: Name) -> Any:
             _show(scope, name)
             try:
-                return asked[name].result()
+                return futures[name].result()
             except (OSError, EOFError, pickle.PickleError):
                 return here(name)
 
         def results() -> dict[Name, Any]:
-            answers = {name: here(name) for name in reversed(pieces) if name not in asked or asked[name].cancel()}
+            answers = {name: here(name) for name in reversed(pieces) if name not in futures or futures[name].cancel()}
             return answers | {name: elsewhere(name) for name in reversed(pieces) if name not in answers}
 
         return results

@@ -48,12 +48,12 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
     for one in vehicle.adjustable:
         j = vehicle.linear_model.inputs.index(one.force)
         missing = squarable(commands[decided + late, m + j])
-        asked, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
-        most = float(np.sqrt(np.mean(asked**2)))
+        requested, c = missing - commands[decided + late, j] * speeds[decided, j], whole[one.coefficient]
+        most = float(np.sqrt(np.mean(requested**2)))
         share = float(np.sqrt(np.mean(missing**2))) / most if most else 0.0
         kept = None
         if one.damper.bandwidth is not None:
-            kept = float(np.sqrt(np.mean((asked - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
+            kept = float(np.sqrt(np.mean((requested - whole[one.force][decided + late]) ** 2))) / most if most else 0.0
         by_force[one.force] = Shortfall(share, float(np.mean(np.abs(missing) > MISSED)), float(c.min()), float(c.max()), kept)
     return by_force
 

@@ -30,8 +30,8 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     acting = [load.over(midway, vehicle.parameters, vehicle.kind) for load in road.on_body]
     ways = {load.name: load_signal(load.name) for load in vehicle.kind.loads if any(load.name in one for one in acting)}
     together, alone, signals = {name: np.zeros(len(time)) for name in ways}, [], []
-    for load, called, made in zip(road.on_body, _called(road.on_body), acting, strict=True):
-        for name, one in made.items():
+    for load, called, force in zip(road.on_body, _called(road.on_body), acting, strict=True):
+        for name, one in force.items():
             together[name] = together[name] + one
             meaning = f"{ways[name].meaning}: of {load.label}"
             signals.append(replace(ways[name], name=f"{called}_{name}", meaning=meaning))

@@ -180,11 +180,7 @@ def smaller(prediction: Prediction, share: float) -> ScaledPrediction:
 
 
 def predict_switched(
-    controller: Driver,
-    road: RoadInput,
-    physics: Response,
-    near: float,
-    requested_force: Array | None = None,
+    controller: Driver, road: RoadInput, physics: Response, near: float, requested_force: Array | None = None
 ) -> Prediction:
     """Predicts the exact response of a vehicle with adjustable dampers, a switched linear system, in a run from rest.
 
@@ -201,7 +197,7 @@ def predict_switched(
     linear = LoopModel(vehicle, controller, h) if isinstance(controller, Controller) else None
     played = isinstance(controller, Programmed) or vehicle.implementation.has_measurement_noise
     period = steps_per_sample(vehicle.implementation, h) * h
-    made = commands_of(vehicle, physics) if requested_force is None else requested_force
+    commands = commands_of(vehicle, physics) if requested_force is None else requested_force
     peaks = partial(_peak, vehicle, physics)
     measured = () if played else controller.measured
 
@@ -209,7 +205,7 @@ def predict_switched(
         decisions = None
         if not played and isinstance(controller, Controller | SemiActive):
             decisions = Decisions(vehicle, controller, period, near, peaks)
-        switched_run = switched(road, decisions, made, measured, as_rk4)
+        switched_run = switched(road, decisions, commands, measured, as_rk4)
         beside = damper_signals(vehicle, switched_run.beyond, switched_run.missing)
         whole = response_of(vehicle.linear_model, road, switched_run.states, switched_run.inputs, switched_run.outside, beside)
         if linear is None:
@@ -227,7 +223,7 @@ def predict_switched(
         continuous=sampled_one if linear is None else continuous_response(linear, road),
         spread={},
         radius=math.nan,
-        requested_force=made if isinstance(controller, Programmed) else np.zeros((0, 0)),
+        requested_force=commands if isinstance(controller, Programmed) else np.zeros((0, 0)),
         otherwise=switched_run.otherwise,
         played=played,
     )
@@ -280,9 +276,9 @@ def reference_at(share: float, prediction: Prediction, physics: Response) -> Sca
     from sim.linear.dampers import scaled_commands
 
     road = replace(prediction.input.scaled(share), vehicle=with_scaled_noise(share, vehicle))
-    asked = scaled_commands(vehicle, prediction.requested_force, share) if len(prediction.requested_force) else None
+    commands = scaled_commands(vehicle, prediction.requested_force, share) if len(prediction.requested_force) else None
     near = share * NEAR_GEOMETRY
-    again = predict_switched(prediction.controller, road, physics, near, asked)
+    again = predict_switched(prediction.controller, road, physics, near, commands)
     return ScaledPrediction(again.sampled, again.integrated)
 
 

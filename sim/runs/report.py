@@ -267,12 +267,12 @@ def verdict_lines(run: Run) -> list[str]:
     if agreement.agrees and error.small is not None:
         worst = max(agreement.signals, key=lambda name: agreement.signals[name].sampled - agreement.signals[name].allowed / SLACK)
         error = agreement.signals[worst]
-        made, with_it, is_it = ("geometry makes", "", f"follows {_reference(run)} to")
+        geometry, with_it, is_it = ("geometry makes", "", f"follows {_reference(run)} to")
         if agreement.blurred:
-            made, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
+            geometry, with_it, is_it = (f"geometry and {blur} make", f" and {blur}", "is within")
         off = error.sampled - (0.0 if agreement.blurred else error.allowed / SLACK)
         lines.append(
-            f"agrees to first order {when}: {made} up to {off:.1e} of a peak ({worst}); at "
+            f"agrees to first order {when}: {geometry} up to {off:.1e} of a peak ({worst}); at "
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:

@@ -245,18 +245,18 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
     """
     _check_noise(vehicle, controllers)
     ahead = not vehicle.dampers  # else the predictions follow the decisions that dampers make in physics
-    met = RoadInput(vehicle, road, time)
+    on = RoadInput(vehicle, road, time)
     known = [
-        predict(LoopModel(vehicle, each, met.timestep), met) if ahead and isinstance(each, Controller) else each
+        predict(LoopModel(vehicle, each, on.timestep), on) if ahead and isinstance(each, Controller) else each
         for each in controllers
     ]
-    made = simulate(controllers, [met] * len(controllers))
+    physics = simulate(controllers, [on] * len(controllers))
     predictions = [
-        each if isinstance(each, Prediction) else predict_replayed(each, met, made.run(i), made.requested_force[i])
+        each if isinstance(each, Prediction) else predict_replayed(each, on, physics.run(i), physics.requested_force[i])
         for i, each in enumerate(known)
     ]
-    runs = compare_runs(predictions, [made.run(i) for i in range(len(predictions))], made.requested_force)
-    return with_energy_balance(runs, made) if balanced else runs
+    runs = compare_runs(predictions, [physics.run(i) for i in range(len(predictions))], physics.requested_force)
+    return with_energy_balance(runs, physics) if balanced else runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,11 +275,11 @@ class Reference:
 @np.errstate(over="ignore", invalid="ignore")
 def reference(vehicle: Vehicle, controller: Controller, road: Road, time: Array) -> Reference:
     """Runs a linear controller as `run_controllers` does, without verdict. Arguments as there."""
-    met = RoadInput(vehicle, road, time)
-    made = simulate([controller], [met])
+    on = RoadInput(vehicle, road, time)
+    physics = simulate([controller], [on])
     if vehicle.dampers:
-        return Reference(made.run(0), predict_replayed(controller, met, made.run(0), made.requested_force[0]).sampled)
-    return Reference(made.run(0), sampled_response(LoopModel(vehicle, controller, met.timestep), met))
+        return Reference(physics.run(0), predict_replayed(controller, on, physics.run(0), physics.requested_force[0]).sampled)
+    return Reference(physics.run(0), sampled_response(LoopModel(vehicle, controller, on.timestep), on))
 
 
 def compare_runs(
@@ -341,17 +341,17 @@ def _until(prediction: Prediction, end: float) -> Prediction:
     return replace(prediction, input=replace(prediction.input, time=time), requested_force=asked)
 
 
-def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
+def with_energy_balance(runs: Sequence[Run], physics: PhysicsRuns) -> list[Run]:
     """Adds the results of MuJoCo's own states to runs: positions, energy, and the change by half the step after a lift-off.
 
     A run that leaves more energy over than is usual is driven at half the step, too.
 
     Args:
         runs: over the same sample times, of vehicles of the same kind.
-        made: the same runs with their states.
+        physics: the same runs with their states.
     """
     runs = [
-        replace(run, qpos=made.qpos[i], energy=energy(made, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
+        replace(run, qpos=physics.qpos[i], energy=energy(physics, i, run.prediction.input, until=run.agreement.ended[FLAT.name]))
         for i, run in enumerate(runs)
     ]
     lifted = [i for i, run in enumerate(runs) if run.agreement.lift_off and run.broke_off is None and not run.agreement.blurred]
@@ -363,18 +363,15 @@ def with_energy_balance(runs: Sequence[Run], made: PhysicsRuns) -> list[Run]:
         for k, i in enumerate(halved):
             run, balance = runs[i], runs[i].energy
             if balance is not None and balance.doubtful:
-                met = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves)
-                balance = balance.beside(energy(finer, k, met, until=run.agreement.ended[FLAT.name]))
+                on = RoadInput(_sampled_as_before(run.vehicle, timestep), run.road, halves)
+                balance = balance.beside(energy(finer, k, on, until=run.agreement.ended[FLAT.name]))
             half_step = _half_step(run, finer.response.run(k)) if i in lifted else None
             runs[i] = replace(run, energy=balance, half_step=half_step)
     return runs
 
 
 def _simulated(
-    predictions: Sequence[Prediction],
-    time: Array,
-    vehicle: Callable[[Vehicle], Vehicle],
-    share: float = 1.0,
+    predictions: Sequence[Prediction], time: Array, vehicle: Callable[[Vehicle], Vehicle], share: float = 1.0
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
@@ -383,8 +380,8 @@ def _simulated(
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
-    met = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time) for each in predictions]
-    return simulate([driver_again(each, time, share) for each in predictions], met)
+    inputs = [RoadInput(vehicles[id(each.vehicle)], roads[id(each.road)], time) for each in predictions]
+    return simulate([driver_again(each, time, share) for each in predictions], inputs)
 
 
 def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "RunDriver":
@@ -396,12 +393,12 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
     """
     if not isinstance(prediction.controller, Programmed):
         return prediction.controller
-    held = round(prediction.timestep / float(time[1]))
+    steps = round(prediction.timestep / float(time[1]))
     from sim.linear.dampers import scaled_commands
     from sim.physics.drivers import RecordedForces
 
-    asked = scaled_commands(prediction.vehicle, prediction.requested_force, share)
-    return RecordedForces(prediction.controller.measured, np.repeat(asked, held, axis=0)[: len(time)])
+    commands = scaled_commands(prediction.vehicle, prediction.requested_force, share)
+    return RecordedForces(prediction.controller.measured, np.repeat(commands, steps, axis=0)[: len(time)])
 
 
 def _sampled_as_before(vehicle: Vehicle, timestep: float) -> Vehicle:

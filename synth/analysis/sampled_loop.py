@@ -82,9 +82,7 @@ class Lifted:
         increment = self.increment + later.increment + later.increment @ self.increment + second @ between @ first
         cost = later.CdCd + later.CdCd @ between
         return Lifted(
-            increment,
-            later.BdBd + second @ _symmetric(reached) @ second.T,
-            self.CdCd + first.T @ _symmetric(cost) @ first,
+            increment, later.BdBd + second @ _symmetric(reached) @ second.T, self.CdCd + first.T @ _symmetric(cost) @ first
         )
 
 
@@ -282,12 +280,12 @@ class SampledLoop(Checked):
 
     def entering(self) -> tuple[Array, Array]:
         """Returns the maps of `register` from the noise, in place of the states, shapes (n + i, j) and (N - n, j)."""
-        asked, kept = self.heard
-        forces = [np.zeros_like(asked) if piece.late else asked for piece in self.pieces]
+        computed, kept = self.heard
+        forces = [np.zeros_like(computed) if piece.late else computed for piece in self.pieces]
         memory = kept + self.B_register @ forces[-1]
-        waiting = np.zeros((max(self.late - 1, 0) * len(asked), asked.shape[1]))
-        start = np.vstack([np.zeros((len(self.plant.A), asked.shape[1])), *forces])
-        return start, np.vstack([memory, waiting, asked] if self.late else [memory])
+        waiting = np.zeros((max(self.late - 1, 0) * len(computed), computed.shape[1]))
+        start = np.vstack([np.zeros((len(self.plant.A), computed.shape[1])), *forces])
+        return start, np.vstack([memory, waiting, computed] if self.late else [memory])
 
     def entering_at(self, angles: Array) -> tuple[Array, Array]:
         """Returns the maps from the noise at zeta = exp(j angle): to [x; held inputs], and to the next controller states.
@@ -298,9 +296,9 @@ class SampledLoop(Checked):
         Returns:
             Shapes (F, n + i, j) and (F, k, j).
         """
-        (asked, kept), turned = self.heard, np.exp(1j * angles)
-        forces = [asked * (turned**-piece.late)[:, None, None] for piece in self.pieces]
-        still = np.zeros((len(angles), len(self.plant.A), asked.shape[1]))
+        (computed, kept), turned = self.heard, np.exp(1j * angles)
+        forces = [computed * (turned**-piece.late)[:, None, None] for piece in self.pieces]
+        still = np.zeros((len(angles), len(self.plant.A), computed.shape[1]))
         return np.concatenate([still, *forces], axis=1), kept + self.B_register @ forces[-1]
 
     def closed(self, increment: Array) -> tuple[Array, Array]:
@@ -405,21 +403,21 @@ class SampledDataProblem:
             K: [D, C; B, A] of the law, shape (m + k, q + k); the gain itself without states.
         """
         (n, m), q = self.plant.B.shape, len(self.Cy)
-        k, held = len(K) - m, m if np.any(self.through) else 0
-        rows = np.hstack([self.Cy, np.zeros((q, k)), self.through[:, :held]])
-        asked = K[:, :q] @ rows
-        asked[:, n : n + k] += K[:, q:]
-        memory = np.vstack([asked[m:], np.zeros((held, n + k + held))])
-        noise = np.vstack([K[:, :q] @ self.noise, np.zeros((held, self.noise.shape[1]))])
-        from_force = np.vstack([np.zeros((k, m)), np.eye(held, m)])
-        return SampledLoop(self.plant, self.pieces, asked[:m], memory, from_force, noise if noise.size else None)
+        k, previous = len(K) - m, m if np.any(self.through) else 0
+        rows = np.hstack([self.Cy, np.zeros((q, k)), self.through[:, :previous]])
+        computed = K[:, :q] @ rows
+        computed[:, n : n + k] += K[:, q:]
+        memory = np.vstack([computed[m:], np.zeros((previous, n + k + previous))])
+        noise = np.vstack([K[:, :q] @ self.noise, np.zeros((previous, self.noise.shape[1]))])
+        from_force = np.vstack([np.zeros((k, m)), np.eye(previous, m)])
+        return SampledLoop(self.plant, self.pieces, computed[:m], memory, from_force, noise if noise.size else None)
 
     def at(self, gamma: float) -> GeneralizedPlant | None:
         """Returns the discrete plant of a level, whose norm is below 1 if the L2 gain is below the level; None if impossible."""
         (n, m), k = self.plant.B.shape, self.remembered
         count = len(self.pieces)
-        held = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
-        lifted_loop = lifted(self.plant, held, gamma)
+        intervals = [(piece.duration, np.eye(m, count * m, i * m)) for i, piece in enumerate(self.pieces)]
+        lifted_loop = lifted(self.plant, intervals, gamma)
         if lifted_loop is None:
             return None
         start = np.zeros((n + count * m, n + (k + 1) * m))  # from states and the new force to [x; the forces that act]

@@ -125,14 +125,9 @@ def _small(root: Array) -> Array:
 
 CLOSE = 1e-11  # relative: a gain this near to 1 counts as 1
 ROUNDS = 100  # limit of a search, which needs a handful
-ZOOMS = 4  # sevenfold refinements of a bracket around a peak, if level sets follow
-FAR_ZOOMS = 9  # refinements without level sets
-MOST_STATES = 400  # with the delayed forces; larger loops are checked at frequencies, without eigenvalues
-SLOWEST = 1e-9  # lowest positive frequency of a grid [rad per sample]
-PER_TURN = 40  # grid points per turn of a delay's phase
+ZOOMS = 4  # sevenfold refinements of a bracket around a peak; level sets follow
 NOTHING = 1e-15  # relative to the first level: a smaller gain is zero
 AT_ONCE = 4096  # frequencies computed together; more take hundreds of megabytes
-TURN = 0.5  # [rad]; largest step of a phase between two points
 
 
 @one_thread()
@@ -164,44 +159,10 @@ def stable(loop: SampledLoop) -> bool:
 
 
 def _poles(loop: SampledLoop) -> Array | None:
-    """Returns the poles of a loop from sample to sample; empty for a large loop, None for an unstable one."""
-    if loop.states > MOST_STATES:
-        return np.zeros(0) if _decays(loop) else None
+    """Returns the poles of a loop from sample to sample; None for an unstable one."""
     change, _ = loop.closed(loop.increment)
     transition = np.eye(len(change)) + change
     return np.linalg.eigvals(transition) if sampled_growth(transition) < 1 else None
-
-
-def _decays(loop: SampledLoop) -> bool:
-    """Returns True if a loop is stable, by the winding number of its characteristic polynomial around the unit circle.
-
-    With the delayed forces eliminated, the zeros outnumber the poles by the number of other states. The loop is stable if the
-    winding number equals that.
-    """
-    angles, change = _grid(loop), loop.increment
-
-    def sign(at: Array) -> Array:
-        if len(at) > AT_ONCE:
-            return np.concatenate([sign(some) for some in np.array_split(at, len(at) // AT_ONCE + 1)])
-        matrix, _ = loop.at_angles(change, at)
-        turned, _ = np.linalg.slogdet(matrix * np.exp(-1j * at)[:, None, None])
-        return turned
-
-    signs = sign(angles)
-    for _ in range(ROUNDS):
-        steps = np.angle(signs[1:] / signs[:-1])
-        far = np.flatnonzero((np.abs(steps) > TURN) & (np.diff(angles) > 4 * np.spacing(angles[1:])))
-        if not len(far):
-            return not np.any(signs == 0) and bool(abs(steps.sum()) < 1)
-        between = (angles[far] + angles[far + 1]) / 2
-        angles, signs = np.insert(angles, far + 1, between), np.insert(signs, far + 1, sign(between))
-    return False
-
-
-def _grid(loop: SampledLoop) -> Array:
-    """Returns angles from 0 to pi that resolve every turn of a delay, and slow modes."""
-    slow = np.geomspace(SLOWEST, np.pi, 400)
-    return np.unique(np.concatenate([[0.0], slow, np.linspace(0, np.pi, 100 + PER_TURN * loop.late)]))
 
 
 class _Level:
@@ -242,7 +203,7 @@ class _Level:
     def climbed(self, angles: Array, widths: Array) -> tuple[float, float]:
         """Returns the highest gain within some widths of some angles, and its angle."""
         steps = np.linspace(-1, 1, 15)[:, None]
-        for _ in range(FAR_ZOOMS if self.loop.states > MOST_STATES else ZOOMS):
+        for _ in range(ZOOMS):
             near = np.clip(angles + widths * steps, 0.0, np.pi)
             gains = self.gains(near.ravel()).reshape(near.shape)
             angles, widths = near[gains.argmax(axis=0), np.arange(len(angles))], widths / 7
@@ -255,7 +216,7 @@ class _Search:
 
     def __init__(self, loop: SampledLoop, poles: Array) -> None:
         """Prepares the search for a stable loop with these poles."""
-        self.loop, self.large = loop, loop.states > MOST_STATES
+        self.loop = loop
         self.poles = np.log(poles[poles != 0].astype(complex))  # of the equivalent continuous loop, per sample
 
     def run(self, near: float) -> SampledNorm:
@@ -269,13 +230,13 @@ class _Search:
             upper = level if inside else level * (1 + ABOVE)
             there = self._at(upper)
             assert there is not None, "a level above one with a discrete plant has one, too"
-            gain, higher = self._highest(there) if self.large else self._above(there)
+            gain, higher = self._above(there)
             if gain <= 1:
                 lower = self._at(level * (1 - BELOW))
                 if lower is None or lower.gains(np.array([angle]))[0] > 1:
                     below = max(below, level * (1 - BELOW))
                 angle = np.nan if inside else angle
-                return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside, self.large)
+                return SampledNorm(level, below, upper, angle, reached_near(self.loop, angle, level), inside)
             angle, level, below = higher, upper, upper
         raise ArithmeticError("the level sets of a sampled loop do not close in on its norm")
 
@@ -297,8 +258,7 @@ class _Search:
         """Returns the largest gain of a level on a grid that is dense about every pole, refined, and its angle."""
         turn, damping = np.abs(np.imag(self.poles)), np.abs(np.real(self.poles))
         about = (turn[:, None] + damping[:, None] * np.linspace(-3, 3, 13)).ravel()
-        everywhere = _grid(self.loop) if self.large else np.array([0.0, np.pi])
-        angles = np.unique(np.concatenate([everywhere, np.clip(about, 0.0, np.pi)]))
+        angles = np.unique(np.concatenate([[0.0, np.pi], np.clip(about, 0.0, np.pi)]))
         gains = there.gains(angles)
         padded = np.concatenate([angles[:1], angles, angles[-1:]])
         left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)

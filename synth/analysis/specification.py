@@ -82,7 +82,6 @@ class SampledNorm:
         angle: phase advance of the worst disturbance per sample [rad], 0 to pi; NaN if no angle is the worst.
         reached: gain of an actual disturbance, by a second route (`sampled_norm.py`); at most the norm.
         inside: True if the largest gain occurs within one period: no controller at this rate does better.
-        by_sweep: True if `upper` was checked at frequencies alone, as the loop has too many states for eigenvalues.
     """
 
     value: float
@@ -91,7 +90,6 @@ class SampledNorm:
     angle: float
     reached: float
     inside: bool = False
-    by_sweep: bool = False
 
     @property
     def stable(self) -> bool:

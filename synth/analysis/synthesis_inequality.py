@@ -5,10 +5,10 @@ elimination lemma; Gahinet, Apkarian 1994). Output feedback from y = C_y x + Dyw
 plant, in S.
 
 **Directions without cost.** Inputs v with D v = 0 let X grow without bound along B v, and along A B v, ... as long as they are
-not observable in z. The columns of F span these directions (`costless_reachable_subspace`).
-No dual solution can weight them, so N is also orthogonal
-to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the transposed plant (B = C_y',
-D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (`noise_free_observable_rows`).
+not observable in z. The columns of F span these directions (`costless_reachable_subspace`). No dual solution can weight them,
+so N is also orthogonal to [F; 0] and [A F; C F], and only J X J' remains of X, J a basis of all rows with J F = 0. For the
+transposed plant (B = C_y', D = Dyw') the rows of F' are the states that follow from y and its derivatives, free of w (the
+`costless_reachable_subspace` of the transposed plant).
 
 Along stable states that are unobservable in z, X grows without cost, too.
 
@@ -154,14 +154,6 @@ def costless_reachable_subspace(plant: GeneralizedPlant) -> Array:
     return _closure(system[:, :n], system[:, n : n + plant.B.shape[1]])
 
 
-def noise_free_observable_rows(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None) -> Array:
-    """Returns the rows observable from y and those of its derivatives that are free of w: independent integers, shape (q', n).
-
-    G Dyw = 0 and G C_y Bw = 0 make G y' = G C_y A x + (known) another measurement, and so on.
-    """
-    return costless_reachable_subspace(transposed(plant, Cy, Dyw)).T
-
-
 def _closure(states: Array, inputs: Array) -> Array:
     """Returns the smallest space with B v if D v = 0 and, with f, A f + B v if C f + D v = 0: columns, shape (n, f)."""
     n = states.shape[1]
@@ -233,10 +225,10 @@ def _antistable_part(side: SynthesisInequality) -> AntistablePart | None:
         return None
     columns = np.array([scale_near(float(size)) for size in np.linalg.norm(np.vstack([U, Q / rate]), axis=0)])
     U, Q = U / columns, Q / rate / columns
-    found = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
-    if found is None:
+    enclosed = _enclosed_subspace(U, Q, vectors[:, :count], N[:count, :count])
+    if enclosed is None:
         return None
-    W, N, radius = found
+    W, N, radius = enclosed
     unit, size = _unit(len(U)), float(np.linalg.norm(W))
 
     def times(matrix: Array) -> tuple[Array, float]:
@@ -282,10 +274,7 @@ def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Arr
     k = len(N)
     eye = np.eye(k)
     derivative = np.block(
-        [
-            [np.kron(eye, Q.T) - np.kron(N.T, U.T), -np.kron(eye, U.T @ W)],
-            [np.kron(eye, basis.T), np.zeros((k * k, k * k))],
-        ]
+        [[np.kron(eye, Q.T) - np.kron(N.T, U.T), -np.kron(eye, U.T @ W)], [np.kron(eye, basis.T), np.zeros((k * k, k * k))]]
     )
     return derivative, np.concatenate([(Q.T @ W - U.T @ W @ N).ravel("F"), (basis.T @ W - eye).ravel("F")])
 

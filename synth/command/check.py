@@ -62,7 +62,7 @@ def proved(designer: Designer, controller: Controller) -> tuple[Controller, tupl
     if certificate.bound is not None or not certificate.stable or not controller.measured:
         return controller, ()
     posed = designer.problem(controller.measured, controller.hardware)
-    found = certify_tightly(*posed.closed_loop(controller.law), certificate.below, posed.plant)
-    if found.bound is None:
+    certified = certify_tightly(*posed.closed_loop(controller.law), certificate.below, posed.plant)
+    if certified.bound is None:
         return controller, (UNPROVED,)
-    return replace(controller, certificate=found), ("its law is given; its bound is proved here",)
+    return replace(controller, certificate=certified), ("its law is given; its bound is proved here",)

@@ -117,8 +117,8 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             lines = titled(vehicle.kind.name, vehicle.source)
             for row in rows:
                 lines += ["", *detail_lines(row, vehicle)]
-            held = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
-            lines += ["", _limit(limit, held)]
+            at_pole = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
+            lines += ["", _limit(limit, at_pole)]
             if moved:
                 of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
                 share = f"{100 * FLAT:g} % more of {of}"
@@ -227,11 +227,11 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     }
 
 
-def _limit(limit: LowerBound, held: bool) -> str:
+def _limit(limit: LowerBound, at_pole: bool) -> str:
     """Returns the bound that no control force changes, in words; with a mode to be held, for stabilising forces only."""
     if not limit.gamma:
         return "limit: none; at every frequency control forces can change all of z's response to the road"
-    if held:  # beside the mode a force may change all
+    if at_pole:  # beside the mode a force may change all
         return (
             f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
             f"z's response to the road below {limit.gamma:.7g}"

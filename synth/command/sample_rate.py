@@ -58,19 +58,19 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     stage.end()
     if options.picture and costs:
         write_picture(rates_figure(vehicle, costs, periods), options.picture)
-    asked = [_only(one, periods) for one in costs]
-    failed = [text for one in asked for text in failures(one)]
+    chosen = [_only(one, periods) for one in costs]
+    failed = [text for one in chosen for text in failures(one)]
     if options.json:
-        rows = [cost_object(one) for one in asked]
+        rows = [cost_object(one) for one in chosen]
         rows += [{"name": name, "reason": reason} for name, reason in undesigned.items()]
         print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
     else:
         lag, lines = built_words(replace(vehicle, implementation=Implementation())), titled(vehicle.kind.name, vehicle.source)
-        for one in asked:
+        for one in chosen:
             lines += ["", *cost_lines(one, lag)]
         for name, reason in undesigned.items():
             lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
-        lines += ["", *about_lines(asked, lag), *written_lines(outputs), "", *(line for one in asked for line in sentence(one))]
+        lines += ["", *about_lines(chosen, lag), *written_lines(outputs), "", *(line for one in chosen for line in sentence(one))]
         say([*lines, *(f"DOES NOT HOLD: {text}" for text in failed)])
     return 1 if failed or undesigned else 0
 

@@ -41,9 +41,9 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     if options.save:
         check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")
-    told = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
+    progress = stage.counted("designs", rays_of(len(axes), DESIGNS), "designs")
     try:
-        trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, told)
+        trade_off = front(vehicle, name, axes, others_of(vehicle), DESIGNS, progress)
         if not trade_off.points:
             raise DesignError(f"of {trade_off.tried} designs there is none whose claims could all be proved; give other axes")
     except DesignError as error:
@@ -90,13 +90,13 @@ def others_of(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _name(vehicle: Vehicle, asked: Sequence[str] | None) -> str:
+def _name(vehicle: Vehicle, given: Sequence[str] | None) -> str:
     """Returns the requested controller, or the usual one."""
-    if asked is None:
+    if given is None:
         return usual(vehicle)
-    if len(asked) > 1:
-        raise InputError(f"--front designs for the measurements of one controller, and {len(asked)} are given; give one")
-    return one_chosen(vehicle.controller_names, asked[0])
+    if len(given) > 1:
+        raise InputError(f"--front designs for the measurements of one controller, and {len(given)} are given; give one")
+    return one_chosen(vehicle.controller_names, given[0])
 
 
 def usual(vehicle: Vehicle) -> str:
@@ -104,11 +104,11 @@ def usual(vehicle: Vehicle) -> str:
     return USUAL if USUAL in vehicle.controllers else next(iter(vehicle.controllers), "state")
 
 
-def _numbers(trade_off: Front, asked: Sequence[int] | None) -> list[int]:
+def _numbers(trade_off: Front, given: Sequence[int] | None) -> list[int]:
     """The points that are saved."""
-    for i in asked or ():
+    for i in given or ():
         if i > len(trade_off.points):
             raise InputError(
                 f"--point {i}: the front has {len(trade_off.points)} points; give one from 1 to {len(trade_off.points)}"
             )
-    return sorted({*asked}) if asked else list(range(1, len(trade_off.points) + 1))
+    return sorted({*given}) if given else list(range(1, len(trade_off.points) + 1))

@@ -116,21 +116,21 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
         D: from the previous forces to the measurements, shape (q, m), or (q, 0) if they are not measured.
         rate: at which an acting force becomes the previous one [1/s].
     """
-    (n, m), k, held = model.B.shape, law.states, D.shape[1]
-    more = k + held
+    (n, m), k, previous = model.B.shape, law.states, D.shape[1]
+    more = k + previous
     if not more:
         return OpenLoop(model, law.D @ C, np.zeros((0, m)), law.D, m)
     readings = np.hstack([C, np.zeros((len(C), k)), D])
     G = np.vstack(
         [
-            law.D @ readings + np.hstack([np.zeros((m, n)), law.C, np.zeros((m, held))]),
-            law.B @ readings + np.hstack([np.zeros((k, n)), law.A, np.zeros((k, held))]),
-            np.hstack([np.zeros((held, n + k)), -rate * np.eye(held)]),
+            law.D @ readings + np.hstack([np.zeros((m, n)), law.C, np.zeros((m, previous))]),
+            law.B @ readings + np.hstack([np.zeros((k, n)), law.A, np.zeros((k, previous))]),
+            np.hstack([np.zeros((previous, n + k)), -rate * np.eye(previous)]),
         ]
     )
-    hold = np.vstack([np.zeros((k, m)), rate * np.eye(held, m)])
-    reading = np.vstack([law.D, law.B, np.zeros((held, len(C)))])
-    names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:held]]
+    hold = np.vstack([np.zeros((k, m)), rate * np.eye(previous, m)])
+    reading = np.vstack([law.D, law.B, np.zeros((previous, len(C)))])
+    names = [f"{KEPT}{i}" for i in range(1, k + 1)] + [f"acted_{name}" for name in model.inputs[:previous]]
     larger = replace(
         model,
         A=np.block([[model.A, np.zeros((n, more))], [np.zeros((more, n + more))]]),
@@ -238,16 +238,16 @@ class LoopModel:
 
 
 def _implemented(cut: OpenLoop, how: Implementation, timestep: float) -> SampledClosedLoop:
-    held = steps_held(how, timestep)
+    intervals = steps_held(how, timestep)
     n, m, k = len(cut.model.A), cut.forces, len(cut.hold)
     force, rate = np.eye(m, m + k), np.eye(m + k)[m:]
     size, rest = n + how.pending_forces * m, how.pending_forces * m
-    asked, kept = np.hstack([cut.asked, np.zeros((m, rest))]), np.hstack([cut.kept, np.zeros((k, rest))])
-    acting = [np.eye(m, size, n + (how.pending_forces - late) * m) if late else asked for _, late in held]
-    now = [np.zeros_like(force) if late else force for _, late in held]
+    computed, kept = np.hstack([cut.asked, np.zeros((m, rest))]), np.hstack([cut.kept, np.zeros((k, rest))])
+    acting = [np.eye(m, size, n + (how.pending_forces - late) * m) if late else computed for _, late in intervals]
+    now = [np.zeros_like(force) if late else force for _, late in intervals]
     parts = tuple(
         HoldSegment(steps, cut.inputs(acts, kept, acting[-1]), cut.inputs(at_once, rate, now[-1]))
-        for (steps, _), acts, at_once in zip(held, acting, now, strict=True)
+        for (steps, _), acts, at_once in zip(intervals, acting, now, strict=True)
     )
     transition, added = np.zeros((size, size)), np.zeros((size, m + k))
     transition[:n] = np.eye(n, size)

@@ -112,8 +112,8 @@ def generalized_plant(
     weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
     C, D = model.rows(weighted)
     if bandwidth is not None and not acting:
-        asked = np.array([[signal in model.inputs] for signal in weighted])
-        C, D = np.where(asked, 0.0, C), np.where(asked, vehicle.linear_model.rows(weighted)[1], D)
+        of_force = np.array([[signal in model.inputs] for signal in weighted])
+        C, D = np.where(of_force, 0.0, C), np.where(of_force, vehicle.linear_model.rows(weighted)[1], D)
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
     Br, Cr = _twist(model, weighted)
     Bl, Dl = _of_loads(model, loads)

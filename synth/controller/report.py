@@ -61,7 +61,6 @@ def proof_object(norm: SampledNorm) -> dict[str, Any]:
         "reached": norm.reached,
         "angle": finite(norm.angle),
         "decided_within_a_period": norm.inside,
-        "by_sweep": norm.by_sweep,
     }
 
 
@@ -75,11 +74,10 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
-    seen = "frequencies" if norm.by_sweep else "level sets"
     heard = ", with the noise of its measurements" if any(controller.hardware.noise) else ""
     lines = [
         f"sampled norm {norm.value:.7g}{more}{heard}",
-        f"it is less than {norm.upper:.9g} by {seen}, and a road reaches {norm.reached:.9g} of it",
+        f"it is less than {norm.upper:.9g} by level sets, and a road reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
         lines.append("it is decided within one sample period: no controller at this rate has less")
@@ -115,8 +113,8 @@ def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, no
 
     The sampled loop, if there is one, decides, as it is the one that drives.
     """
-    held = norm is not None and norm.stable and not vehicle.implementation.undelayed
-    return (certificate.stability.words,) if held and not certificate.stable else ()
+    cured = norm is not None and norm.stable and not vehicle.implementation.undelayed
+    return (certificate.stability.words,) if cured and not certificate.stable else ()
 
 
 def failures_of_sampled_loop(
@@ -213,9 +211,9 @@ def twist_lines(vehicle: Vehicle) -> list[str]:
 
 def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str]:
     """Returns notes on the ideal loop that the numbers refer to, if the vehicle file describes another one, too."""
-    asked = [one.name for one in controllers if one.hardware != NOMINAL]
+    names = [one.name for one in controllers if one.hardware != NOMINAL]
     what = "noise, lag and loads" if any(one.hardware.loads for one in controllers) else "noise and lag"
-    but = f", but for the {what} that {', '.join(asked)} {'ask' if len(asked) > 1 else 'asks'} for" if asked else ""
+    but = f", but for the {what} that {', '.join(names)} {'ask' if len(names) > 1 else 'asks'} for" if names else ""
     texts = [] if vehicle.ideal else [f"bound, norm and poles are {IDEAL_LOOP}{but}"]
     if vehicle.dampers and any(one.law.acts for one in controllers):
         lag = ", and know no lag of their valves" if any(one.damper.bandwidth for one in vehicle.adjustable) else ""

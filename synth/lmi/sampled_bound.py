@@ -29,11 +29,11 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
     for _ in range(ROUNDS):
         plant = problem.at(level)
         if plant is None:  # no force answers within a period
-            reached, found = math.inf, LowerBound(0.0)
+            reached, discrete = math.inf, LowerBound(0.0)
         else:
-            found = find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(level))
-            reached = found.gamma
-        bound = SampledBound(level, found, inside=plant is None)
+            discrete = find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(level))
+            reached = discrete.gamma
+        bound = SampledBound(level, discrete, inside=plant is None)
         if bound.holds:
             below, best = level, bound
         else:

@@ -224,15 +224,15 @@ class Designer:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
         shared = self.shared(entry.hardware)
         if entry.name == "state" and not self.vehicle.filtered:
-            found = state_design(self.plant, self.state_path, lower_bound)
+            design = state_design(self.plant, self.state_path, lower_bound)
         elif zero_l:
-            found = zero_l_design(posed.plant, posed.Cy, lower_bound)
+            design = zero_l_design(posed.plant, posed.Cy, lower_bound)
         else:
             always = entry.name == "state" or posed.Dyw is not None
-            found = two_steps_or_descent(
+            design = two_steps_or_descent(
                 posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
             )
-        return designed(self.vehicle, entry, found)
+        return designed(self.vehicle, entry, design)
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
@@ -284,10 +284,6 @@ class Designer:
         """The controller of that name with a lower norm, as far as it is worth a larger gain (`synth.design.descent.refine`).
 
         Where the two steps find no gain, it is the best that any start leads to.
-
-        Args:
-            name: of the controller.
-            zero_l: as for `design`.
 
         Raises:
             InputError: no controller has that name, or it has no gain to change, as `passive`.

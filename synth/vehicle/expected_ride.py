@@ -31,14 +31,10 @@ WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
 
 
 @one_thread()
-def expected_ride(vehicle: Vehicle, controller: Controller, road_class: str = ROAD_CLASS, speed: float = SPEED) -> float | None:
-    """Returns the expected weighted rms acceleration at the vehicle's worst point [m/s2], or None.
+def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
+    """Returns the expected weighted rms acceleration at the vehicle's worst point on an average road [m/s2], or None.
 
     It is None if the ideal loop is not stable, or no vertical acceleration of the body is a signal.
-
-    Args:
-        road_class: of ISO 8608.
-        speed: [m/s].
     """
     cut = continuous(vehicle, controller)
     model = cut.model
@@ -51,7 +47,7 @@ def expected_ride(vehicle: Vehicle, controller: Controller, road_class: str = RO
     poles = np.linalg.eigvals(loop)
     if not rows or not controller.certificate.stable:
         return None
-    road = Iso8608(road_class, speed=speed, track_width=track_width(vehicle)).spectrum
+    road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
     C, Cr = (model.C + model.D @ cut.G)[rows], model.Cr[rows]
 
     def spectra(omega: Array) -> Array:
@@ -63,5 +59,5 @@ def expected_ride(vehicle: Vehicle, controller: Controller, road_class: str = RO
 
     filter_poles = np.concatenate([np.roots(below) for _, below in WEIGHTED.sections])
     every = np.concatenate([poles, filter_poles])
-    band = sample_band(spectra, lambda _, found: found, *road.band, every, longest_panel(vehicle, speed))
+    band = sample_band(spectra, lambda _, value: value, *road.band, every, longest_panel(vehicle, SPEED))
     return math.sqrt(road.density * float((band.share @ band.values).max()))

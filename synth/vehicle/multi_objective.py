@@ -172,12 +172,7 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 
 
 def goals_design(
-    vehicle: Vehicle,
-    entry: ControllerEntry,
-    goals: Goals,
-    posed: Problem,
-    lower_bound: LowerBound,
-    on_progress: Told,
+    vehicle: Vehicle, entry: ControllerEntry, goals: Goals, posed: Problem, lower_bound: LowerBound, on_progress: Told
 ) -> Controller:
     """The controller of a section with goals.
 
@@ -189,24 +184,26 @@ def goals_design(
         DesignError: no controller was found.
         InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
-    asked = goal_problem(vehicle, entry, goals)
-    bests = with_individual_optima(asked) if goals.family else asked  # said of every family, minimised where that is asked for
+    problem = goal_problem(vehicle, entry, goals)
+    # Said of every family, minimised where that is asked for.
+    bests = with_individual_optima(problem) if goals.family else problem
     stopped = ""
     try:
-        design = run_search(bests if goals.over == REGRET else asked, on_progress)
+        design = run_search(bests if goals.over == REGRET else problem, on_progress)
     except InterruptedSearch as error:
         design, stopped = error.incumbent, "interrupted: the best within all bounds until then"
     try:
-        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
+        controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
     except KeyboardInterrupt as error:
-        made = _controller(vehicle, entry, goals, posed, lower_bound, bests, design, judged=False)
-        raise InterruptedDesign(made, "interrupted: of its promises none is proved") from error
+        controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design, judged=False)
+        raise InterruptedDesign(controller, "interrupted: of its promises none is proved") from error
     if stopped:
-        raise InterruptedDesign(made, stopped)
+        raise InterruptedDesign(controller, stopped)
     try:
-        return made if goals.structure is None else replace(made, remarks=(*made.remarks, *cost_of_structure(asked, design)))
+        cost = () if goals.structure is None else cost_of_structure(problem, design)
+        return replace(controller, remarks=(*controller.remarks, *cost))
     except KeyboardInterrupt as error:
-        raise InterruptedDesign(made, "interrupted: what its structure costs is not known") from error
+        raise InterruptedDesign(controller, "interrupted: what its structure costs is not known") from error
 
 
 def _controller(
@@ -255,51 +252,51 @@ def verify_specifications(
     Raises:
         DesignError: a vehicle of the family has no gain within the bounds by itself, if its ratio is included.
     """
-    asked = goal_problem(vehicle, entry, goals)
+    problem = goal_problem(vehicle, entry, goals)
     if search and goals.over == REGRET:
-        asked = with_individual_optima(asked)
-    return Verification(vehicle, entry, goals, asked, law.D).promises()
+        problem = with_individual_optima(problem)
+    return Verification(vehicle, entry, goals, problem, law.D).promises()
 
 
-def cost_of_structure(asked: MultiObjectiveProblem, design: MultiObjectiveDesign) -> tuple[str, ...]:
+def cost_of_structure(problem: MultiObjectiveProblem, design: MultiObjectiveDesign) -> tuple[str, ...]:
     """Returns a note on the cost of a structure, compared with a full gain; empty if the structure is full.
 
     Args:
-        asked: the problem, with the structure.
+        problem: the problem, with the structure.
         design: its design, from which the design of the full gain starts, too.
     """
-    whole = replace(asked, structure=np.ones_like(asked.structure))
-    if np.all(asked.structure):
+    whole = replace(problem, structure=np.ones_like(problem.structure))
+    if np.all(problem.structure):
         return ()
     goal = min(multi_objective_design(whole, [design.gain, *_two_steps(whole)]).goal, design.goal)
     return (f"its structure costs {percent(design.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
 
 
-def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProblem:
+def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProblem:
     """The same, of the largest ratio to what each member has by itself, within the same bounds.
 
     Raises:
         DesignError: one has nothing within the bounds.
     """
     bests = []
-    for i in range(len(asked.members)):
+    for i in range(len(problem.members)):
         try:
-            bests.append(run_search(asked.alone(i)).goal)
+            bests.append(run_search(problem.alone(i)).goal)
         except DesignError as error:
             raise DesignError(f"family[{i}] by itself: {error}") from error
-    return replace(asked, bests=tuple(bests))
+    return replace(problem, bests=tuple(bests))
 
 
-def run_search(asked: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
+def run_search(problem: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
     """Runs the search, started from two-step designs of some members and from its own starts."""
-    return multi_objective_design(asked, _two_steps(asked), on_progress, lambda: _slack(asked))
+    return multi_objective_design(problem, _two_steps(problem), on_progress, lambda: _slack(problem))
 
 
-def _slack(asked: MultiObjectiveProblem) -> list[Array]:
+def _slack(problem: MultiObjectiveProblem) -> list[Array]:
     """The gain of the two steps with a slack variable, for all members at once."""
-    plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
+    plants, kept = [member.posed[0] for member in problem.members], _of_state(problem.members[0].posed[0])
     try:
-        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
+        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], problem.structure[:, kept]).gain
         return [plants[0].on_readings(_whole(few, kept))]
     except InputError:
         return []
@@ -317,11 +314,11 @@ def _whole(few: Array, kept: Array) -> Array:
     return gain
 
 
-def _two_steps(asked: MultiObjectiveProblem) -> list[Array]:
+def _two_steps(problem: MultiObjectiveProblem) -> list[Array]:
     """The gains of the two steps, of the first, middle and last member."""
-    count, gains = len(asked.members), []
+    count, gains = len(problem.members), []
     for i in sorted({0, count // 2, count - 1}):
-        posed = asked.members[i].posed[0]
+        posed = problem.members[i].posed[0]
         try:
             kept = _of_state(posed)
             gains.append(posed.on_readings(_whole(two_step_design(posed.plant, posed.Cy[kept]).gain, kept)))

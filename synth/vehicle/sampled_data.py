@@ -40,9 +40,9 @@ def sampled_design(
     designed = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
     level = f", whose norm the LMI promises to be at most {designed.level:.7g}" if designed.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
-    made = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
+    controller = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
     return replace(
-        made,
+        controller,
         redundant=tuple(signal for i, signal in enumerate(entry.measured) if i not in designed.kept),
         fallback_method=f"not by the two steps but by descent on the sampled norm, for {designed.instead}"
         if designed.instead
@@ -59,9 +59,9 @@ def full_order_sampled_design(
         bound: lower bound of the sampled loop; None if none is proved.
     """
     states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
-    found = sampled_full_order(held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable)
-    law = replace(found.law, anti_windup=entry.anti_windup)
-    said = f"designed for the sampled loop{f'; {found.remark}' if found.remark else ''}"
+    design = sampled_full_order(held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable)
+    law = replace(design.law, anti_windup=entry.anti_windup)
+    said = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
     return _controller(entry, posed, lower_bound, law, said)
 
 
@@ -75,8 +75,8 @@ def sampled_refinement(
     """
     refinement = refined_further(held_problem(vehicle, entry), start.law.D, lower_bound.gamma or 1.0)
     gain = static_law(refinement.gain)
-    made = _controller(entry, posed, lower_bound, gain, "designed for the sampled loop, and refined there")
-    return RefinedController(replace(made, redundant=start.redundant), start, "", refinement)
+    controller = _controller(entry, posed, lower_bound, gain, "designed for the sampled loop, and refined there")
+    return RefinedController(replace(controller, redundant=start.redundant), start, "", refinement)
 
 
 def _controller(entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, law: LinearLaw, remark: str) -> Controller:

@@ -52,12 +52,12 @@ def from_state_space(
     """
     dt, (A, B, C, D) = _sample_period(system), _matrices(system)
     inputs, outputs = (list[str](getattr(system, labels, ())) for labels in ("input_labels", "output_labels"))
-    for what, asked, there in (
+    for what, expected, there in (
         ("disturbance", disturbances, inputs),
         ("performance signal", performance, outputs),
         ("measured signal", measured, outputs),
     ):
-        for name in asked:
+        for name in expected:
             if name not in there:
                 raise InputError(f"unknown {what} {name!r}; the system has {listing(there)}")
     if not disturbances:
@@ -131,8 +131,8 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
     """A controller as a system from what it measures to the forces, all by name: continuous, or sampled as its law is.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
+        vehicle: that the controller is of.
+        controller: designed or given; its law is linear.
 
     Raises:
         InputError: it measures nothing, or is another vehicle's.
@@ -187,8 +187,8 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
     acts as such, as in a full car, its twists follow, each as a velocity: its height times the model's `twist_rate`.
 
     Args:
-        vehicle: the vehicle.
-        controller: its controller.
+        vehicle: its outputs are the loop's.
+        controller: designed or given; its law is linear.
 
     Example:
         >>> from models import read_vehicle

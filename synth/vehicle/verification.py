@@ -73,11 +73,11 @@ class Verification:
 
     def promises(self) -> tuple[Specification, ...]:
         """All of them, what is minimised first."""
-        asked, goals = self.asked, self.goals
-        specifications = [*self.largest(goals.minimise, asked.minimise)]
-        if asked.bests is not None:
-            specifications.append(self.regret(asked.bests))
-        norms, signals, peak = iter(asked.norms), itertools.count(), 0
+        problem, goals = self.asked, self.goals
+        specifications = [*self.largest(goals.minimise, problem.minimise)]
+        if problem.bests is not None:
+            specifications.append(self.regret(problem.bests))
+        norms, signals, peak = iter(problem.norms), itertools.count(), 0
         for bound in goals.bounds:
             if isinstance(bound, NormBound):
                 specifications += self.largest(bound.norm, next(norms), bound.at_most)
@@ -93,15 +93,15 @@ class Verification:
                 specifications.append(self.peak(bound, peak))
                 peak += 1
         if goals.structure is not None:
-            outside = np.abs(self.K[~asked.structure])
+            outside = np.abs(self.K[~problem.structure])
             specifications.append(
                 Specification("entries of the gain outside its structure", float(outside.max(initial=0.0)), at_most=0.0)
             )
         return tuple(specifications)
 
-    def largest(self, norm: NormOf, asked: NormSpecification, at_most: float | None = None) -> list[Specification]:
+    def largest(self, norm: NormOf, spec: NormSpecification, at_most: float | None = None) -> list[Specification]:
         """A norm over the family without errors, and with the worst ones."""
-        of = [_norm(member.posed[asked.which], self.K, asked) for member in self.asked.members]
+        of = [_norm(member.posed[spec.which], self.K, spec) for member in self.asked.members]
         i = int(np.argmax([value for value, _, _ in of]))
         value, proved, at = of[i]
         what = norm.text if len(of) == 1 else f"largest {norm.text} of {len(of)} vehicles"
@@ -111,7 +111,7 @@ class Verification:
         ]
         if not self.asked.has_errors:
             return specifications
-        wholes = self.worst(asked)
+        wholes = self.worst(spec)
         i = int(np.argmax([whole.lower for whole in wholes]))
         names = (*self.entry.measured, *self.vehicle.linear_model.inputs)
         off = zip(names, (*wholes[i].errors.sensors, *wholes[i].errors.forces), strict=True)
@@ -121,52 +121,52 @@ class Verification:
 
     def regret(self, bests: Sequence[float]) -> Specification:
         """The largest ratio to what each member has at its own best."""
-        asked = self.asked
-        if asked.has_errors:
-            of = [(each.lower, each.upper) for each in self.worst(asked.minimise)]
+        problem = self.asked
+        if problem.has_errors:
+            of = [(each.lower, each.upper) for each in self.worst(problem.minimise)]
         else:
-            of = [_norm(member.posed[0], self.K, asked.minimise)[:2] for member in asked.members]
+            of = [_norm(member.posed[0], self.K, problem.minimise)[:2] for member in problem.members]
         ratios = [value / best for (value, _), best in zip(of, bests, strict=True)]
         i = int(np.argmax(ratios))
         upper = max(proved / best for (_, proved), best in zip(of, bests, strict=True))
-        with_errors = ", with errors" if asked.has_errors else ""
+        with_errors = ", with errors" if problem.has_errors else ""
         return Specification(f"largest ratio to a vehicle's own best{with_errors}", ratios[i], upper, where=self.names[i])
 
-    def worst(self, asked: NormSpecification) -> list[WorstCase]:
+    def worst(self, spec: NormSpecification) -> list[WorstCase]:
         """The norm of every member with the worst errors."""
-        if asked not in self.known:
-            whole = asked.band == EVERYWHERE
-            self.known[asked] = [self.worst_whole(i, asked) if whole else self.worst_in_band(i, asked) for i in range(self.count)]
-        return self.known[asked]
+        if spec not in self.known:
+            whole = spec.band == EVERYWHERE
+            self.known[spec] = [self.worst_whole(i, spec) if whole else self.worst_in_band(i, spec) for i in range(self.count)]
+        return self.known[spec]
 
     @property
     def count(self) -> int:
         """Number of members of the family."""
         return len(self.asked.members)
 
-    def worst_whole(self, i: int, asked: NormSpecification) -> WorstCase:
+    def worst_whole(self, i: int, spec: NormSpecification) -> WorstCase:
         """The norm of a member at all frequencies with the worst errors."""
-        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
-        worst = self.worst_of(posed, asked.at_most if np.isfinite(asked.at_most) else None)
-        proved, enough = worst.proved, max(NEAR * worst.found, asked.at_most if np.isfinite(asked.at_most) else 0.0)
+        posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
+        worst = self.worst_of(posed, spec.at_most if np.isfinite(spec.at_most) else None)
+        proved, enough = worst.proved, max(NEAR * worst.found, spec.at_most if np.isfinite(spec.at_most) else 0.0)
         if not proved <= enough and posed.plant.dt is None and not worst.unstable:
             gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
             proved = min(proved, _proved(gain, box_of(gain, tolerance.sensors, tolerance.forces), EVERYWHERE, worst.found))
         return WorstCase(worst.found, proved, GainErrors(worst.readings, worst.forces))
 
-    def worst_in_band(self, i: int, asked: NormSpecification) -> WorstCase:
+    def worst_in_band(self, i: int, spec: NormSpecification) -> WorstCase:
         """Returns the worst norm of a member in a band, proved by a parameter-dependent matrix or behind a filter."""
-        posed, tolerance = self.asked.members[i].posed[asked.which], self.asked.tolerance
-        best = self.asked.bests[i] if asked is self.asked.minimise and self.asked.bests is not None else 1.0
-        tried = [worst_of_norm(self.asked, i, asked, best, self.K)[1], self.asked.no_errors]
-        unit = max(_norm(each.on(posed), self.K, asked)[0] for each in tried)
+        posed, tolerance = self.asked.members[i].posed[spec.which], self.asked.tolerance
+        best = self.asked.bests[i] if spec is self.asked.minimise and self.asked.bests is not None else 1.0
+        tried = [worst_of_norm(self.asked, i, spec, best, self.K)[1], self.asked.no_errors]
+        unit = max(_norm(each.on(posed), self.K, spec)[0] for each in tried)
         gain = scaled_gain(posed.plant, posed.Cy, self.K, posed.Dyw, posed.through)
         box = box_of(gain, tolerance.sensors, tolerance.forces)
-        proved = np.inf if posed.plant.dt is not None else _proved(gain, box, asked.band, unit)
+        proved = np.inf if posed.plant.dt is not None else _proved(gain, box, spec.band, unit)
         if not proved <= NEAR * unit:  # the norm behind the filter is at least that in the band
-            behind = self.worst_of(in_band(posed, asked.band), asked.at_most if np.isfinite(asked.at_most) else None)
+            behind = self.worst_of(in_band(posed, spec.band), spec.at_most if np.isfinite(spec.at_most) else None)
             tried, proved = [GainErrors(behind.readings, behind.forces), *tried], min(proved, behind.proved)
-        values = [_norm(each.on(posed), self.K, asked)[0] for each in tried]
+        values = [_norm(each.on(posed), self.K, spec)[0] for each in tried]
         return WorstCase(max(values), proved, tried[int(np.argmax(values))])
 
     def worst_of(self, posed: MeasuredPlant, enough: float | None) -> WorstNorm:
@@ -182,15 +182,15 @@ class Verification:
         specifications = [Specification("slowest pole", slowest[i], at_most=-rate, unit="rad/s", where=self.names[i])]
         if not self.asked.has_errors:
             return specifications
-        met, proved = [], -np.inf
+        rates, proved = [], -np.inf
         for i, member in enumerate(self.asked.members):
             beyond, errors = worst_of_norm(self.asked, i, None, rate, self.K)
-            met.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
+            rates.append(max(_slowest(errors.on(member.posed[0]), self.K), slowest[i]))
             moved = _moved(member.posed[0], rate)
             norm = _norm(errors.on(moved), self.K, NormSpecification())[0] if beyond < 1 else np.inf
             proved = max(proved, -rate if np.isfinite(norm) and self.stable(moved, FAR * norm) else np.inf)
-        i = int(np.argmax(met))
-        return [*specifications, Specification("slowest pole, with errors", met[i], proved, -rate, "rad/s", self.names[i])]
+        i = int(np.argmax(rates))
+        return [*specifications, Specification("slowest pole, with errors", rates[i], proved, -rate, "rad/s", self.names[i])]
 
     def stable(self, posed: MeasuredPlant, enough: float) -> bool:
         """Returns True if one plant is proved stable with all errors: by itself, or by a bound on its norm."""
@@ -239,9 +239,9 @@ def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
     return proof.gamma if proof is not None else np.inf
 
 
-def _norm(posed: MeasuredPlant, K: Array, asked: NormSpecification) -> tuple[float, float, float]:
+def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
     """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
-    norm = norm_in_band(_loop(posed, K), *asked.band)
+    norm = norm_in_band(_loop(posed, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
     return norm.value, norm.level, norm.peak_frequency

@@ -136,7 +136,7 @@ def line(row: Row) -> str:
 
 
 def _seconds(words: list[str]) -> float:
-    """What stands behind --dt.
+    """Returns what stands behind --dt.
 
     Raises:
         InputError: no number of seconds above zero does.

@@ -150,7 +150,7 @@ def good_files(folder: Path) -> None:
 
 
 def made_once(folder: Path) -> None:
-    """What takes a run to make: a log, a campaign's folder, a saved design."""
+    """Returns what takes a run to make: a log, a campaign's folder, a saved design."""
     quiet = contextlib.redirect_stdout(io.StringIO())
     with contextlib.chdir(folder), quiet:
         for name, (command, *options) in LOGS.items():

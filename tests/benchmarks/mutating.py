@@ -74,7 +74,7 @@ def _expressions(tree: ast.Module) -> Iterator[tuple[ast.expr, int]]:
 
 
 def _changed(node: ast.expr) -> Iterator[ast.expr]:
-    """What could stand for an expression by mistake."""
+    """Returns what could stand for an expression by mistake."""
     match node:
         case ast.Compare(left=left, ops=[one], comparators=[right]) if type(one) in COMPARED:
             yield ast.Compare(left, [COMPARED[type(one)]()], [right])

@@ -1,4 +1,4 @@
-"""What a design costs against the number of states: both steps and the certificate, on chains of masses, springs and dampers.
+"""The time of a design against the number of states: both steps and the certificate, on chains of masses, springs and dampers.
 
     python -m tests.benchmarks.states [--picture FILE.png] [--most STATES]
 

@@ -145,8 +145,8 @@ def describing_function(
     scale = np.maximum(size, SILENT * size.max(axis=0))  # where it is next to nothing it need not be steady
     change = np.divide(np.abs(measured - earlier), scale, out=np.zeros_like(scale), where=scale > 0)
     drift = float(np.where(np.isnan(outside), 0.0, change).max())
-    found = (measured, outside, gains, drift, without, tuple(ended))
-    return DescribingFunction(controller, outputs, units, omega, diverged, np.array(away), *found)
+    values = (measured, outside, gains, drift, without, tuple(ended))
+    return DescribingFunction(controller, outputs, units, omega, diverged, np.array(away), *values)
 
 
 def _found(vehicle: Vehicle, units: Sequence[str], response: Response, omega: float) -> tuple[Array, Array]:
@@ -219,10 +219,7 @@ def describing_object(one: DescribingFunction) -> dict[str, Any]:
         "without": one.without or None,
         "omega": one.omega.tolist(),
         "signals": {
-            name: {
-                "measured": finite_pairs(one.measured[:, i]),
-                "outside": [finite(share) for share in one.outside[:, i]],
-            }
+            name: {"measured": finite_pairs(one.measured[:, i]), "outside": [finite(share) for share in one.outside[:, i]]}
             for i, name in enumerate(one.outputs)
         },
         "norm": None,

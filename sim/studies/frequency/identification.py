@@ -214,18 +214,18 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, times
     omega = omega[omega < ALIASED * np.pi / (steps * timestep)]
     time = sample_times(vehicle, (1 + lead_in(vehicle, controllers, timestep, period)) * period * timestep, timestep)[:-1]
     road = chirp(omega, period * timestep, speed).to_height(amplitude, time[-period:])
-    made = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0)
+    physics = simulate(controllers, [RoadInput(vehicle, road, time)] * len(controllers), threads=0)
 
-    met, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
+    inputs, outputs = as_met(vehicle, omega, speed)[..., None], vehicle.linear_model.outputs
     units = tuple(vehicle.kind.signal(name).unit for name in outputs)
     identified = []
     for i, controller in enumerate(controllers):
-        run = made.run(i)
+        run = physics.run(i)
         sampled, half, integrated = (
-            (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ met)[..., 0]
+            (sampled_frequency_response(vehicle, controller, omega, step, exponential) @ inputs)[..., 0]
             for step, exponential in ((timestep, linalg.expm), (timestep / 2, linalg.expm), (timestep, taylor4))
         )
-        continuous = (continuous_frequency_response(vehicle, controller, omega) @ met)[..., 0]
+        continuous = (continuous_frequency_response(vehicle, controller, omega) @ inputs)[..., 0]
         far, near = (difference(one, continuous, units).max() for one in (sampled, half))
         lines = fit(vehicle, controller, run, omega, period)
         driven = lines[vehicle.kind.wheels[0].road_velocity]

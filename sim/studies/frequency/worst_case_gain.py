@@ -247,8 +247,8 @@ def _responses(
     for first in range(0, len(names), together):
         some = names[first : first + together]
         on = [roads[name] for name in some for _ in controllers]
-        made = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0)
-        responses |= {name: [made.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
+        physics = simulate([*controllers] * len(some), [RoadInput(vehicle, road, time) for road in on], threads=0)
+        responses |= {name: [physics.run(k * count + i) for i in range(count)] for k, name in enumerate(some)}
     return responses
 
 
@@ -267,8 +267,8 @@ def _drive_worst(
     settling = timestep * math.log(SETTLED) / math.log(slowest)
     time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
-    made = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    runs = [(made.run(i), count) for i, (_, count) in enumerate(samples)]
+    physics = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
+    runs = [(physics.run(i), count) for i, (_, count) in enumerate(samples)]
     last = [Response(time[-count:], run.signals, run.values[-count:]) for run, count in runs]
     return last, tried
 

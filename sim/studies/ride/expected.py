@@ -113,8 +113,8 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
         steady, left = C @ X + model.Cr / s, np.zeros((len(omega), len(C), len(late)), dtype=complex)
         for j in np.flatnonzero(here):
             left[..., j] = (left_behind[int(late[j])] @ (X - raised / s) + (C @ raised + model.Cr) / s)[..., j]
-        shares, met = tracks(vehicle, road, omega), as_met(vehicle, omega, road.speed)[..., None]
-        return np.concatenate([steady[..., here] @ (met * shares)[:, here], left @ shares], axis=1)
+        shares, inputs = tracks(vehicle, road, omega), as_met(vehicle, omega, road.speed)[..., None]
+        return np.concatenate([steady[..., here] @ (inputs * shares)[:, here], left @ shares], axis=1)
 
     def final(omega: Array) -> Array:
         """Returns the final variance per Hz, shape (F, p), with all wheels on the road."""
@@ -209,9 +209,9 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         powers = np.concatenate([power_of(at_steps[:-1]), power_of(weighted), *works], axis=-1)
         return road.density * np.moveaxis(powers, 0, 1)
 
-    def checked(_: Array, found: Array) -> Array:
+    def checked(_: Array, spectra_by_step: Array) -> Array:
         """Returns the means over a period of the spectra that cannot be negative."""
-        return found[:, :, : len(index) + len(ride)].mean(axis=1)
+        return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
     band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed))
     if rest is not None:

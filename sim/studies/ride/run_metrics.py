@@ -35,9 +35,12 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
 
-def roughness_object(found: Sequence[Roughness]) -> dict[str, Any]:
+def roughness_object(roughness: Sequence[Roughness]) -> dict[str, Any]:
     """Returns a road's IRI for JSON; empty for a road without one."""
-    return {_name(one, found): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread} for one in found}
+    return {
+        _name(one, roughness): {"unit": UNIT, "road": one.iri, "expected": one.expected, "spread": one.spread}
+        for one in roughness
+    }
 
 
 def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
@@ -45,8 +48,8 @@ def roughness_names(vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(f"iri_{track}" for track in TRACKS) if track_width(vehicle) else ("iri",)
 
 
-def _name(one: Roughness, found: Sequence[Roughness]) -> str:
-    return f"iri_{one.name}" if len(found) > 1 else "iri"
+def _name(one: Roughness, roughness: Sequence[Roughness]) -> str:
+    return f"iri_{one.name}" if len(roughness) > 1 else "iri"
 
 
 @dataclass(frozen=True)
@@ -187,34 +190,34 @@ def beside(vehicle: Vehicle) -> list[str]:
     return lines
 
 
-def metric_lines(run: Run, found: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
+def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
     """Returns the metrics of a run and its road as a table, with notes below."""
-    measured, notes = found.metrics, []
+    measured, notes = metrics.metrics, []
     if run.broke_off is not None:
         why, at = run.broke_off
         notes.append(f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless")
-    if found.settled is not None:
+    if metrics.settled is not None:
         notes.append(
-            f"when measuring begins, the variance of {found.settled.signal} is {percent(found.settled.share)} of its final "
+            f"when measuring begins, the variance of {metrics.settled.signal} is {percent(metrics.settled.share)} of its final "
             "value; every other signal in this table is closer"
         )
-    if found.error is not None:
+    if metrics.error is not None:
         notes.append(
             "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; for short runs or "
             "light damping the +- is up to 45 % too large"
         )
-    notes += line_words(run.vehicle, found.line) if found.line is not None else []
-    if found.static:
-        rests = ", ".join(f"{name} {value:.4g} deg" for name, value in found.static.items())
-        lacking = left_out(run.vehicle.parameters, found.static)
+    notes += line_words(run.vehicle, metrics.line) if metrics.line is not None else []
+    if metrics.static:
+        rests = ", ".join(f"{name} {value:.4g} deg" for name, value in metrics.static.items())
+        lacking = left_out(run.vehicle.parameters, metrics.static)
         notes.append(
             f"under the final loads the linear loop rests at {rests}; pitch is positive nose down, roll right side down"
             + (f"; {lacking}" if lacking else "")
         )
     notes += beside(run.vehicle)
-    if found.error is not None and found.error > EXACT:
+    if metrics.error is not None and metrics.error > EXACT:
         notes.append(
-            f"expected values may be off by {min(found.error, 1.0):.1g}: a resonance is too narrow for the lines of this road, "
+            f"expected values may be off by {min(metrics.error, 1.0):.1g}: a resonance is too narrow for the lines of this road, "
             "or for the integral over them"
         )
     if run.broke_off is not None and not any(one.expected is not None for one in measured.values()):
@@ -247,17 +250,17 @@ def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricCompar
     return f"  {name}", *shown.values()
 
 
-def metrics_object(run: Run, found: RunMetrics) -> dict[str, Any]:
+def metrics_object(run: Run, metrics: RunMetrics) -> dict[str, Any]:
     """Returns the metrics for JSON, with None for infinite or absent values."""
     broke = run.broke_off
     whole: dict[str, Any] = {
         "broke_off": {"by": broke[0], "at": broke[1]} if broke else None,
-        "settled": {"share": found.settled.share, "signal": found.settled.signal} if found.settled else None,
-        "expected_error": finite(found.error),
-        "metrics": {name: json_object(METRIC, one) | {"approximate": one.approximate} for name, one in found.metrics.items()},
+        "settled": {"share": metrics.settled.share, "signal": metrics.settled.signal} if metrics.settled else None,
+        "expected_error": finite(metrics.error),
+        "metrics": {name: json_object(METRIC, one) | {"approximate": one.approximate} for name, one in metrics.metrics.items()},
     }
-    if found.line is not None and found.line.rounds:
-        whole["expected_line"] = line_object(run.vehicle, found.line)
-    if found.static is not None:
-        whole["static_angles"] = dict(found.static)
+    if metrics.line is not None and metrics.line.rounds:
+        whole["expected_line"] = line_object(run.vehicle, metrics.line)
+    if metrics.static is not None:
+        whole["static_angles"] = dict(metrics.static)
     return whole

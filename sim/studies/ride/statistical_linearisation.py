@@ -151,8 +151,8 @@ def remainder(
     wheels = len(vehicle.kind.wheels)
     responses = sampled_frequency_response(vehicle, controller, omega, timestep, pulls=pulls)[:, index]
     to_force = responses[..., wheels:]
-    met = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
-    of_road = math.sqrt(road.density) * responses[..., :wheels] @ met
+    inputs = sources(vehicle, road, omega) * ((omega >= road.band[0]) & (omega <= road.band[1]))[:, None, None]
+    of_road = math.sqrt(road.density) * responses[..., :wheels] @ inputs
     identity, memory, noise = np.eye(len(curves)), np.zeros_like(to_force), np.zeros_like(to_force)
     for rounds in range(1, MEMORY_ROUNDS + 1):
         closed = np.linalg.inv(identity - to_force @ memory)
@@ -295,13 +295,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
 
 
 def _with_remainder(
-    line: Equivalent,
-    controller: Controller,
-    road: Spectrum,
-    timestep: float,
-    pulls: Elements,
-    signals: list[str],
-    slopes: Array,
+    line: Equivalent, controller: Controller, road: Spectrum, timestep: float, pulls: Elements, signals: list[str], slopes: Array
 ) -> Equivalent:
     """Adds the remainders of the curves, if their iteration converges."""
     cut = continuous(line.vehicle, controller)
@@ -359,7 +353,7 @@ def _deviations(vehicle: Vehicle, controller: Controller, road: Spectrum, timest
         at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep)[:-1, :, index]
         return road.density * power_of(at_steps @ sources(vehicle, road, omega)).mean(axis=0)
 
-    band = sample_band(spectra, lambda _, found: found, low, high, poles, longest_panel(vehicle, road.speed))
+    band = sample_band(spectra, lambda _, value: value, low, high, poles, longest_panel(vehicle, road.speed))
     return np.sqrt(band.share @ band.values)
 
 

@@ -82,6 +82,6 @@ class Bisection:
 
 def run_searches(searches: Sequence[Bisection], timestep: float, progress: Callable[[str], None] = no_progress) -> None:
     """Runs searches to their ends, one round of all of them in one batch."""
-    while asked := [(search, amount) for search in searches for amount in search.next()]:
-        for (search, amount), growth in zip(asked, grows([s.trial(a) for s, a in asked], timestep, progress), strict=True):
+    while due := [(search, amount) for search in searches for amount in search.next()]:
+        for (search, amount), growth in zip(due, grows([s.trial(a) for s, a in due], timestep, progress), strict=True):
             search.tried[amount] = growth

@@ -50,8 +50,8 @@ def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -
 
     def after(state: Array) -> Array:
         x, forces = state[:n], state[n:].reshape(delay, m)
-        asked = seen @ x + np.fft.irfft(np.matvec(answered, np.fft.rfft(forces, length, axis=0)), length, axis=0)[:delay]
-        return np.concatenate([moved[-1] @ x + np.einsum("kij,kj->i", pushed, forces), asked.ravel()])
+        requested = seen @ x + np.fft.irfft(np.matvec(answered, np.fft.rfft(forces, length, axis=0)), length, axis=0)[:delay]
+        return np.concatenate([moved[-1] @ x + np.einsum("kij,kj->i", pushed, forces), requested.ravel()])
 
     if size <= FEW:
         poles = np.linalg.eigvals(np.stack([after(unit) for unit in np.eye(size)], axis=1))

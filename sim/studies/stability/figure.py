@@ -31,12 +31,7 @@ MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
 
 
 def margins_figure(
-    vehicle: Vehicle,
-    controller: Controller,
-    loop: LoopMargins,
-    fragile: FragilityFound,
-    box: Robustness | None,
-    timestep: float,
+    vehicle: Vehicle, controller: Controller, loop: LoopMargins, fragile: FragilityFound, box: Robustness | None, timestep: float
 ) -> Figure:
     """Draws the growth rate of the slowest mode: lines by the poles of the implemented linear loop, points from MuJoCo's runs.
 
@@ -59,8 +54,8 @@ def margins_figure(
         return delayed_rate(vehicle, controller, timestep, round(seconds / timestep))
 
     def of_period(seconds: float) -> float:
-        held = max(1, round(seconds / timestep)) * timestep
-        return rate(replace(vehicle, implementation=Implementation(sample_period=held)), controller)
+        period = max(1, round(seconds / timestep)) * timestep
+        return rate(replace(vehicle, implementation=Implementation(sample_period=period)), controller)
 
     gain = loop.gain
     ended = math.isinf(gain.found) and math.isfinite(gain.search.unstable)
@@ -108,8 +103,8 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     end = min(1.2 * stable.smallest_violation, 1.0)
     known = [one.smallest_violation for one in predicted.within.values() if one.smallest_violation < end]
     amounts = np.unique([*np.linspace(0.0, min(stable.smallest_violation, 1.0), AMOUNTS), *known])
-    met = np.array([worst_error_found(fragile.gain, amount) for amount in amounts])
-    curves = [Curve(100 * amounts, np.where(np.isfinite(met), met, np.nan), "worst norm met", MET)]
+    largest = np.array([worst_error_found(fragile.gain, amount) for amount in amounts])
+    curves = [Curve(100 * amounts, np.where(np.isfinite(largest), largest, np.nan), "worst norm met", MET)]
     steps = sorted((one.proved_margin, one.bound) for one in (*predicted.within.values(), stable) if one.proved_margin)
     edges, bounds = np.repeat([0.0, *(proved for proved, _ in steps)], 2)[1:-1], np.repeat([bound for _, bound in steps], 2)
     curves.append(Curve(100 * edges, bounds, "proved: no norm is higher", PROVED, "dash"))

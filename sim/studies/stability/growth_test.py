@@ -129,8 +129,8 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
     time = np.arange(round(duration / timestep) + 1) * timestep
     vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
     undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
-    met = met_alike([RoadInput(vehicle, BUMP, time) for vehicle in vehicles])
-    now, midway = (np.stack([getattr(each, what) for each in met], axis=1) for what in ("heights", "midway"))
+    inputs = met_alike([RoadInput(vehicle, BUMP, time) for vehicle in vehicles])
+    now, midway = (np.stack([getattr(each, what) for each in inputs], axis=1) for what in ("heights", "midway"))
     ends = [1 + round(at / timestep) for at in (SOON, *(SHORTEST * k for k in range(1, round(duration / SHORTEST) + 1)))]
     doubled = [SOON * 2**k for k in range(1 + round(math.log2(LONGEST / SOON)))]
     own = [_least(trial, timestep) for trial in trials]

@@ -75,10 +75,10 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
     None if there is a second controller and either has states.
     """
     how = vehicle.implementation
-    held = steps_per_sample(how, timestep)
+    steps = steps_per_sample(how, timestep)
     Phi, Gamma, G = sampled_loop_transfer(vehicle, controller, timestep, exponential=taylor4)
     memory = len(Phi) > len(vehicle.linear_model.states) + len(G) * (vehicle.limits.actuator_bandwidth is not None)
-    if how.delay % 1 or (held > 1 and (how.delay or memory)):
+    if how.delay % 1 or (steps > 1 and (how.delay or memory)):
         return None
     if undelayed is not None:
         others = sampled_loop_transfer(vehicle, undelayed, timestep, exponential=taylor4)[2]
@@ -86,4 +86,4 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
             return None
         Phi = Phi + Gamma @ others
     acts = np.any(G, axis=1)
-    return LateLoop(Phi, Gamma[:, acts], G[acts], int(how.delay), held, timestep)
+    return LateLoop(Phi, Gamma[:, acts], G[acts], int(how.delay), steps, timestep)

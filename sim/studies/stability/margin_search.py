@@ -116,8 +116,8 @@ class LoopMargins:
         )
 
 
-def _close(predicted: float, found: float, within: float) -> bool:
-    return predicted == found or (math.isfinite(predicted) and abs(predicted - found) <= within)
+def _close(predicted: float, measured: float, within: float) -> bool:
+    return predicted == measured or (math.isfinite(predicted) and abs(predicted - measured) <= within)
 
 
 def find_margins(

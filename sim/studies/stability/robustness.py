@@ -97,7 +97,7 @@ def robustness(
     for controller in controllers:
         norm = functools.partial(_norm, vehicle, controller)
         factors, norms, worst, at = _worst(norm, varied)
-        told = itertools.islice(physics, len(corners))
+        results_at_corners = itertools.islice(physics, len(corners))
         results.append(
             Robustness(
                 varied=varied,
@@ -105,7 +105,7 @@ def robustness(
                 at=_changed(vehicle, at),
                 corners=tuple(
                     ParameterVertex(corner, _changed(vehicle, corner), norm(corner), not growth.grows, agrees)
-                    for corner, (growth, agrees) in zip(corners, told, strict=True)
+                    for corner, (growth, agrees) in zip(corners, results_at_corners, strict=True)
                 ),
                 factors=factors,
                 norms=norms,
@@ -142,9 +142,9 @@ def _worst(
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
 def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
     """Returns True for each trial whose linear response over the bump MuJoCo confirms; all run in one batch."""
-    controllers, met = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
-    predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, met, strict=True)]
-    response = simulate(controllers, met, threads=0).response
+    controllers, inputs = [trial.controller for trial in trials], [RoadInput(trial.vehicle, BUMP, time) for trial in trials]
+    predictions = [predict(LoopModel(on.vehicle, one, on.timestep), on) for one, on in zip(controllers, inputs, strict=True)]
+    response = simulate(controllers, inputs, threads=0).response
     return [run.agreement.agrees for run in compare_runs(predictions, [response.run(i) for i in range(len(trials))])]
 
 

@@ -72,8 +72,8 @@ class Cells:
 
     def counted(self, noun: str) -> str:
         """Describes the number of cells that were run, and of those requested if that is more."""
-        done, asked = int(self.done.sum()), len(self.bumps)
-        return f"{done} {noun}" if done == asked else f"{done} {noun} (of {asked} asked)"
+        done, wanted = int(self.done.sum()), len(self.bumps)
+        return f"{done} {noun}" if done == wanted else f"{done} {noun} (of {wanted} asked)"
 
     @property
     def short(self) -> str:
@@ -193,8 +193,8 @@ def _run(
     elif vehicle.is_curved or loads:
         used, times = _one_by_one(vehicle, controller, bumps, time, loads)
     else:
-        met = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
-        used, times = _in_proportion(vehicle, met, heights, column, has_anti_windup(controller))
+        of_metre = _switched(controller, [replace(one, vehicle=vehicle) for one in metres]) if short else unit
+        used, times = _in_proportion(vehicle, of_metre, heights, column, has_anti_windup(controller))
     end = REGIME_ENDS.index(DAMPER)
     if short:
         used[:, end], times[..., end] = 0.0, np.inf
@@ -255,9 +255,7 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     """
     hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
     used = np.abs(heights)[:, None] * np.where(
-        heights[:, None] > 0,
-        utilisation(vehicle, unit, anti_windup)[column],
-        utilisation(vehicle, hole, anti_windup)[column],
+        heights[:, None] > 0, utilisation(vehicle, unit, anti_windup)[column], utilisation(vehicle, hole, anti_windup)[column]
     )
     for i in dict.fromkeys(column.tolist()):
         mine = np.flatnonzero(column == i)
@@ -272,19 +270,21 @@ def _one_by_one(
     """The same of responses with curves or loads, which are not proportional to the height."""
     factors = (1, 1 - EDGE, 1 + EDGE)
     near = [loaded(replace(bump, height=factor * bump.height), loads) for factor in factors for bump in bumps]
-    met = [RoadInput(vehicle, road, time) for road in near]
+    inputs = [RoadInput(vehicle, road, time) for road in near]
     linear = is_linear(vehicle, controller)
-    made = sampled_responses(LoopModel(vehicle, controller, met[0].timestep), met) if linear else _switched(controller, met)
+    responses = (
+        sampled_responses(LoopModel(vehicle, controller, inputs[0].timestep), inputs) if linear else _switched(controller, inputs)
+    )
     anti_windup = has_anti_windup(controller)
     detector = EndDetector([vehicle] * len(near), time, True, [anti_windup] * len(near))
-    detector.update(0, np.moveaxis(made.values, 0, 2))
+    detector.update(0, np.moveaxis(responses.values, 0, 2))
     times = np.moveaxis(detector.times.reshape(3, len(bumps), len(END_NAMES)), 0, 1)
-    return utilisation(vehicle, replace(made, values=made.values[: len(bumps)]), anti_windup), times
+    return utilisation(vehicle, replace(responses, values=responses.values[: len(bumps)]), anti_windup), times
 
 
-def _switched(controller: Controller, met: Sequence[RoadInput]) -> Response:
+def _switched(controller: Controller, inputs: Sequence[RoadInput]) -> Response:
     """Responses with adjustable dampers, side by side."""
-    responses = [switched_response(controller, road) for road in met]
+    responses = [switched_response(controller, road) for road in inputs]
     return replace(responses[0], values=np.stack([one.values for one in responses]))
 
 

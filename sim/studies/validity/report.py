@@ -55,9 +55,9 @@ def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, thr
     }
 
 
-def loads_object(asked: Sequence[str]) -> dict[str, list[str]]:
+def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
     """The loads over every bump, as they were asked for; no key where there are none."""
-    return {"loads": list(asked)} if asked else {}
+    return {"loads": list(given)} if given else {}
 
 
 def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:

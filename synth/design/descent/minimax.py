@@ -204,20 +204,20 @@ def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Arra
     bounds = values / far + far
     moves = np.vstack([M, -M]) @ inverse  # up to the limits, and down to them
     room = np.concatenate([limit - x, limit + x])
-    held = room < NEAR * np.tile(limit, 2)
+    at_limit = room < NEAR * np.tile(limit, 2)
     while True:
-        inward = np.hstack([-moves[held], np.zeros((int(held.sum()), 1))])
-        all_rows, all_bounds = np.vstack([rows, inward]), np.append(bounds, -room[held])
+        inward = np.hstack([-moves[at_limit], np.zeros((int(at_limit.sum()), 1))])
+        all_rows, all_bounds = np.vstack([rows, inward]), np.append(bounds, -room[at_limit])
         sizes = np.linalg.norm(all_rows, axis=1)
         matrix = np.vstack([all_rows.T / sizes, all_bounds / sizes])
         target = np.append(np.zeros(len(root) + 1), 1.0)
         weights = _non_negative(matrix, target)
         residual = matrix @ weights - target
         y = -residual[:-2] / residual[-1]
-        broken = ~held & (moves @ y > room + 1e-9 * np.tile(limit, 2))
+        broken = ~at_limit & (moves @ y > room + 1e-9 * np.tile(limit, 2))
         if not broken.any():
             return inverse @ y, (weights / sizes)[: len(values)]
-        held |= broken
+        at_limit |= broken
 
 
 def _non_negative(matrix: Array, target: Array) -> Array:

@@ -64,13 +64,13 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
     return done
 
 
-def bound_throughout(gain: ScaledGain, box: Box, met: float) -> float:
+def bound_throughout(gain: ScaledGain, box: Box, largest: float) -> float:
     """Returns a proved bound on all norms of a box, just above the largest norm found; infinite if none is proved."""
     if unknowns(gain, box) > MOST_UNKNOWNS:
         return np.inf
     for above in CLOSER:
         try:
-            proof = moving_x(gain, box, met * (1 + above))
+            proof = moving_x(gain, box, largest * (1 + above))
         except (np.linalg.LinAlgError, ValueError):  # rounding leaves no answer
             continue
         if proof is not None and proof.holds(gain, box):

@@ -73,9 +73,9 @@ def sentence(one: Cost) -> list[str]:
     """Returns the result as a sentence, wrapped into lines."""
     name = one.controller.name
     if not math.isfinite(one.ideal):
-        held = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
-        said = f"controller {name} is unstable {'' if held else 'even '}in continuous time"
-        return wrapped(f"{said}; {_ends(one)}" if held else said, hang=4)
+        stable = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
+        said = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
+        return wrapped(f"{said}; {_ends(one)}" if stable else said, hang=4)
     if not one.controller.law.acts:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
@@ -122,11 +122,7 @@ def _object(one: Cost, norm: SampledNorm) -> dict[str, Any] | None:
     """Returns a norm with its proof and its loss as JSON; None if the loop is not stable."""
     if not norm.stable:
         return None
-    return {
-        "value": norm.value,
-        "loss": finite(one.loss(norm)),
-        **proof_object(norm),
-    }
+    return {"value": norm.value, "loss": finite(one.loss(norm)), **proof_object(norm)}
 
 
 def _cells(one: Cost, norm: SampledNorm) -> tuple[str, str]:
@@ -204,16 +200,16 @@ def rates_figure(vehicle: Vehicle, costs: Sequence[Cost], periods: Sequence[floa
 
 
 def _panel(one: Cost, periods: Sequence[float]) -> Panel:
-    asked = [at for at in one.rates if at.period in periods]
+    marked = [at for at in one.rates if at.period in periods]
     ends = np.array([1e3 * one.rates[0].period, 1e3 * one.rates[-1].period])
     curves = []
     kinds: list[tuple[str, str, Dash, float]] = [("at once", PROMPT, "solid", one.lost), (late(one), LATE, "dash", one.lost_late)]
     for k, (name, color, dash, lost) in enumerate(kinds):
         curves.append(Curve(*_norms(one.rates, k), name, color, dash))
-        curves.append(Curve(*_norms(asked, k), "", color, "none", "o", name=f"{name}, asked for"))
+        curves.append(Curve(*_norms(marked, k), "", color, "none", "o", name=f"{name}, asked for"))
         if ends[0] <= 1e3 * lost <= ends[1]:
             curves.append(Curve(np.full(2, 1e3 * lost), np.array([0.0, 1e6]), "", color, "dot", width=0.8))
-    designs = np.array([(1e3 * at.period, at.designed.value) for at in asked if at.designed is not None and at.designed.stable])
+    designs = np.array([(1e3 * at.period, at.designed.value) for at in marked if at.designed is not None and at.designed.stable])
     if len(designs):
         curves.append(Curve(designs[:, 0], designs[:, 1], "designed for the rate", DESIGNED, "none", "+"))
     if math.isfinite(one.ideal):

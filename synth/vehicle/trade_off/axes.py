@@ -54,16 +54,16 @@ class FrontAxis:
         return f"{self.name.replace('_', ' ')} [{self.unit}]" if self.unit else self.name.replace("_", " ")
 
 
-def axes_of(vehicle: Vehicle, asked: str) -> tuple[FrontAxis, ...]:
+def axes_of(vehicle: Vehicle, text: str) -> tuple[FrontAxis, ...]:
     """Returns the axes of a text like `ride:travel` or `band=4-8:travel:force`.
 
     Raises:
         InputError: the number of axes is wrong, or one is repeated, unknown, or without signals on this vehicle.
     """
-    parts = [part.strip() for part in asked.split(":")]
+    parts = [part.strip() for part in text.split(":")]
     if not FEWEST <= len(parts) <= MOST:
         raise InputError(
-            f"--front {quoted(asked)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
+            f"--front {quoted(text)} names {len(parts)} {'axis' if len(parts) == 1 else 'axes'}; give two or three of "
             f"{listing(AXES)}, a colon between them, e.g. ride:travel"
         )
     axes: list[FrontAxis] = []

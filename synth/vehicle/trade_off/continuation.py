@@ -88,9 +88,9 @@ class FrontContinuation:
         self.met.append(EvaluatedGain(x, values, excess))
         return self.met[-1]
 
-    def gain(self, met: EvaluatedGain) -> Array:
+    def gain(self, evaluated: EvaluatedGain) -> Array:
         """K, shape (m, q)."""
-        return self.search.full.gain(met.x)
+        return self.search.full.gain(evaluated.x)
 
     def ends(self) -> Array:
         """The norms at the end of every axis, shape (K, K): a row an end, where its axis is within a thousandth of its least."""
@@ -134,9 +134,9 @@ class FrontContinuation:
     def _descend(self, start: EvaluatedGain, goals: dict[int, float], bounds: dict[int, float]) -> EvaluatedGain:
         """A descent on the largest of some axes in units of their own, others bounded; where it ends, or the start."""
         terms = {k: [NormObjective(landscape, unit) for landscape in self.axes[k]] for k, unit in goals.items()}
-        held = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
+        bounding = [NormObjective(landscape, most * (1 - TIGHTER)) for k, most in bounds.items() for landscape in self.axes[k]]
         minimax = self.search.minimax
-        ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *held], minimax.limit)
+        ground = MinimaxProblem([each for some in terms.values() for each in some], [*minimax.bounds, *bounding], minimax.limit)
         x, _ = descend(ground, start.x, self.search.coordinates(start.x), ROUNDS, settled=SETTLED)
         return self.evaluate(x) or start
 

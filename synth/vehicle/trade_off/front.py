@@ -123,15 +123,15 @@ def front(
     trace = _trace(vehicle, entry, axes)
     judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
-    met: list[EvaluatedGain] = []
+    swept: list[EvaluatedGain] = []
     parts = Parts()
     with parts.part(DESIGNING):
         for i, unit in enumerate(rays(trace.ends(), count)):
-            met.append(trace.step_along(unit))
+            swept.append(trace.step_along(unit))
             on_progress(i + 1)
-    if not met:
+    if not swept:
         raise KeyboardInterrupt
-    kept = [each for each in met if each.excess <= 1e-9]
+    kept = [each for each in swept if each.excess <= 1e-9]
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
@@ -172,7 +172,7 @@ def front(
     with parts.part(BESIDE):
         for i, travel in _over_the_bump(vehicle, entry, first):
             first[i] = replace(first[i], travel=travel)
-    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(met), unproved, parts.cut)
+    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(swept), unproved, parts.cut)
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
@@ -211,16 +211,16 @@ def marked(count: int) -> list[int]:
 
 def _trace(vehicle: Vehicle, entry: ControllerEntry, axes: Sequence[FrontAxis]) -> FrontContinuation:
     """Returns the continuation that searches the designs."""
-    asked = goal_problem(vehicle, entry, entry.goals or Goals())
-    posed, starts = asked.members[0].posed[0], []
+    problem = goal_problem(vehicle, entry, entry.goals or Goals())
+    posed, starts = problem.members[0].posed[0], []
     if entry.law is not None:
         starts.append(entry.law.D)
     with contextlib.suppress(InputError):  # a DesignError is one
         starts.append(posed.on_readings(two_step_design(posed.plant, posed.Cy).gain))
-    if asked.decay is None and starts:
+    if problem.decay is None and starts:
         decay = -float(np.real(stability(posed.plant.A + posed.plant.B @ posed.acting(starts[-1]) @ posed.Cy).poles).max())
-        asked = replace(asked, decay=SLOWER * decay if decay > 0 else None)
-    search = MinimaxSearch(asked, lambda goal, within: None)
+        problem = replace(problem, decay=SLOWER * decay if decay > 0 else None)
+    search = MinimaxSearch(problem, lambda goal, within: None)
     return FrontContinuation(search, [landscapes(vehicle, axis, entry, search.full) for axis in axes], starts)
 
 
@@ -229,8 +229,8 @@ def _judged(vehicle: Vehicle, entry: ControllerEntry):
     if entry.goals is None:
         return lambda K: ()
     goals = entry.goals
-    asked = goal_problem(vehicle, entry, goals)
-    return lambda K: Verification(vehicle, entry, goals, asked, K).promises()
+    problem = goal_problem(vehicle, entry, goals)
+    return lambda K: Verification(vehicle, entry, goals, problem, K).promises()
 
 
 def _others(
