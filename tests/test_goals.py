@@ -14,9 +14,9 @@ from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.figures.figure import Spans
+from models.laws.goals import BOUND_KINDS
 from models.laws.linear import static_law
 from models.roads.road import Bump
-from models.vehicle.goals import BOUND_KINDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.analysis.norm import gain_at, hinf_norm

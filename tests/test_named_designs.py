@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.laws.combinations import KINDS, QUADRATIC, goes, readme_tables, refusal
 from models.roads.road import Bump
-from models.vehicle.combinations import KINDS, goes, readme_tables, refusal
-from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect
@@ -110,7 +109,7 @@ def test_saved_and_checked(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full"),
+        ('measured = ["sprung_velocity"]\norder = "half"', "order = 'half' is not known; known: full, static"),
         ('measured = ["sprung_velocity"]\ndesign = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),
         ('measured = ["sprung_velocity"]\norder = "full"\ndesign = "lqg"', 'order = "full" with design = "lqg": '),
         ('measured = ["sprung_velocity"]\norder = "full"\ngain = [[1.0]]', 'gain with order = "full": a controller has one law'),

@@ -10,8 +10,8 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
+from models.laws.combinations import check_command, goes
 from models.laws.linear import LinearLaw, static_law
-from models.vehicle.combinations import check_command, goes
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate

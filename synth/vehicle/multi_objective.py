@@ -9,10 +9,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
+from models.laws.goals import FORCE, REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import LinearLaw, static_law
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import FORCE, REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
