@@ -187,6 +187,14 @@ class HoldInterval(Checked):
     late: Index
 
 
+def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
+    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
+    late = math.floor(delay)
+    share = delay - late
+    pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
+    return tuple(HoldInterval(part * period, samples) for part, samples in pieces)
+
+
 @dataclass(frozen=True, eq=False)
 class SampledLoop(Checked):
     """A plant with a discrete controller.

@@ -10,12 +10,12 @@ No quick method finds the best static gain for sure. Three things make a poor on
 - *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`).
 
 The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
-something worse, so the result is not worse than the two steps refined. The same plant gives the same gain: all samples have fixed
-seeds.
+something worse, so the result is not worse than the two steps refined. Of gains with the same norm, as where a gain at rest
+decides it, the smallest on the way to no control is taken. The same plant gives the same gain: all samples have fixed seeds.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +34,9 @@ from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.descent.symmetry import Symmetry
 from synth.design.two_step import Design, two_step_design
+from synth.lmi.output_feedback import independent_rows
 from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_states, measured_with
+from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
@@ -53,6 +54,9 @@ WORTH = 3e-4  # relative; what a turn of further descents must gain for another
 LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
 IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
+EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
+SHARES = 0.5 ** np.arange(1, 41)  # of a gain, tried for the same norm
+HALVINGS = 12  # to the smallest share with the same norm, which is then known to a thousandth
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +103,7 @@ def static_output_feedback(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n), full row rank.
+        Cy: shape (q, n); rows that follow from others get a gain of zero.
         largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
@@ -120,13 +124,17 @@ def static_output_feedback(
         >>> design.gain.shape, f"{design.certificate.norm.value:.4f}"
         ((1, 1), '0.2500')
     """
-    check_states(len(plant.A))
+    check_inputs(plant)
     Cy, Dyw = measured_with(plant, Cy, Dyw)
+    kept = independent_rows(plant, Cy)
     try:
-        two_steps = two_step_design(plant, Cy)
+        two_steps = two_step_design(plant, Cy[kept])
     except InputError as error:
         two_steps = str(error)
-    return descended(plant, Cy, two_steps, largest_gain, lower_bound, Dyw)
+    found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept])
+    gain = np.zeros((len(found.gain), len(Cy)))
+    gain[:, kept] = found.gain
+    return replace(found, gain=gain)
 
 
 @numerics()
@@ -149,7 +157,7 @@ def descended(
             f"no stabilising static gain was found from {MOST} starts; measure more signals, or allow a larger gain "
             f"than {largest_gain:g}"
         )
-    best = search.best(candidates)
+    best = search.smallest(search.best(candidates))
     K = search.landscape.gain(best.x)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
@@ -182,10 +190,11 @@ class _Search:
     def starts(self) -> list[Candidate]:
         """Stable points of many sizes."""
         sampled = survey(self.landscape, self.limit)
-        candidates = [
+        candidates = self.admitted(np.zeros_like(self.limit), "no control")
+        candidates += [
             each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
-        numbers = range(FEW if len(candidates) >= ENOUGH_SAMPLES else MANY)
+        numbers = range(FEW if len(sampled) >= ENOUGH_SAMPLES else MANY)
         if len(self.plant.A) > LARGE:
             for x in projected_starts(self.landscape):
                 candidates += self.admitted(x, "a projected state feedback")
@@ -202,6 +211,23 @@ class _Search:
         x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
+
+    def smallest(self, best: Candidate) -> Candidate:
+        """The smallest multiple of a candidate with the same norm, to a thousandth."""
+        most, least = max(best.norm * (1 + EQUAL), self.nothing), 1.0
+
+        def same(share: float) -> bool:
+            return self.landscape.norm(share * best.x, most)[0] <= most
+
+        if not same(1 - REACHED):
+            return best
+        least = min((float(share) for share in SHARES if same(share)), default=1.0)
+        refused = least / 2
+        for _ in range(HALVINGS):
+            middle = (least + refused) / 2
+            least, refused = (middle, refused) if same(middle) else (least, middle)
+        moved = self.admitted(least * best.x, best.origin)
+        return moved[0] if moved and moved[0].norm <= most else best
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""

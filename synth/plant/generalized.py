@@ -222,6 +222,13 @@ def check_states(n: int) -> None:
         raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
 
 
+def check_inputs(plant: GeneralizedPlant) -> None:
+    """Raises an InputError if a plant has no state or no input, where nothing can be designed."""
+    check_states(len(plant.A))
+    if not plant.B.shape[1]:
+        raise InputError("B has no columns, a plant without an input, where no gain acts; give it the column of each force")
+
+
 def check_continuous(plant: GeneralizedPlant) -> None:
     """Raises an InputError for a discrete plant, if a formula holds for continuous ones only."""
     if plant.dt is not None:

@@ -228,10 +228,7 @@ class Designer:
         elif zero_l:
             found = zero_l_design(posed.plant, posed.Cy, lower_bound)
         else:
-            always = entry.name == "state" or posed.Dyw is not None
-            found = two_steps_or_descent(
-                posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
-            )
+            found = two_steps_or_descent(posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, posed.Dyw)
         return designed(self.vehicle, entry, found)
 
     @at_the_door

@@ -24,9 +24,10 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.stability import balance, is_stable, stabilisability_failures
 from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices, real_matrix
+from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices, real_matrix
 from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.units import independent, own_units
 
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 
@@ -156,13 +157,17 @@ def quadratic_design(
     """
     if name != "lqr":
         return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
-    if len(Cy) < len(plant.A):
+    Cy, _ = measurement_matrices(plant, Cy)
+    kept, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
+    if len(kept) < n:
         raise DesignError(
-            "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
-            '"lqg" or "h2", or order = "full", or constant weights'
+            f"LQR feeds back every state, and {len(kept)} of {n} are measured; those of filters in [performance] never are: "
+            'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
     lqr = lqr_design(plant, states)
-    return replace(lqr, law=static_law(np.linalg.solve(Cy.T, lqr.law.D.T).T))
+    gain = np.zeros((len(lqr.law.D), len(Cy)))
+    gain[:, kept] = np.linalg.solve(Cy[kept].T, lqr.law.D.T).T
+    return replace(lqr, law=static_law(gain))
 
 
 def h2_norm(loop: GeneralizedPlant) -> float:
@@ -184,6 +189,7 @@ def _design(
         Dyw: shape (q, r).
         noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
     """
+    check_inputs(plant)
     check_posed(plant)
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
