@@ -28,6 +28,7 @@ from synth.plant.generalized import GeneralizedPlant, check_inputs
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
+NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
@@ -81,14 +82,14 @@ def two_steps_or_descent(
     check_inputs(plant)
     rows, kept = as_measurement_matrix(plant, Cy)
     check_stabilisable(plant, rows, states)
-    two_steps = None
+    two_steps = failure = None
     try:
         two_steps = two_step_design(plant, Cy, path(), lower_bound, states)
         reason = KNOW_NO_NOISE if Dyw is not None else _lost(plant, two_steps, largest_gain)
         if not reason:
             return two_steps
     except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
-        reason = str(error)
+        reason, failure = (NOT_FROM_THESE if isinstance(error, InfeasibleError) else str(error)), error
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     noise = Dyw[kept] if Dyw is not None else None
     try:
@@ -100,7 +101,9 @@ def two_steps_or_descent(
     except DesignError as error:
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
-            raise DesignError(f"{reason}; descent on the norm: {error}") from error
+            raise DesignError(
+                f'{failure or reason}; descent on the norm: {error}; or give order = "full", a law with states'
+            ) from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
@@ -110,7 +113,7 @@ def two_steps_or_descent(
 def _known_gain(
     plant: GeneralizedPlant, Cy: Array, two_steps: Design | str, lower_bound: LowerBound | None, Dyw: Array | None
 ) -> tuple[Array, Certificate, str] | None:
-    """Returns a certified gain where descents find none, and how it is known; None if there is none."""
+    """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
 
     def of_two_steps() -> Array | None:
         return two_steps.gain if isinstance(two_steps, Design) else None

@@ -27,6 +27,8 @@ from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
 from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, quasi_newton
@@ -55,8 +57,9 @@ LONGEST = 20  # turns of descents from one candidate; of a large plant, whose tu
 IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
 EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
-SHARES = 0.5 ** np.arange(1, 41)  # of a gain, tried for the same norm
-HALVINGS = 12  # to the smallest share with the same norm, which is then known to a thousandth
+SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
+MISSED = 3  # until so many in a row have another,
+HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +160,8 @@ def descended(
             f"no stabilising static gain was found from {MOST} starts; measure more signals, or allow a larger gain "
             f"than {largest_gain:g}"
         )
-    best = search.smallest(search.best(candidates))
-    K = search.landscape.gain(best.x)
+    best = search.best(candidates)
+    K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
     return StaticDesign(K, certificate, steps, without, best.origin, starts)
@@ -212,22 +215,31 @@ class _Search:
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
 
-    def smallest(self, best: Candidate) -> Candidate:
-        """The smallest multiple of a candidate with the same norm, to a thousandth."""
-        most, least = max(best.norm * (1 + EQUAL), self.nothing), 1.0
+    def smallest(self, best: Candidate) -> Array:
+        """The smallest multiple of a candidate's gain whose loop has the same norm, to a thousandth, shape (m, q).
 
-        def same(share: float) -> bool:
-            return self.landscape.norm(share * best.x, most)[0] <= most
-
-        if not same(1 - REACHED):
-            return best
-        least = min((float(share) for share in SHARES if same(share)), default=1.0)
-        refused = least / 2
-        for _ in range(HALVINGS):
+        The landscape loses digits where a gain is huge, and does not decide it.
+        """
+        K = self.landscape.gain(best.x)
+        most = max(self.own_norm(K) * (1 + EQUAL), self.nothing)
+        least, refused, missed = 1.0, 0.0, 0
+        for share in SHARES:
+            if self.own_norm(share * K) <= most:
+                least, missed = share, 0
+            else:
+                refused, missed = (share, 1) if not missed else (refused, missed + 1)
+            if missed == MISSED:
+                break
+        for _ in range(HALVINGS if least < 1 else 0):
             middle = (least + refused) / 2
-            least, refused = (middle, refused) if same(middle) else (least, middle)
-        moved = self.admitted(least * best.x, best.origin)
-        return moved[0] if moved and moved[0].norm <= most else best
+            least, refused = (middle, refused) if self.own_norm(middle * K) <= most else (least, middle)
+        return least * K
+
+    def own_norm(self, K: Array) -> float:
+        """The norm of a gain's loop by two routes; infinite where it is not stable."""
+        plant, G = on_larger_plant(self.plant, self.Cy, static_law(K), self.Dyw)
+        loop = plant.closed_loop(G)
+        return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
