@@ -91,6 +91,9 @@ class GeneralizedPlant:
                     f"{name} has shape {matrix.shape}, and must have {shape}: A has {size['n']} row(s), B {size['m']} column(s), "
                     f"Bw {size['r']} column(s) and C {size['d']} row(s)"
                 )
+        for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
+            if not count:
+                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, of zeros if there is none")
         if check("weights", self.weights, Index) > size["n"]:
             raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
         if self.beyond is not None:

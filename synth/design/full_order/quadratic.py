@@ -6,9 +6,9 @@ estimates; no linear controller does better (the separation theorem; Anderson, M
 8).
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
-plant the second. Where a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
-assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control changes, and left
-out.
+plant the second. Where a measurement has no noise, or a force no cost, the problem is singular to rounding, and a small share
+of either is assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control
+changes, and left out.
 """
 
 from collections.abc import Sequence
@@ -30,6 +30,7 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
+NOTHING = 1e-6  # of the plant's own size: less is none; half the digits of a Riccati equation are then left
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,24 +196,50 @@ def _design(
         raise InfeasibleError(reasons)
     shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
     own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
+    D, Dyw_T = own.plant.D, own.Dyw.T
+    cost, unheard = missing(D, ASSUMED), missing(Dyw_T, ASSUMED) * (not all_known)
+    as_it_is = cost * (not _regular(D)), unheard * (not _regular(Dyw_T))
+    assumptions = [as_it_is, (cost, unheard)] if np.any(cost - as_it_is[0]) or np.any(unheard - as_it_is[1]) else [as_it_is]
+    found, failures = list[QuadraticDesign](), list[DesignError]()
+    for each in assumptions:
+        try:
+            law, assumed = _law(own, all_known, *each)
+            certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
+            if certificate.failures:
+                raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+        except DesignError as error:
+            failures.append(error)
+            continue
+        share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
+        remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
+        larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
+        found.append(QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark))
+    if not found:
+        raise failures[-1]
+    return min(found, key=lambda design: design.h2_norm)
+
+
+def _regular(D: Array) -> bool:
+    """Returns True if every input has a weight in D beyond rounding, shape (d, m)."""
+    sizes = np.linalg.svd(D, compute_uv=False)
+    return len(sizes) == D.shape[1] and bool(np.all(sizes > NOTHING * max(1.0, sizes.max(initial=0.0))))
+
+
+def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
+    """Returns the best law for a cost of forces and a noise of measurements on top of what there is, and both in words.
+
+    Raises:
+        DesignError: a Riccati equation has no solution.
+    """
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
-    cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
     assumed = ["a cost for forces that z hardly weighs"] if np.any(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
-        law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
-    else:
-        unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
-        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
-        law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
-        assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
-    certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
-    if certificate.failures:
-        raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
-    remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
-    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
-    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
+        return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
+    unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
+    L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
+    assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
+    return own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy))))), assumed
 
 
 def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:
