@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     """The controllers asked for, each once."""
-    from models.vehicle.combinations import check_command, goes
+    from models.laws.combinations import check_command, goes
 
     linear = [vehicle.controllers[name] for name in vehicle.linear_names if name in vehicle.controllers]
     designed = [entry.name for entry in linear if goes("zero_l", entry.parts)]

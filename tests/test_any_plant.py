@@ -3,13 +3,14 @@
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import linalg
 
+import synth
 from models.common.errors import InputError
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import certify
@@ -143,6 +144,71 @@ def test_odd_plants(capfd):
         for seed in range(1000, 1000 + len(FAMILIES)):
             ask_everything(seed, search=False)
     assert capfd.readouterr() == ("", "")
+
+
+def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) -> Iterator[Callable[[], Any]]:
+    """Calls of every public function of plants, with q measurements, as arrays and as lists."""
+    (n, m), r = plant.B.shape, plant.Bw.shape[1]
+    arrays = rng.standard_normal((q, n)), -0.01 * rng.standard_normal((m, q)), rng.standard_normal((q, r)), np.ones((m, q))
+    for Cy, K, Dyw, anywhere in (arrays, [each.tolist() for each in arrays]):
+        yield lambda Cy=Cy: synth.design_feedback(plant, Cy)
+        yield lambda Cy=Cy, Dyw=Dyw: synth.design_feedback(plant, Cy, Dyw, order="full")
+        yield lambda Cy=Cy: synth.design_feedback(plant, Cy, sample_period=0.1)
+        yield lambda Cy=Cy: synth.design_feedback(plant, Cy, bounds=[{"gain": 3.0}])
+        yield lambda Cy=Cy: synth.two_step_design(plant, Cy)
+        yield lambda Cy=Cy, Dyw=Dyw: synth.static_output_feedback(plant, Cy, Dyw=Dyw)
+        yield lambda Cy=Cy, K=K: synth.refine(plant, Cy, K)
+        yield lambda Cy=Cy: synth.slack_design([plant], [Cy])
+        yield lambda Cy=Cy, Dyw=Dyw: synth.full_order_design(plant, Cy, Dyw)
+        yield lambda: synth.lqr_design(plant)
+        yield lambda Cy=Cy: synth.lqg_design(plant, Cy, [0.1] * q)
+        yield lambda Cy=Cy, Dyw=Dyw: synth.h2_design(plant, Cy, Dyw)
+        yield lambda Cy=Cy: synth.find_lower_bound(plant, Cy)
+        yield lambda: synth.find_lower_bound(plant)
+        yield lambda Cy=Cy, K=K: synth.certify(plant, synth.Feedback(K, Cy))
+        yield lambda: synth.hinf_norm(plant)
+        yield lambda: synth.norm_in_band(plant, 1.0, 2.0)
+        yield lambda Cy=Cy, K=K: synth.worst_norm(plant, Cy, K, [0.1] * q, [0.1] * m)
+        yield lambda Cy=Cy, anywhere=anywhere, K=K: synth.multi_objective_design(
+            synth.MultiObjectiveProblem(
+                (synth.FamilyMember((synth.MeasuredPlant(plant, Cy),)),),
+                synth.NormSpecification(),
+                synth.GainErrors(np.zeros(q), np.zeros(m)),
+                anywhere,
+                gain=3.0,
+            ),
+            starts=[K],
+        )
+        yield lambda: synth.sampled_norm(
+            synth.SampledLoop(plant, (synth.HoldInterval(0.1, 0),), np.zeros((m, n)), np.zeros((0, n)), np.zeros((0, m))), 1.0
+        )
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+@pytest.mark.parametrize(("n", "m", "q"), [(2, 0, 1), (2, 1, 0), (0, 0, 0), (0, 1, 1)])
+def test_what_is_missing_is_said(n, m, q, dt):
+    """Without an input, a measurement or a state every public function answers, or says in one line what is missing."""
+    rng = np.random.default_rng(1)
+    A, shapes = 0.3 * rng.standard_normal((n, n)) - (dt is None) * np.eye(n), ((n, m), (n, 1), (2, n), (2, m))
+    plant = GeneralizedPlant(A, *(rng.standard_normal(shape) for shape in shapes), np.zeros((2, 1)), dt=dt)
+    for call in every_function(plant, q, rng):
+        asked(call)
+
+
+def test_no_norm_without_w_or_z():
+    """A plant without a disturbance or an output has no norm, and is refused where it is made."""
+    one, none = np.ones((1, 1)), np.zeros((1, 0))
+    for Bw, C, Dw, message in ((none, one, none, "Bw has no columns"), (one, none.T, none.T, "C has no rows")):
+        with pytest.raises(InputError, match=message):
+            GeneralizedPlant(-one, one, Bw, C, np.ones((len(C), 1)), Dw)
+
+
+def test_without_an_input_the_lower_bound_is_the_norm():
+    """What no input changes is the norm itself, of continuous and discrete plants."""
+    for dt in (None, 0.1):
+        A = np.array([[-1.0, 2.0], [0.0, -3.0]]) if dt is None else np.array([[0.5, 0.3], [0.0, 0.2]])
+        plant = GeneralizedPlant(A, np.zeros((2, 0)), np.ones((2, 1)), np.eye(2), np.zeros((2, 0)), np.zeros((2, 1)), dt=dt)
+        assert find_lower_bound(plant).gamma == pytest.approx(synth.hinf_norm(plant).value, rel=1e-4)  # the path's end
 
 
 def test_what_rounding_leaves_without_an_answer_is_said():

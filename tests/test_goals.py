@@ -14,12 +14,13 @@ from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.figures.figure import Spans
+from models.laws.goals import BOUND_KINDS
 from models.laws.linear import static_law
 from models.roads.road import Bump
-from models.vehicle.goals import BOUND_KINDS
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.analysis.norm import gain_at, hinf_norm
+from synth.analysis.specification import Specification
 from synth.command.responses import responses_figure
 from synth.command.table import Row
 from synth.controller.controller import InterruptedDesign
@@ -36,6 +37,7 @@ from synth.vehicle.designer import Designer, certify_given
 from synth.vehicle.multi_objective import goal_problem, run_search
 from tests import shared
 from tests.analysed import continuous_response
+from tests.benchmarks.states import chain
 from tests.commands import main_of, refused
 
 HZ = 2 * np.pi
@@ -714,6 +716,27 @@ def test_a_design_says_of_what_stability_is_not_proved():
     stable = replace(asked.members[0].posed[0].plant, A=-np.eye(2))
     members = (FamilyMember((replace(asked.members[0].posed[0], plant=stable),)), asked.members[0])
     assert replace(found, problem=replace(asked, members=members)).unproved == (1,)
+
+
+def test_without_errors_poles_prove_stability():
+    """Without errors a stable loop is proved by its poles, of plants too large for the proof of a box, and of discrete ones."""
+    plant, Cy = chain(40)
+    none, anywhere = GainErrors(np.zeros(1), np.zeros(1)), np.ones((1, 1), dtype=bool)
+    for each in (plant, replace(plant, A=0.5 * np.eye(40), dt=0.1)):
+        for growth, unproved in ((0.0, ()), (2.0, (0,))):
+            moved = replace(each, A=each.A + growth * np.eye(40))
+            asked = MultiObjectiveProblem(
+                (FamilyMember((MeasuredPlant(moved, Cy[:1]),)),), NormSpecification(), none, anywhere, gain=5.0
+            )
+            assert MultiObjectiveDesign(np.zeros((1, 1)), 1.0, None, (), asked).unproved == unproved
+
+
+def test_what_is_not_proved_has_no_bound():
+    """A promise without a proved bound, as where a proof was ended early, says so, and is not kept."""
+    open_ = Specification("norm", 6.0, proved=np.inf, at_most=7.0)
+    assert open_.text == "norm 6, no bound proved; at most 7 is allowed"
+    assert (open_.proved_text, open_.holds) == ("not proved", False)
+    assert replace(open_, proved=6.5).text == "norm 6, proved to be at most 6.5; at most 7 is allowed"
 
 
 @pytest.mark.attack

@@ -54,7 +54,7 @@ def test_values(value):
     [
         *(
             ("[controllers.I]", f'[controllers.own]\nmeasured = ["control_force_rear_left"]\norder = {value}\n[controllers.I]',
-             f"[controllers.own] order = {value.title()} is not known; known: full")
+             f"[controllers.own] order = {value.title()} is not known; known: full, static")
             for value in ("true", "0", "[]")
         ),
         ("[controllers.I]", "[implementation]\nquantisation = { heave_acc = 1.0 }\n[controllers.I]",

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
+from models.laws.combinations import COMMANDS, DEMANDS, KEYS, KINDS, QUADRATIC, goes, refusal
 from models.roads.road import Bump
-from models.vehicle.combinations import COMMANDS, DEMANDS, KEYS, KINDS, goes, refusal
-from models.vehicle.controllers import QUADRATIC
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect

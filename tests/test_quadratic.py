@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, linalg
 
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
@@ -16,6 +16,7 @@ from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_d
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
+from tests.commands import attacks
 from tests.test_noise import noisy
 from tests.test_units import Moved
 
@@ -178,3 +179,27 @@ def test_refused():
         lqg_design(plant, Cy, [-0.1] * len(Cy))
     with pytest.raises(InputError, match="no disturbance"):
         lqr_design(replace(plant, Bw=0 * plant.Bw))
+
+
+def regular_problem(seed: int) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:
+    """A random plant whose z weighs every force, and all of whose measurements are noisy."""
+    rng = np.random.default_rng(seed)
+    n, m, q = (int(rng.integers(low, high)) for low, high in ((1, 6), (1, 4), (1, 4)))
+    d, r = m + int(rng.integers(0, 3)), q + int(rng.integers(0, 3))
+    A, B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, n), (n, m), (n, r), (d, n), (d, m)))
+    return GeneralizedPlant(A, B, Bw, C, D, np.zeros((d, r))), rng.standard_normal((q, n)), rng.standard_normal((q, r))
+
+
+# Of 49, 176, 273, 283 and 295 a force costs, or a measurement has, little against the plant's own size, and something.
+@pytest.mark.parametrize("seed", [0, 1, 49, 176, 273, 283, 295, *attacks(range(2, 49))])
+def test_the_optimum_of_a_regular_problem(seed):
+    """The H2 norm of a regular problem is that of two Riccati equations (Zhou, Doyle, Glover 1996, 14.5); nothing is assumed."""
+    plant, Cy, Dyw = regular_problem(seed)
+    A, B, Bw, C, D = plant.A, plant.B, plant.Bw, plant.C, plant.D
+    X = linalg.solve_continuous_are(A, B, C.T @ C, D.T @ D, s=C.T @ D)
+    Y = linalg.solve_continuous_are(A.T, Cy.T, Bw @ Bw.T, Dyw @ Dyw.T, s=Bw @ Dyw.T)
+    F = -np.linalg.solve(D.T @ D, B.T @ X + D.T @ C)
+    squared = np.trace(Bw.T @ X @ Bw) + np.trace(D @ F @ Y @ F.T @ D.T)
+    found = h2_design(plant, Cy, Dyw)
+    assert found.h2_norm**2 == pytest.approx(squared, rel=1e-6, abs=1e-9 * np.trace(C @ C.T) * np.trace(Bw @ Bw.T))  # rounding
+    assert found.remark == ""

@@ -94,10 +94,12 @@ def test_unknown_kind_is_named(hopper):
 
 
 def test_any_plant(capsys):
-    """The plant from matrices is designed and certified."""
+    """The plant from matrices is designed and certified, in every way of the snippet."""
     (snippet,) = section("synth/README.md", "Any plant").blocks("python")
     exec(snippet, {})
-    assert capsys.readouterr().out.endswith("()\n")
+    out = capsys.readouterr().out
+    assert "the two steps lead to a gain" in out
+    assert out.count("certificate: holds") == 3
 
 
 def test_a_discrete_plant(capsys):

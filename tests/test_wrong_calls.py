@@ -117,6 +117,12 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             synth.static_output_feedback,
             {**measured, "largest_gain": 100.0, "lower_bound": None, "Dyw": None},
         ),
+        "design_feedback": (
+            synth.design_feedback,
+            {**measured, "Dyw": None, "order": "static", "design": None, "stable": False, "noise": (), "sample_period": None}
+            | {"delay": 0.0, "minimise": None, "bounds": (), "tolerance": None, "family": (), "structure": None}
+            | {"largest_gain": None, "lower_bound": None, "states": states},
+        ),
         "refine": (synth.refine, {**measured, "K": K, "Dyw": None}),
         "slack_design": (synth.slack_design, {"plants": [plant], "Cys": [Cy], "structure": None, "f": (0.3,)}),
         "NormSpecification": (synth.NormSpecification, {"which": 0, "band": (1.0, 3.0), "at_most": 1.0, "name": "mine"}),
@@ -191,12 +197,12 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
 # What is right after all: another value of the same type, or what is left out by default.
 GOOD = {
     "None": "folder varied usual suspended sample_period beyond dt lower_bound Dyw structure decay gain bests noise X eta "
-    "by_itself through enough Cy beyond_control iri motion",
+    "by_itself through enough Cy beyond_control iri motion order design minimise tolerance largest_gain",
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
     "force stiffness damping stem",
     "-1": "height depth amplitude factor index",
     "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
-    "names measured",
+    "names measured noise bounds family",
 }
 # By what the text has, or by the parameter that a value is of.
 NAMED_OTHERWISE = {

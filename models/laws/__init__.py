@@ -1,1 +1,3 @@
-"""Laws of controllers: linear, semi-active, and in Python of the user's own, which is run here."""
+"""Laws of controllers: linear, semi-active, and in Python of the user's own; and what a controller's section asks for."""
+
+GOAL_KEYS = ("minimise", "bounds", "tolerance", "family", "structure")  # keys of goals in a controller's section

@@ -14,20 +14,18 @@ from models.common.errors import InputError, alike, listing, quoted
 from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
 from models.kinds.linear_model import LinearModel
+from models.laws import GOAL_KEYS
+from models.laws.combinations import FULL, QUADRATIC, STATIC, check_together, goes, section_parts
 from models.laws.linear import MATRICES, LinearLaw, static_law
 from models.laws.python_law import Programmed, PythonLaw, read_law
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
-from models.vehicle import GOAL_KEYS
-from models.vehicle.combinations import check_together, goes, section_parts
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
 from models.vehicle.sections import goals_of, loads_of, read_sampled
 
 if TYPE_CHECKING:
-    from models.vehicle.goals import Goals
+    from models.laws.goals import Goals
 
-QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square; without it the paper's two steps
-FULL = "full"  # value of `order`
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # the law
     "anti_windup",
@@ -271,10 +269,10 @@ def _hardware(
 
 def _design(where: str, entry: Mapping[str, Any]) -> str:
     """Returns the method of design, see `ControllerEntry`."""
-    for key, allowed in {"order": (FULL,), "design": QUADRATIC}.items():
+    for key, allowed in {"order": (STATIC, FULL), "design": QUADRATIC}.items():
         if key in entry and entry[key] not in allowed:
             raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}")
-    return entry.get("order", entry.get("design", ""))
+    return FULL if entry.get("order") == FULL else entry.get("design", "")
 
 
 def _stable(where: str, entry: Mapping[str, Any]) -> bool:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.errors import InputError, listing, quoted
 from models.kinds.kind import VehicleKind
-from models.vehicle import GOAL_KEYS
+from models.laws import GOAL_KEYS
 
 if TYPE_CHECKING:
+    from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.vehicle.filter import Filter
-    from models.vehicle.goals import Goals
     from models.vehicle.limits_and_implementation import Limits
 
 
@@ -134,7 +134,7 @@ def goals_of(
     """Returns the goals of a controller's section, or None if it has no goals; arguments and errors as for `read_goals`."""
     if not any(key in entry for key in GOAL_KEYS):
         return None
-    from models.vehicle.goals import read_goals
+    from models.laws.goals import read_goals
 
     return read_goals(where, entry, measured, outputs, kind)
 

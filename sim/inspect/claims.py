@@ -11,7 +11,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import finite
 from models.kinds.signals import is_kept
-from models.vehicle.controllers import QUADRATIC
+from models.laws.combinations import QUADRATIC
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
     FAILS,

@@ -117,7 +117,7 @@ def goals_table(controllers: Sequence[Controller]) -> Table | None:
         Column("goal", lambda of: f"{of[1].what} ({of[1].where})" if of[1].where else of[1].what),
         Column("unit", lambda of: of[1].unit or "-"),
         Column("value", lambda of: of[1].value, digits),
-        Column("proved to be at most", lambda of: "exact" if of[1].proved is None else of[1].proved, digits),
+        Column("proved to be at most", lambda of: of[1].proved_text),
         Column("allowed", lambda of: of[1].at_most, digits),
         Column("kept", lambda of: "yes" if of[1].holds else "NO"),
     )

@@ -39,7 +39,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import Norm, gain_at, hinf_norm
 from synth.analysis.rigorous import SMALLEST, Definiteness, definiteness, floats, integers, product, zeros
 from synth.analysis.stability import Stability, balance, beside_weights, stability
-from synth.plant.generalized import Feedback, GeneralizedPlant
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_states
 from synth.plant.numerics import numerics
 from synth.plant.units import speed
 
@@ -314,6 +314,7 @@ def certify(
         >>> certificate.stable, f"{certificate.norm.value:.4f}"
         (True, '0.2903')
     """
+    check_states(len(plant.A))
     if X is not None:
         check_shape("X", X, plant.A.shape, "as the plant has so many states")
     loop = plant.closed_loop(G)

@@ -35,7 +35,7 @@ from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, Positive, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import GeneralizedPlant, check_states
 
 SHORT = 0.5  # norm of H times the short time: S22 is then within 0.65 of I, and regular
 TERMS = 14  # of the series of S: the next is 0.5^15 / 15!, below 1e-16
@@ -185,6 +185,14 @@ class HoldInterval(Checked):
     late: Index
 
 
+def hold_intervals(period: float, delay: float) -> tuple[HoldInterval, ...]:
+    """Returns the parts of a sample period [s] for a delay [samples]: two if it has a fraction of a period."""
+    late = math.floor(delay)
+    share = delay - late
+    pieces = ((share, late + 1), (1 - share, late)) if share else ((1.0, late),)
+    return tuple(HoldInterval(part * period, samples) for part, samples in pieces)
+
+
 @dataclass(frozen=True, eq=False)
 class SampledLoop(Checked):
     """A plant with a discrete controller.
@@ -215,6 +223,7 @@ class SampledLoop(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         (n, m), k = self.plant.B.shape, len(self.A_register)
+        check_states(n)
         check_shape("K", self.K, (m, n + k), f"as the plant has n = {n} and m = {m}, and A_register says k = {k}")
         check_shape("A_register", self.A_register, (k, n + k), f"as the plant has n = {n} states")
         check_shape("B_register", self.B_register, (k, m), f"as the plant has m = {m} inputs")

@@ -39,11 +39,18 @@ class Specification:
         return bool(known < float("inf") if self.at_most is None else known <= self.at_most + SAME * abs(self.at_most))
 
     @property
+    def proved_text(self) -> str:
+        """The proved upper bound as text."""
+        return "exact" if self.proved is None else "not proved" if self.proved == math.inf else digits(self.proved)
+
+    @property
     def text(self) -> str:
         """The specification on one line."""
         unit = f" {self.unit}" if self.unit else ""
         proved = "" if self.proved is None else f", proved to be at most {digits(self.proved)}{unit}"
-        if self.proved is not None and digits(self.proved) == digits(self.value):
+        if self.proved == math.inf:
+            proved = ", no bound proved"
+        elif self.proved is not None and digits(self.proved) == digits(self.value):
             proved = ", proved"
         allowed = "" if self.at_most is None else f"; at most {digits(self.at_most)}{unit} is allowed"
         where = f" ({self.where})" if self.where else ""

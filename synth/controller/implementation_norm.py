@@ -12,11 +12,10 @@ import numpy as np
 from models import USUAL_TIMESTEP
 from models.common.errors import InputError
 from models.vehicle.controllers import NOMINAL, ControllerEntry
-from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.norm import hinf_norm
 from synth.analysis.record import SAMPLED_BOUND, read_sampled_bound
-from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem, SampledLoop
+from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_intervals
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
@@ -53,7 +52,7 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
         rms = np.array(controller.hardware.noise)
         heard = cut.reading @ np.diag(rms)[:, rms > 0] / math.sqrt(period)  # as in `SampledDataProblem`
         noise = np.vstack([heard[: cut.forces], period * heard[cut.forces :]])
-    return SampledLoop(plant, pieces_of(how, period), G[: cut.forces], memory, period * cut.hold, noise)
+    return SampledLoop(plant, hold_intervals(period, how.delay), G[: cut.forces], memory, period * cut.hold, noise)
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
@@ -70,7 +69,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
         )
     Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
-    return SampledDataProblem(plant_as_built(vehicle), Cy, through, pieces_of(how, how.sample_period), rms)
+    return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(how.sample_period, how.delay), rms)
 
 
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
@@ -89,11 +88,6 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
         return (f"{claimed}, and [implementation] has no sample_period",)
     bound = read_sampled_bound(record, held_problem(vehicle, entry))
     return () if bound.holds else (f"{claimed}, and its proof does not hold with this vehicle",)
-
-
-def pieces_of(how: Implementation, period: float) -> tuple[HoldInterval, ...]:
-    """Returns the consecutive parts of a sample period [s]: two if the delay has a fraction of a period."""
-    return tuple(HoldInterval(share * period, late) for share, late in how.hold_intervals)
 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:

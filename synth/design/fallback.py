@@ -1,33 +1,53 @@
-"""The two steps, and where they cannot be gone to their end, descent on the norm: a design either way, and said which.
+"""Static gains: the two steps, and where they cannot be gone to their end, descent on the norm. The result says which, and why.
 
-A central path may break off, or have no end at a finite gain, and problems may be too large for it. That says nothing against a
-gain: the strategy of `static.py` needs no path. Where there is no solution, as the second problem proves from every X, it is left
-at that: that is an answer, and the descent has its own door. But for feedback of a vehicle's states where filters have states,
-too: that is what others are held against, and is to be there. And where there is a solution that filters or noise leave far from
-what could be had, the descent goes on from it.
+A central path may break off, or have no end at a finite gain, and problems may be too large for it. Problem (25) may have no
+solution from any X tried. None of that says that there is no gain: the strategy of `static.py` needs no path. What does say so is
+known first, and named: a mode that no force reaches or no measurement shows, or poles that no gain moves. And where there is a
+solution that filters or noise leave far from what could be had, the descent goes on from it.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.common.printed import percent
+from models.laws.linear import static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.design.two_step import Design, as_measurement_matrix, two_step_design, with_redundant_rows
+from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
+from synth.design.static import LARGEST_GAIN, descended
+from synth.design.two_step import Design, as_measurement_matrix, two_step_design, with_redundant_rows, zero_l_design
 from synth.lmi.central_path import CentralPoint
-from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant, check_inputs
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
+NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
-def _lost(plant: GeneralizedPlant, steps: Design) -> str:
+def check_stabilisable(plant: GeneralizedPlant, Cy: Array, states: Sequence[str] = ()) -> None:
+    """Raises an InfeasibleError if a single mode, or the poles' sum or product, keeps every static gain from stabilising."""
+    reasons = stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)
+    if reasons:
+        raise InfeasibleError("; ".join(reasons))
+
+
+def _lost(plant: GeneralizedPlant, steps: Design, largest_gain: float) -> str:
     """Why a design of the two steps is not left at that, in words; empty where it is.
 
     The X of (22) feeds back every state, those of filters too, which y does not have and no control moves; L (14) ties a gain
     to that X all the same. So with filters, and with them alone, the two steps are mended rather than believed.
     """
+    entry = float(np.abs(steps.gain).max(initial=0.0))
+    if largest_gain < LARGEST_GAIN and entry > largest_gain:
+        return f"they lead to a gain of {entry:.4g}, and {largest_gain:g} is the largest allowed"
     gap = steps.certificate.gap
     if not plant.weights or (gap is not None and gap <= FAR):
         return ""
@@ -35,50 +55,84 @@ def _lost(plant: GeneralizedPlant, steps: Design) -> str:
     return f"they come to {steps.certificate.norm.value:.7g}{far}, as their X feeds back the states of filters, which y has not"
 
 
+@numerics()
 def two_steps_or_descent(
     plant: GeneralizedPlant,
     Cy: Array,
     path: Callable[[], Sequence[CentralPoint]] = tuple,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    always: bool = False,
     Dyw: Array | None = None,
+    largest_gain: float = LARGEST_GAIN,
 ) -> Design:
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
     Args:
         plant, Cy, lower_bound, states: as for `two_step_design`.
         path: returns the central path of (22) if it is known already, or raises.
-        always: descend also if the second problem has no solution.
         Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
+        largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
 
     Raises:
+        InputError: the plant has no input, or a matrix does not fit it.
+        InfeasibleError: no static gain stabilises the plant; the message names the mode.
         DesignError: neither finds a gain whose certificate holds; the message gives the reason. A certificate may lack a bound
             if rounding leaves no proof, as for the large gains of 60 states; then the result says so.
     """
-    two_steps = None
+    check_inputs(plant)
+    rows, kept = as_measurement_matrix(plant, Cy)
+    check_stabilisable(plant, rows, states)
+    two_steps = failure = None
     try:
         two_steps = two_step_design(plant, Cy, path(), lower_bound, states)
-        reason = KNOW_NO_NOISE if Dyw is not None else _lost(plant, two_steps)
+        reason = KNOW_NO_NOISE if Dyw is not None else _lost(plant, two_steps, largest_gain)
         if not reason:
             return two_steps
-    except DesignError as error:
-        if isinstance(error, InfeasibleError) and not always:
-            raise
-        reason = error
-    from synth.design.static import LARGEST_GAIN, descended
-
-    rows, kept = as_measurement_matrix(plant, Cy)
-    start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else str(reason)
+    except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
+        reason, failure = (NOT_FROM_THESE if isinstance(error, InfeasibleError) else str(error)), error
+    start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     noise = Dyw[kept] if Dyw is not None else None
     try:
-        by_descent = descended(plant, rows[kept], start, lower_bound=lower_bound, Dyw=noise)
+        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise)
+        certificate, gain = by_descent.certificate, by_descent.gain
+        how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
+        if certificate.failures:
+            raise DesignError("; ".join(certificate.failures))
     except DesignError as error:
-        raise DesignError(f"{reason}; descent on the norm: {error}") from error
-    certificate = by_descent.certificate
-    if certificate.failures:
-        raise DesignError(f"{reason}; descent on the norm: {'; '.join(certificate.failures)}")
-    how = f"by descent on the norm from {by_descent.origin}, no gain larger than {LARGEST_GAIN:g}"
+        left = _known_gain(plant, rows[kept], start, lower_bound, noise)
+        if left is None:
+            raise DesignError(
+                f'{failure or reason}; descent on the norm: {error}; or give order = "full", a law with states'
+            ) from error
+        gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
-    return with_redundant_rows(Design(by_descent.gain, certificate, instead=instead), kept, len(rows), 0.0)
+    return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(rows), 0.0)
+
+
+def _known_gain(
+    plant: GeneralizedPlant, Cy: Array, two_steps: Design | str, lower_bound: LowerBound | None, Dyw: Array | None
+) -> tuple[Array, Certificate, str] | None:
+    """Returns a certified gain where descents find none, and how it is known; None if no gain is known."""
+
+    def of_two_steps() -> Array | None:
+        return two_steps.gain if isinstance(two_steps, Design) else None
+
+    def of_zero_l() -> Array | None:
+        return zero_l_design(plant, Cy).gain
+
+    def no_control() -> Array | None:
+        return np.zeros((plant.B.shape[1], len(Cy))) if is_stable(plant.A, plant.dt) else None
+
+    for how, known in (
+        ("the gain of the two steps as it is", of_two_steps),
+        ("the second step with L = 0", of_zero_l),
+        ("no control, which leaves the plant stable", no_control),
+    ):
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            gain = known()
+            if gain is not None:
+                certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(gain), Dyw), lower_bound, by_itself=plant)
+                if not certificate.failures:
+                    return gain, certificate, how
+    return None

@@ -25,7 +25,15 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.norm import hinf_norm
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import first_step, second_step, together
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_continuous, check_posed, measurement_matrices, real_matrix
+from synth.plant.generalized import (
+    Feedback,
+    GeneralizedPlant,
+    check_continuous,
+    check_inputs,
+    check_posed,
+    measurement_matrices,
+    real_matrix,
+)
 from synth.plant.numerics import DesignError, numerics
 from synth.plant.units import NormalisedSystem, own_units, reachable
 
@@ -132,6 +140,7 @@ def _checked(
     if not plants or len(plants) != len(Cys):
         raise InputError(f"{len(plants)} plants and {len(Cys)} matrices in Cys; give at least one plant, and a C_y for each")
     for plant in plants:
+        check_inputs(plant)
         check_continuous(plant)
         check_posed(plant)
     checked = [measurement_matrices(plant, Cy)[0] for plant, Cy in zip(plants, Cys, strict=True)]

@@ -10,12 +10,12 @@ No quick method finds the best static gain for sure. Three things make a poor on
 - *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`).
 
 The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
-something worse, so the result is not worse than the two steps refined. The same plant gives the same gain: all samples have fixed
-seeds.
+something worse, so the result is not worse than the two steps refined. Of gains with the same norm, as where a gain at rest
+decides it, the smallest on the way to no control is taken. The same plant gives the same gain: all samples have fixed seeds.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,8 @@ from models.laws.linear import static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
 from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges, quasi_newton
@@ -34,8 +36,9 @@ from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.descent.symmetry import Symmetry
 from synth.design.two_step import Design, two_step_design
+from synth.lmi.output_feedback import independent_rows
 from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_states, measured_with
+from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
@@ -53,6 +56,10 @@ WORTH = 3e-4  # relative; what a turn of further descents must gain for another
 LONGEST = 20  # turns of descents from one candidate; of a large plant, whose turns take many seconds, fewer
 IDLE = 6  # descents from the winner's surroundings in a row that find nothing better: enough; one where the winner is close
 SURROUNDINGS = (0.03, 0.1, 0.3, 1.0) * 4  # how far from the winner they start, in logarithms
+EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two routes
+SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
+MISSED = 3  # until so many in a row have another,
+HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +106,7 @@ def static_output_feedback(
 
     Args:
         plant: n states, m inputs.
-        Cy: shape (q, n), full row rank.
+        Cy: shape (q, n); rows that follow from others get a gain of zero.
         largest_gain: bound on |K_ij|, in the units given: another unit is another problem. Where the infimum lies at infinity,
             this is what keeps the gain finite. (The search itself is made in balanced coordinates, and of two that differ by
             units one may end in another valley; what is proved of either is true.)
@@ -120,13 +127,17 @@ def static_output_feedback(
         >>> design.gain.shape, f"{design.certificate.norm.value:.4f}"
         ((1, 1), '0.2500')
     """
-    check_states(len(plant.A))
+    check_inputs(plant)
     Cy, Dyw = measured_with(plant, Cy, Dyw)
+    kept = independent_rows(plant, Cy)
     try:
-        two_steps = two_step_design(plant, Cy)
+        two_steps = two_step_design(plant, Cy[kept])
     except InputError as error:
         two_steps = str(error)
-    return descended(plant, Cy, two_steps, largest_gain, lower_bound, Dyw)
+    found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept])
+    gain = np.zeros((len(found.gain), len(Cy)))
+    gain[:, kept] = found.gain
+    return replace(found, gain=gain)
 
 
 @numerics()
@@ -150,7 +161,7 @@ def descended(
             f"than {largest_gain:g}"
         )
     best = search.best(candidates)
-    K = search.landscape.gain(best.x)
+    K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
     return StaticDesign(K, certificate, steps, without, best.origin, starts)
@@ -182,10 +193,11 @@ class _Search:
     def starts(self) -> list[Candidate]:
         """Stable points of many sizes."""
         sampled = survey(self.landscape, self.limit)
-        candidates = [
+        candidates = self.admitted(np.zeros_like(self.limit), "no control")
+        candidates += [
             each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
-        numbers = range(FEW if len(candidates) >= ENOUGH_SAMPLES else MANY)
+        numbers = range(FEW if len(sampled) >= ENOUGH_SAMPLES else MANY)
         if len(self.plant.A) > LARGE:
             for x in projected_starts(self.landscape):
                 candidates += self.admitted(x, "a projected state feedback")
@@ -202,6 +214,32 @@ class _Search:
         x = np.clip(self.symmetry.smallest(x), -self.limit, self.limit)
         norm, _ = self.landscape.norm(x)
         return [Candidate(x, norm, origin)] if np.isfinite(norm) else []
+
+    def smallest(self, best: Candidate) -> Array:
+        """The smallest multiple of a candidate's gain whose loop has the same norm, to a thousandth, shape (m, q).
+
+        The landscape loses digits where a gain is huge, and does not decide it.
+        """
+        K = self.landscape.gain(best.x)
+        most = max(self.own_norm(K) * (1 + EQUAL), self.nothing)
+        least, refused, missed = 1.0, 0.0, 0
+        for share in SHARES:
+            if self.own_norm(share * K) <= most:
+                least, missed = share, 0
+            else:
+                refused, missed = (share, 1) if not missed else (refused, missed + 1)
+            if missed == MISSED:
+                break
+        for _ in range(HALVINGS if least < 1 else 0):
+            middle = (least + refused) / 2
+            least, refused = (middle, refused) if self.own_norm(middle * K) <= most else (least, middle)
+        return least * K
+
+    def own_norm(self, K: Array) -> float:
+        """The norm of a gain's loop by two routes; infinite where it is not stable."""
+        plant, G = on_larger_plant(self.plant, self.Cy, static_law(K), self.Dyw)
+        loop = plant.closed_loop(G)
+        return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""

@@ -24,7 +24,7 @@ from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
 from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_states, measurement_matrices
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, check_states, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import own_units, size
 
@@ -391,7 +391,8 @@ def zero_l_design(plant: GeneralizedPlant, Cy: Array, lower_bound: LowerBound | 
 
 
 def as_measurement_matrix(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, list[int]]:
-    """C_y, checked, and which of its rows do not follow from those before them."""
+    """C_y, checked, and which of its rows do not follow from those before them, for a plant with inputs."""
+    check_inputs(plant)
     Cy = measurement_matrices(plant, Cy)[0]
     return Cy, independent_rows(plant, Cy)
 

@@ -230,6 +230,11 @@ def _feasible(plant: GeneralizedPlant) -> Array:
     rate = nearest_power(size(own.A) if own.A.any() else units.rate) if plant.dt is None else 1.0
     weight = nearest_power(size(own.C))
     A, B, C, D = own.A / rate, own.B / rate, own.C / weight, own.D / weight
+    if not B.shape[1]:  # without an input, as for open-loop control, it is a Lyapunov equation
+        lyapunov = linalg.solve_continuous_lyapunov if plant.dt is None else linalg.solve_discrete_lyapunov
+        P = weight**2 / rate * lyapunov(A.T, (-1 if plant.dt is None else 1) * (C.T @ C + size(C) ** 2 * np.eye(len(A))))
+        X = np.linalg.inv(np.linalg.cholesky((P + P.T) / 2)) * units.states
+        return X.T @ X
     used = np.linalg.norm(B, axis=0)
     cost = size(C) / size(A) * np.where(used > 0, used, 1.0)
     states = C.T @ C + size(C) ** 2 * np.eye(len(A))

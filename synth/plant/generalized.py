@@ -91,6 +91,9 @@ class GeneralizedPlant:
                     f"{name} has shape {matrix.shape}, and must have {shape}: A has {size['n']} row(s), B {size['m']} column(s), "
                     f"Bw {size['r']} column(s) and C {size['d']} row(s)"
                 )
+        for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
+            if not count:
+                raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, of zeros if there is none")
         if check("weights", self.weights, Index) > size["n"]:
             raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
         if self.beyond is not None:
@@ -220,6 +223,13 @@ def check_states(n: int) -> None:
     """Raises an InputError if a plant has no state; parts that are split off a plant need none."""
     if not n:
         raise InputError("A has shape (0, 0), a plant without a state, where gains have nothing to act on; give it one")
+
+
+def check_inputs(plant: GeneralizedPlant) -> None:
+    """Raises an InputError if a plant has no state or no input, where nothing can be designed."""
+    check_states(len(plant.A))
+    if not plant.B.shape[1]:
+        raise InputError("B has no columns, a plant without an input, where no gain acts; give it the column of each force")
 
 
 def check_continuous(plant: GeneralizedPlant) -> None:

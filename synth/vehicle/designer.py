@@ -10,8 +10,8 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
+from models.laws.combinations import check_command, goes
 from models.laws.linear import LinearLaw, static_law
-from models.vehicle.combinations import check_command, goes
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
@@ -228,10 +228,7 @@ class Designer:
         elif zero_l:
             design = zero_l_design(posed.plant, posed.Cy, lower_bound)
         else:
-            always = entry.name == "state" or posed.Dyw is not None
-            design = two_steps_or_descent(
-                posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, always, posed.Dyw
-            )
+            design = two_steps_or_descent(posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, posed.Dyw)
         return designed(self.vehicle, entry, design)
 
     @at_the_door

@@ -1,6 +1,5 @@
 """A controller that is designed for the goals of its section: the problem that they are, and what it keeps of them, certified."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -9,10 +8,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
+from models.laws.goals import REGRET, EnergyBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import LinearLaw, static_law
 from models.roads.road import Road, delays, under_wheels
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import REGRET, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
@@ -20,14 +19,13 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import Specification
 from synth.controller.controller import Controller, InterruptedDesign
 from synth.controller.problem import Problem, measurements, problem
-from synth.design.multi_model import slack_design
 from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, multi_objective_design
 from synth.design.multi_objective.objectives import BoundedSignal
-from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.multi_objective.plant_goals import norms_of, posed_goals
+from synth.design.multi_objective.problem import FamilyMember, MeasuredPlant, MultiObjectiveProblem
 from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import Told
-from synth.design.two_step import two_step_design
-from synth.plant.numerics import DesignError
+from synth.design.multi_objective.two_step_starts import remarks, run_search, two_step_gains, with_individual_optima
 from synth.vehicle.verification import Verification
 
 USUAL_SPEED = 12.5  # m/s, the paper's (62)
@@ -63,7 +61,7 @@ def goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mult
 
 def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> MultiObjectiveProblem:
     vehicles = family_of(vehicle, entry, goals)
-    norms = [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
+    norms = norms_of(goals)
     bounded = [(f"[controllers.{entry.name}] bounds[{i}]", bound) for i, bound in enumerate(goals.bounds)]
     peaks = [(bound, _road(where, vehicle, bound)) for where, bound in bounded if isinstance(bound, PeakBound)]
     energies = [(where, bound) for where, bound in bounded if isinstance(bound, EnergyBound)]
@@ -75,27 +73,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
         )
         for each in vehicles
     )
-    bounds = [
-        NormSpecification(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
-        for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
-    ]
-    inputs = vehicle.linear_model.inputs
-    m, q = len(inputs), len(entry.measured)
-    errors = GainErrors(
-        np.array([goals.tolerance.get(signal, 0.0) for signal in entry.measured]),
-        np.array([goals.force_error(force) for force in inputs]),
-    )
-    structure = np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure)
-    return MultiObjectiveProblem(
-        members,
-        NormSpecification(0, goals.minimise.rates),
-        errors,
-        structure,
-        norms=tuple(bounds),
-        decay=_strictest([bound.rate for bound in goals.bounds if isinstance(bound, DecayBound)], max),
-        peaks=tuple(bound.at_most for bound, _ in peaks),
-        gain=_strictest([bound.at_most for bound in goals.bounds if isinstance(bound, GainBound)], min),
-    )
+    return posed_goals(goals, members, entry.measured, vehicle.linear_model.inputs)
 
 
 def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
@@ -165,10 +143,6 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
     if not np.isfinite(road.duration):
         raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
     return road
-
-
-def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) -> float | None:
-    return of(values) if values else None
 
 
 def goals_design(
@@ -268,71 +242,5 @@ def cost_of_structure(problem: MultiObjectiveProblem, design: MultiObjectiveDesi
     whole = replace(problem, structure=np.ones_like(problem.structure))
     if np.all(problem.structure):
         return ()
-    goal = min(multi_objective_design(whole, [design.gain, *_two_steps(whole)]).goal, design.goal)
+    goal = min(multi_objective_design(whole, [design.gain, *two_step_gains(whole)]).goal, design.goal)
     return (f"its structure costs {percent(design.goal / goal - 1)}: a gain with every entry comes to {goal:.7g}",)
-
-
-def with_individual_optima(problem: MultiObjectiveProblem) -> MultiObjectiveProblem:
-    """The same, of the largest ratio to what each member has by itself, within the same bounds.
-
-    Raises:
-        DesignError: one has nothing within the bounds.
-    """
-    bests = []
-    for i in range(len(problem.members)):
-        try:
-            bests.append(run_search(problem.alone(i)).goal)
-        except DesignError as error:
-            raise DesignError(f"family[{i}] by itself: {error}") from error
-    return replace(problem, bests=tuple(bests))
-
-
-def run_search(problem: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
-    """Runs the search, started from two-step designs of some members and from its own starts."""
-    return multi_objective_design(problem, _two_steps(problem), on_progress, lambda: _slack(problem))
-
-
-def _slack(problem: MultiObjectiveProblem) -> list[Array]:
-    """The gain of the two steps with a slack variable, for all members at once."""
-    plants, kept = [member.posed[0] for member in problem.members], _of_state(problem.members[0].posed[0])
-    try:
-        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], problem.structure[:, kept]).gain
-        return [plants[0].on_readings(_whole(few, kept))]
-    except InputError:
-        return []
-
-
-def _of_state(posed: MeasuredPlant) -> Array:
-    """Returns True for the measurements that say something of the state, shape (q,): of forces alone nothing is designed."""
-    return np.any(posed.Cy != 0, axis=1)
-
-
-def _whole(few: Array, kept: Array) -> Array:
-    """Returns a gain on some of the measurements as one on all."""
-    gain = np.zeros((len(few), len(kept)))
-    gain[:, kept] = few
-    return gain
-
-
-def _two_steps(problem: MultiObjectiveProblem) -> list[Array]:
-    """The gains of the two steps, of the first, middle and last member."""
-    count, gains = len(problem.members), []
-    for i in sorted({0, count // 2, count - 1}):
-        posed = problem.members[i].posed[0]
-        try:
-            kept = _of_state(posed)
-            gains.append(posed.on_readings(_whole(two_step_design(posed.plant, posed.Cy[kept]).gain, kept)))
-        except InputError:
-            continue
-    return gains
-
-
-def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
-    """Returns notes on a search."""
-    if design.rejected_improvement is None:
-        return ("designed for its goals, by descent from the two steps and other starts",)
-    return (
-        f"designed for its goals, by descent from the two steps and other starts; refused: "
-        f"{percent(design.rejected_improvement)} less for "
-        "up to twice the gain",
-    )

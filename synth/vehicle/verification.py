@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.common.arrays import Array
+from models.laws.goals import DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.laws.linear import static_law
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.analysis.energy_to_peak import energy_peaks

@@ -16,7 +16,7 @@ from models.common.printed import percent
 from synth.analysis.norm import hinf_norm
 from synth.design.descent.landscape import Landscape
 from synth.design.descent.minimax import along_edges
-from synth.plant.generalized import GeneralizedPlant, measured_with, real_matrix
+from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, real_matrix
 from synth.plant.numerics import DesignError, numerics
 
 WORTH = 1e-3  # of gamma, relative: what a growing gain must buy
@@ -80,6 +80,7 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
         >>> f"{refinement.before:.4f} to {refinement.after:.4f}"
         '0.4808 to 0.2500'
     """
+    check_inputs(plant)
     Cy, Dyw = measured_with(plant, Cy, Dyw)
     shape = (plant.B.shape[1], len(Cy))
     K = real_matrix(K, "K", str(shape))

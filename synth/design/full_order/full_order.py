@@ -30,7 +30,7 @@ from synth.design.static import LARGEST_GAIN, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.augmented import on_larger_plant
 from synth.plant.discrete import Mapped, mapped
-from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices
+from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 SINGULAR = 1e-12  # relative; what is this small is zero
@@ -162,6 +162,7 @@ def full_order_design(
         >>> design.law.states, f"{design.certificate.norm.value:.3f}", design.stable
         (2, '0.250', True)
     """
+    check_inputs(plant)
     Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
     check_posed(plant)
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):

@@ -6,9 +6,9 @@ estimates; no linear controller does better (the separation theorem; Anderson, M
 8).
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
-plant the second. Where a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
-assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control changes, and left
-out.
+plant the second. Where a measurement has no noise, or a force no cost, the problem is singular to rounding, and a small share
+of either is assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control
+changes, and left out.
 """
 
 from collections.abc import Sequence
@@ -24,11 +24,13 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.stability import balance, is_stable, stabilisability_failures
 from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_posed, measurement_matrices, real_matrix
+from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices, real_matrix
 from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.units import independent, own_units
 
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
+NOTHING = 1e-6  # of the plant's own size: less is none; half the digits of a Riccati equation are then left
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +158,17 @@ def quadratic_design(
     """
     if name != "lqr":
         return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
-    if len(Cy) < len(plant.A):
+    Cy, _ = measurement_matrices(plant, Cy)
+    kept, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
+    if len(kept) < n:
         raise DesignError(
-            "LQR feeds back every state, and those of filters in [performance] are not measured; give design = "
-            '"lqg" or "h2", or order = "full", or constant weights'
+            f"LQR feeds back every state, and {len(kept)} of {n} are measured; those of filters in [performance] never are: "
+            'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
     lqr = lqr_design(plant, states)
-    return replace(lqr, law=static_law(np.linalg.solve(Cy.T, lqr.law.D.T).T))
+    gain = np.zeros((len(lqr.law.D), len(Cy)))
+    gain[:, kept] = np.linalg.solve(Cy[kept].T, lqr.law.D.T).T
+    return replace(lqr, law=static_law(gain))
 
 
 def h2_norm(loop: GeneralizedPlant) -> float:
@@ -184,29 +190,56 @@ def _design(
         Dyw: shape (q, r).
         noise: what y has of w and of more white noise behind it, shape (q, r + k), which counts in the mean alone.
     """
+    check_inputs(plant)
     check_posed(plant)
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
     shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
     own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
+    D, Dyw_T = own.plant.D, own.Dyw.T
+    cost, unheard = missing(D, ASSUMED), missing(Dyw_T, ASSUMED) * (not all_known)
+    as_it_is = cost * (not _regular(D)), unheard * (not _regular(Dyw_T))
+    assumptions = [as_it_is, (cost, unheard)] if np.any(cost - as_it_is[0]) or np.any(unheard - as_it_is[1]) else [as_it_is]
+    found, failures = list[QuadraticDesign](), list[DesignError]()
+    for each in assumptions:
+        try:
+            law, assumed = _law(own, all_known, *each)
+            certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
+            if certificate.failures:
+                raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+        except DesignError as error:
+            failures.append(error)
+            continue
+        share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
+        remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
+        larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
+        found.append(QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark))
+    if not found:
+        raise failures[-1]
+    return min(found, key=lambda design: design.h2_norm)
+
+
+def _regular(D: Array) -> bool:
+    """Returns True if every input has a weight in D beyond rounding, shape (d, m)."""
+    sizes = np.linalg.svd(D, compute_uv=False)
+    return len(sizes) == D.shape[1] and bool(np.all(sizes > NOTHING * max(1.0, sizes.max(initial=0.0))))
+
+
+def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
+    """Returns the best law for a cost of forces and a noise of measurements on top of what there is, and both in words.
+
+    Raises:
+        DesignError: a Riccati equation has no solution.
+    """
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
-    cost, unheard = missing(D, ASSUMED), missing(own.Dyw.T, ASSUMED)
     assumed = ["a cost for forces that z hardly weighs"] if np.any(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
-        law = own.back(static_law(K @ np.linalg.inv(own.Cy)))
-    else:
-        unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
-        L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
-        law = own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy)))))
-        assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
-    certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
-    if certificate.failures:
-        raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
-    remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
-    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
-    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
+        return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
+    unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
+    L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
+    assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
+    return own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy))))), assumed
 
 
 def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:

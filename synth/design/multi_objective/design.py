@@ -9,9 +9,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import check_shape
 from models.common.errors import InputError
+from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
 from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
+from synth.plant.generalized import Feedback
 from synth.plant.numerics import numerics, up_to_rounding
 
 
@@ -37,12 +39,17 @@ class MultiObjectiveDesign:
     def unproved(self) -> tuple[int, ...]:
         """Indices of the members whose stability with all errors of the tolerance is not proved; computed when first used.
 
+        Without errors the poles of a loop prove its stability, of any plant.
         No error that was found makes a loop unstable. If the proof is too large, as for many errors of a large plant,
         `synth.design.uncertainty.worst_case.worst_norm` may prove it.
         """
         tolerance, members = self.problem.tolerance, []
         for i, member in enumerate(self.problem.members):
             posed = member.posed[self.problem.minimise.which].without_weighting
+            if not self.problem.has_errors:
+                loop = posed.plant.closed_loop(Feedback(posed.acting(self.gain), posed.Cy))
+                members += [] if is_stable(loop.A, loop.dt) else [i]
+                continue
             with up_to_rounding():
                 if stable_with_errors(posed.plant, posed.Cy, self.gain, tolerance.sensors, tolerance.forces, posed.through):
                     continue

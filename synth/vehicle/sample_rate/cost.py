@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.laws.combinations import goes
 from models.laws.linear import static_law
-from models.vehicle.combinations import goes
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation
 from models.vehicle.vehicle import Vehicle

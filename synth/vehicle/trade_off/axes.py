@@ -9,9 +9,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.laws.goals import NormOf
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import NormOf
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.band_norm import norm_in_band
 from synth.controller.problem import Problem, problem

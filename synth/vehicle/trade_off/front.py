@@ -10,10 +10,10 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.interrupt import Parts, uninterrupted
+from models.laws.combinations import check_command
+from models.laws.goals import Goals, PeakBound
 from models.laws.linear import static_law
-from models.vehicle.combinations import check_command
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.goals import Goals, PeakBound
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.stability import stability

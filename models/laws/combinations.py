@@ -9,8 +9,8 @@ from itertools import combinations
 from typing import Any
 
 from models.common.errors import InputError, quoted
+from models.laws import GOAL_KEYS
 from models.laws.linear import MATRICES
-from models.vehicle import GOAL_KEYS
 
 KINDS = {  # of controllers: a section is one of them
     "gain": "`gain`",
@@ -38,6 +38,8 @@ DEMANDS = {  # beside a kind
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
 KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the README's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
+STATIC, FULL = "static", "full"  # values of `order`; a design is of the first where a section names none
+QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
 
 _OF_STATE = "it is of the state itself, which no sensor reads"
 _DESIGNED = "full lqr lqg h2"
@@ -51,7 +53,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ),
     ("anti_windup", f"gain steps lqr {_GOALS}", "a static gain has no states that wind up"),
     ("noise", "lqr", _OF_STATE),
-    ("noise", "lqg", "it takes the noise of [implementation] by itself"),
+    ("noise", "lqg", "it takes the noise of its sensors by itself"),
     ("lag", "lqr", _OF_STATE),
     ("sampled", "gain states", "a law that is given is not designed"),
     ("sampled", "lqr lqg h2", "what is designed for the sampled loop has the least norm, not the least mean square"),
@@ -94,7 +96,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
         parts["states"] = matrices[0]
     for key in ("order", "design"):
         if key in section and isinstance(section[key], str):
-            parts[section[key]] = f'{key} = "{section[key]}"'
+            parts["steps" if section[key] == STATIC else section[key]] = f'{key} = "{section[key]}"'
     if not parts and not any(key in section for key in GOAL_KEYS):
         parts["steps"] = "no law, order or design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}

@@ -1,0 +1,347 @@
+"""One door to synthesis for any plant: the words of a controller's section as arguments, and the method found for them.
+
+What is asked is checked first, against the table of `models/laws/combinations.py` too. Without further words the two steps design
+a static gain, and descent on the norm where they lead to none (`fallback.py`). Of the other ways each has its file, and each can
+be called by itself.
+"""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.checks import Bound, NotNegative, Positive
+from models.common.errors import InputError, listing, quoted
+from models.common.printed import Shown
+from models.laws.combinations import FULL, QUADRATIC, STATIC, check_together, section_parts
+from models.laws.goals import REGRET
+from models.laws.linear import LinearLaw, gain_text, states_text, static_law
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
+from synth.analysis.stability import stabilisability_failures
+from synth.design.fallback import check_stabilisable, two_steps_or_descent
+from synth.design.static import LARGEST_GAIN
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant, check_continuous, check_inputs, measured_with, real_matrix
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+
+WHERE = "design_feedback:"
+TWO_STEPS, DESCENT = "the two steps", "descent on the norm"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FeedbackDesign(Shown):
+    """A controller of a plant, with its certificate, and the method that led to it.
+
+    Attributes:
+        law: from the q measurements to the m forces; a static one is u = K y.
+        certificate: of its loop in continuous time, or of the discrete plant. With noise, that is a part of w.
+        method: what the law was designed by.
+        why: why by that method, in words.
+        remark: distance from the optimum, assumptions and left-out measurements, in words; empty without any.
+        value: what the design makes small.
+        criterion: name of that: "norm", "sampled norm", "H2 norm", or a goal.
+    """
+
+    law: LinearLaw
+    certificate: Certificate
+    method: str
+    why: str
+    remark: str
+    value: float
+    criterion: str = "norm"
+
+    @property
+    def gain(self) -> Array:
+        """K of a static law, shape (m, q).
+
+        Raises:
+            InputError: the law has states.
+        """
+        if self.law.states:
+            raise InputError(f"the law has {states_text(self.law)}, so that no gain alone is the controller; take its law")
+        return self.law.D
+
+    @property
+    def shown(self) -> tuple[str, dict[str, str]]:
+        """Returns law, method, reason and certificate as text."""
+        title, proved = self.certificate.shown
+        law = {"law": states_text(self.law)} if self.law.states else {"gain": gain_text(self.law.D)}
+        value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
+        said = {"remark": self.remark} if self.remark else {}
+        return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **said}
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() + self.certificate.figure
+
+
+@numerics()
+def design_feedback(
+    plant: GeneralizedPlant,
+    Cy: Array | None = None,
+    Dyw: Array | None = None,
+    *,
+    order: str | None = None,
+    design: str | None = None,
+    stable: bool = False,
+    noise: Sequence[float] = (),
+    sample_period: Positive | None = None,
+    delay: NotNegative = 0.0,
+    minimise: Mapping[str, Any] | None = None,
+    bounds: Sequence[Mapping[str, Any]] = (),
+    tolerance: Mapping[str, float] | None = None,
+    family: Sequence[GeneralizedPlant] = (),
+    structure: Array | None = None,
+    largest_gain: Bound | None = None,
+    lower_bound: LowerBound | None = None,
+    states: Sequence[str] = (),
+) -> FeedbackDesign:
+    """Returns a controller of any plant, with what is proved of it, the method that found it, and why that one.
+
+    Without more words it is a static gain of the least norm: by the two steps, or by descent where they lead to none. The words
+    are those of a controller's section in a vehicle file, and go together as there (`models/README.md`). A plant by itself has no
+    names: its measurements are y1, y2, ..., its forces u1, u2, ..., the rows of z are z1, z2, ...
+
+    Args:
+        plant: n states, m inputs; continuous, or discrete by its dt.
+        Cy: what is measured, y = C_y x + Dyw w, shape (q, n); every state where it is not given.
+        Dyw: shape (q, r); zero where it is not given.
+        order: "static", the default, or "full" for a law of as many states as the plant.
+        design: "lqr", "lqg" or "h2", the best in the mean in place of the least norm.
+        stable: True for a law of full order that is stable by itself.
+        noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
+            `lqg_design`.
+        sample_period: of the computer that closes the loop of a continuous plant and holds the forces [s].
+        delay: from a measurement to its force [samples].
+        minimise: the norm that is minimised, as in {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
+        bounds: as in [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
+        tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
+        family: further plants that the same gain is for; the largest norm of all counts.
+        structure: ones where a measurement may act on a force, else zeros, shape (m, q).
+        largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
+        lower_bound: what no controller from these measurements beats, if known, for the certificate.
+        states: names of the states, for messages.
+
+    Raises:
+        InputError: a matrix does not fit the plant, it has no input, or two words do not go together; the message says why.
+        InfeasibleError: no such controller stabilises the plant; the message names the mode.
+        DesignError: no method found one; the message says why.
+
+    Example:
+        >>> from synth import GeneralizedPlant, design_feedback
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> found = design_feedback(oscillator, Cy=[[0, 1]])
+        >>> found.gain.shape, f"{found.certificate.norm.value:.4f}", found.method
+        ((1, 1), '0.2500', 'the two steps')
+        >>> design_feedback(oscillator, Cy=[[0, 1]], order="full").law.states
+        2
+    """
+    for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, QUADRATIC)):
+        if value is not None and value not in allowed:
+            raise InputError(f"{WHERE} {name} = {quoted(value)} is not known; known: {listing(allowed)}")
+    goals = {"minimise": minimise, "tolerance": tolerance, "structure": structure}
+    goals = {name: _plain(value) for name, value in goals.items() if value is not None}
+    goals |= {"bounds": _plain(bounds)} if len(bounds) else {}
+    heard = "Dyw" if Dyw is not None else "noise" if len(noise) and design != "lqg" else ""
+    check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals, family))
+    asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
+    if delay and sample_period is None:
+        raise InputError(f"{WHERE} delay = {delay:g} samples, and there is no sample_period; give it, in seconds")
+    by_descent_alone = order != FULL and design is None and sample_period is None and not goals and not len(family)
+    if largest_gain is not None and not by_descent_alone:
+        raise InputError(
+            f"{WHERE} largest_gain goes with a static gain of the least norm alone; leave it out, or give goals "
+            'bounds = [{"gain": ...}]'
+        )
+    if sample_period is not None:
+        return asked.sampled(float(sample_period), float(delay), order == FULL, stable)
+    if goals or len(family):
+        return asked.for_goals(goals, family)
+    if design is not None:
+        return asked.quadratic(design)
+    if order == FULL:
+        return asked.full(stable)
+    return asked.static(LARGEST_GAIN if largest_gain is None else largest_gain)
+
+
+def _parts(
+    order: str | None,
+    design: str | None,
+    stable: bool,
+    heard: str,
+    sample_period: float | None,
+    goals: Mapping[str, Any],
+    family: Sequence[GeneralizedPlant],
+) -> dict[str, str]:
+    """Returns the parts of the table that are asked for, each as it is written."""
+    flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
+    named = {"order": order, "design": design}
+    section = {name: value for name, value in named.items() if value} | flags | dict(goals)
+    parts = section_parts(section | ({"family": family} if len(family) else {}), ())
+    written = {"noise": heard, "sampled": "sample_period", "stable": "stable = True"}
+    return {part: written.get(part, text) for part, text in parts.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Returns tables, lists and numbers as a vehicle file has them."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+class _Asked:
+    """A plant with what is measured, checked, and every way to design for it."""
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        Cy: object,
+        Dyw: object,
+        noise: Sequence[float],
+        lower_bound: LowerBound | None,
+        states: tuple[str, ...],
+    ) -> None:
+        check_inputs(plant)
+        self.plant, self.lower_bound, self.states = plant, lower_bound, states
+        self.Cy, self.Dyw = measured_with(plant, np.eye(len(plant.A)) if Cy is None else Cy, Dyw)
+        self.noise = real_matrix([list(noise)], "noise", "(q,)")[0]
+        if len(noise) and (self.noise.shape != (len(self.Cy),) or not np.all(self.noise >= 0)):
+            raise InputError(
+                f"{WHERE} noise = {quoted([*noise])} is not allowed; give {len(self.Cy)} numbers from 0 upwards, one for each "
+                "measurement"
+            )
+
+    @property
+    def loud(self) -> tuple[GeneralizedPlant, Array | None]:
+        """The plant with the noise of the measurements as further disturbances, and its Dyw."""
+        some = self.noise > 0
+        k = int(np.sum(some))
+        if not k:
+            return self.plant, self.Dyw
+        plant, (n, r) = self.plant, self.plant.Bw.shape
+        wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((n, k))]), Dw=np.hstack([plant.Dw, np.zeros((len(plant.C), k))]))
+        of_w = np.zeros((len(self.Cy), r)) if self.Dyw is None else self.Dyw
+        return wide, np.hstack([of_w, np.diag(self.noise)[:, some]])
+
+    def static(self, largest_gain: float) -> FeedbackDesign:
+        """A static gain, by the two steps or by descent."""
+        plant, Dyw = self.loud
+        found = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, largest_gain)
+        left_out = [f"y{i + 1}" for i in found.redundant]
+        said = [found.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
+        why = found.instead or "the two steps lead to a gain whose certificate holds"
+        method = DESCENT if found.instead else TWO_STEPS
+        remark = "; ".join(text for text in said if text)
+        return FeedbackDesign(static_law(found.gain), found.certificate, method, why, remark, found.certificate.norm.value)
+
+    def full(self, stable: bool) -> FeedbackDesign:
+        """A law of full order; where no such law of the least norm is found, that of the least mean square, or a gain."""
+        from synth.design.full_order.full_order import full_order_design
+
+        plant, Dyw = self.loud
+        method, why = "Riccati equations for the least norm", 'order = "full"'
+        try:
+            found = full_order_design(plant, self.Cy, Dyw, self.lower_bound, self.states, stable=stable)
+            law, certificate, remark = found.law, found.certificate, found.remark
+        except InfeasibleError:
+            raise
+        except DesignError as error:
+            if stable:
+                raise
+            left = self._instead_of_full(plant, Dyw)
+            if left is None:
+                raise
+            (law, certificate, method), remark = left, ""
+            why = f"not by Riccati equations for the least norm, for {error}"
+        return FeedbackDesign(law, certificate, method, why, remark, certificate.norm.value)
+
+    def _instead_of_full(self, plant: GeneralizedPlant, Dyw: Array | None) -> tuple[LinearLaw, Certificate, str] | None:
+        from synth.design.full_order.quadratic import h2_design
+
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            h2 = h2_design(plant, self.Cy, Dyw, self.states)
+            return h2.law, replace(h2.certificate, below=self.lower_bound), "H2, of full order"
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            gain = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+            return static_law(gain.gain), gain.certificate, DESCENT if gain.instead else TWO_STEPS
+        return None
+
+    def quadratic(self, name: str) -> FeedbackDesign:
+        """The law of the least mean square."""
+        from synth.design.full_order.quadratic import quadratic_design
+
+        plant, Dyw = self.loud if name == "h2" else (self.plant, self.Dyw)
+        check_continuous(plant)
+        noise = tuple(self.noise) if name == "lqg" and len(self.noise) else None
+        found = quadratic_design(name, plant, self.Cy, self.states, noise, Dyw)
+        certificate = replace(found.certificate, below=self.lower_bound)
+        how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
+        return FeedbackDesign(found.law, certificate, how, f'design = "{name}"', found.remark, found.h2_norm, "H2 norm")
+
+    def sampled(self, period: float, delay: float, full: bool, stable: bool) -> FeedbackDesign:
+        """A gain or a law for the loop that a computer closes."""
+        check_continuous(self.plant)
+        if self.Dyw is not None:
+            raise InputError(
+                f"{WHERE} Dyw with sample_period: noise between samples is not read; give noise, the rms of each reading"
+            )
+        if reasons := stabilisability_failures(self.plant, self.Cy, self.states):
+            raise InfeasibleError("; ".join(reasons))
+        (q, _), m = self.Cy.shape, self.plant.B.shape[1]
+        rms = self.noise if np.any(self.noise) else None
+        problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
+        known, near = list[Array](), 1.0
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            ideal = self.static(LARGEST_GAIN)
+            known, near = [ideal.gain], ideal.value or 1.0
+        if full:
+            from synth.design.full_order.sampled_data import sampled_full_order
+            from synth.lmi.sampled_bound import find_sampled_bound
+
+            found = sampled_full_order(problem, find_sampled_bound(problem, near), near, self.states, stable)
+            law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
+        else:
+            from synth.design.sampled_data import held_design
+
+            gain = held_design(problem, near, known)
+            law, norm, remark = static_law(gain.gain), gain.norm, ""
+            method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
+            why = (
+                f"not by the two steps, for {gain.instead}"
+                if gain.instead
+                else "the two steps lead to a gain of this sampled norm"
+            )
+        plant, Dyw = self.loud
+        certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
+        said = [remark, "the certificate is of the ideal loop, without samples or delay"]
+        return FeedbackDesign(
+            law, certificate, method, why or 'order = "full"', "; ".join(text for text in said if text), norm, "sampled norm"
+        )
+
+    def for_goals(self, section: Mapping[str, Any], family: Sequence[GeneralizedPlant]) -> FeedbackDesign:
+        """A gain for goals, of the plant and of a family."""
+        from synth.design.multi_objective.plant_goals import goals_of_plants
+        from synth.design.multi_objective.two_step_starts import remarks, run_search, with_individual_optima
+
+        plant, Dyw = self.loud
+        plants = [plant, *(_Asked(each, self.Cy, self.Dyw, tuple(self.noise), None, ()).loud[0] for each in family)]
+        goals, problem = goals_of_plants(WHERE, section, plants, self.Cy, Dyw)
+        for each in plants:
+            check_stabilisable(each, self.Cy, self.states)
+        found = run_search(with_individual_optima(problem) if goals.over == REGRET else problem)
+        law, said = static_law(found.gain), [*remarks(found)]
+        certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law, Dyw), self.lower_bound, by_itself=plant)
+        if unproved := found.unproved:
+            said.append(f"stability with all errors is not proved of member {', '.join(map(str, unproved))}")
+        over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
+        why = f"of goals, {listing([*section, *['family'] * bool(family)])}"
+        return FeedbackDesign(law, certificate, "descent for goals", why, "; ".join(said), found.goal, over)

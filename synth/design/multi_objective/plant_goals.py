@@ -1,0 +1,130 @@
+"""Goals, in the words of a vehicle file, as a problem on plants: of a vehicle's, or of plants whose signals have no names.
+
+The signals of a plant by itself are y1, y2, ..., its forces u1, u2, ..., and the rows of its z are z1, z2, ...
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.goals import CORNER, DecayBound, EnergyBound, GainBound, Goals, NormBound, NormOf, PeakBound, read_goals
+from synth.design.multi_objective.objectives import BoundedSignal
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.plant.generalized import GeneralizedPlant
+
+
+@dataclass(frozen=True)
+class _Nameless:
+    """What goals ask of a kind of vehicle, for a plant: no parameters, and forces that belong to no corner."""
+
+    corners: Mapping[str, str]
+    parameters: tuple[()] = ()
+
+
+def norms_of(goals: Goals) -> list[NormOf]:
+    """Returns the norm that is minimised, and those that are bounded."""
+    return [goals.minimise, *(bound.norm for bound in goals.bounds if isinstance(bound, NormBound))]
+
+
+def posed_goals(
+    goals: Goals, members: Sequence[FamilyMember], measured: Sequence[str], forces: Sequence[str]
+) -> MultiObjectiveProblem:
+    """Returns the problem of goals, without the individual optima of its members.
+
+    Args:
+        members: each with a plant for every one of `norms_of`, and with what its other bounds are of.
+        measured: names of the q measured signals.
+        forces: names of the m inputs.
+    """
+    m, q = len(forces), len(measured)
+    bounds = [
+        NormSpecification(i + 1, bound.norm.rates, bound.at_most, f"{bound.norm.text} <= {bound.at_most:g}")
+        for i, bound in enumerate(each for each in goals.bounds if isinstance(each, NormBound))
+    ]
+    tolerance = goals.tolerance
+    errors = GainErrors(
+        np.array([tolerance.get(signal, 0.0) for signal in measured]),
+        np.array([goals.force_error(force) for force in forces]),
+    )
+    return MultiObjectiveProblem(
+        tuple(members),
+        NormSpecification(0, goals.minimise.rates),
+        errors,
+        np.ones((m, q), dtype=bool) if goals.structure is None else np.array(goals.structure),
+        norms=tuple(bounds),
+        decay=_strictest([bound.rate for bound in goals.bounds if isinstance(bound, DecayBound)], max),
+        peaks=tuple(bound.at_most for bound in goals.bounds if isinstance(bound, PeakBound)),
+        gain=_strictest([bound.at_most for bound in goals.bounds if isinstance(bound, GainBound)], min),
+    )
+
+
+def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) -> float | None:
+    return of(values) if values else None
+
+
+def goals_of_plants(
+    where: str, section: Mapping[str, Any], plants: Sequence[GeneralizedPlant], Cy: Array, Dyw: Array | None
+) -> tuple[Goals, MultiObjectiveProblem]:
+    """Returns the goals, and the problem that they are, of plants with as many states, inputs and outputs that measure alike.
+
+    Args:
+        where: prefix of messages.
+        section: `minimise`, `bounds`, `tolerance` and `structure` as a vehicle file has them.
+        plants: the first is the nominal one.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); None for zero.
+
+    Raises:
+        InputError: a key or a number is not allowed, or the plants do not fit one another.
+    """
+    first = plants[0]
+    for i, plant in enumerate(plants[1:]):
+        if plant.system_matrix.shape != first.system_matrix.shape or plant.B.shape != first.B.shape or plant.dt != first.dt:
+            raise InputError(
+                f"{where} family[{i}] has A of shape {plant.A.shape}, B of {plant.B.shape}, Bw of {plant.Bw.shape}, C of "
+                f"{plant.C.shape} and dt = {plant.dt}; expected those of the plant, {first.A.shape}, {first.B.shape}, "
+                f"{first.Bw.shape}, {first.C.shape} and {first.dt}"
+            )
+    measured, forces, outputs = (_names(letter, count) for letter, count in zip("yuz", (len(Cy), *first.D.T.shape), strict=True))
+    if section.get("structure") == CORNER:
+        raise InputError(f'{where} structure = "{CORNER}" is of vehicles; give rows of 0 and 1, a row for each force')
+    family = {"family": [{}] * len(plants)} if len(plants) > 1 else {}
+    goals = read_goals(where, {**section, **family}, measured, outputs, _Nameless(dict.fromkeys(forces, "")))
+    if any(isinstance(bound, PeakBound) for bound in goals.bounds):
+        raise InputError(f"{where} bounds have a peak over a road, which no plant by itself has; bound an energy_peak or a norm")
+    norms = norms_of(goals)
+    energies = [bound for bound in goals.bounds if isinstance(bound, EnergyBound)]
+    members = [
+        FamilyMember(
+            tuple(MeasuredPlant(_weighing(plant, norm, outputs), Cy, Dyw) for norm in norms),
+            signals=tuple(_signal(where, plant, outputs.index(bound.signal), bound, Dyw) for bound in energies),
+        )
+        for plant in plants
+    ]
+    return goals, posed_goals(goals, members, measured, forces)
+
+
+def _names(letter: str, count: int) -> list[str]:
+    return [f"{letter}{i + 1}" for i in range(count)]
+
+
+def _weighing(plant: GeneralizedPlant, norm: NormOf, outputs: Sequence[str]) -> GeneralizedPlant:
+    """The plant whose z is that of a norm."""
+    if norm.signals is None:
+        return plant
+    rows, weights = [outputs.index(name) for name in norm.signals], np.array([*norm.signals.values()])[:, None]
+    return replace(plant, C=weights * plant.C[rows], D=weights * plant.D[rows], Dw=weights * plant.Dw[rows])
+
+
+def _signal(where: str, plant: GeneralizedPlant, row: int, bound: EnergyBound, Dyw: Array | None) -> BoundedSignal:
+    """The row of z that is bounded for disturbances of given energy."""
+    if np.any(plant.Dw[row]) or Dyw is not None or plant.dt is not None:
+        raise InputError(
+            f"{where} bounds have an energy_peak of {bound.signal}, which has w, noise or samples in it; bound a norm instead"
+        )
+    name = f"{bound.signal} for w of energy {bound.energy:g} <= {bound.at_most:g}"
+    return BoundedSignal(plant.C[row], plant.D[row], bound.at_most, bound.energy**0.5, name)

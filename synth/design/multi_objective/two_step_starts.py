@@ -1,0 +1,81 @@
+"""Starts of multi-objective designs: the two steps of some members, by themselves and with a slack variable for all."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.common.printed import percent
+from synth.design.multi_model import slack_design
+from synth.design.multi_objective.design import MultiObjectiveDesign, multi_objective_design
+from synth.design.multi_objective.problem import MeasuredPlant, MultiObjectiveProblem
+from synth.design.multi_objective.search import Told
+from synth.design.two_step import two_step_design
+from synth.plant.numerics import DesignError
+
+
+def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProblem:
+    """The same, of the largest ratio to what each member has by itself, within the same bounds.
+
+    Raises:
+        DesignError: one has nothing within the bounds.
+    """
+    bests = []
+    for i in range(len(asked.members)):
+        try:
+            bests.append(run_search(asked.alone(i)).goal)
+        except DesignError as error:
+            raise DesignError(f"family[{i}] by itself: {error}") from error
+    return replace(asked, bests=tuple(bests))
+
+
+def run_search(asked: MultiObjectiveProblem, on_progress: Told = lambda goal, within: None) -> MultiObjectiveDesign:
+    """Runs the search, started from two-step designs of some members and from its own starts."""
+    return multi_objective_design(asked, two_step_gains(asked), on_progress, lambda: _slack(asked))
+
+
+def _slack(asked: MultiObjectiveProblem) -> list[Array]:
+    """The gain of the two steps with a slack variable, for all members at once."""
+    plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
+    try:
+        few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
+        return [plants[0].on_readings(_whole(few, kept))]
+    except InputError:
+        return []
+
+
+def _of_state(posed: MeasuredPlant) -> Array:
+    """Returns True for the measurements that say something of the state, shape (q,): of forces alone nothing is designed."""
+    return np.any(posed.Cy != 0, axis=1)
+
+
+def _whole(few: Array, kept: Array) -> Array:
+    """Returns a gain on some of the measurements as one on all."""
+    gain = np.zeros((len(few), len(kept)))
+    gain[:, kept] = few
+    return gain
+
+
+def two_step_gains(asked: MultiObjectiveProblem) -> list[Array]:
+    """The gains of the two steps, of the first, middle and last member."""
+    count, gains = len(asked.members), []
+    for i in sorted({0, count // 2, count - 1}):
+        posed = asked.members[i].posed[0]
+        try:
+            kept = _of_state(posed)
+            gains.append(posed.on_readings(_whole(two_step_design(posed.plant, posed.Cy[kept]).gain, kept)))
+        except InputError:
+            continue
+    return gains
+
+
+def remarks(design: MultiObjectiveDesign) -> tuple[str, ...]:
+    """Returns notes on a search."""
+    if design.rejected_improvement is None:
+        return ("designed for its goals, by descent from the two steps and other starts",)
+    return (
+        f"designed for its goals, by descent from the two steps and other starts; refused: "
+        f"{percent(design.rejected_improvement)} less for "
+        "up to twice the gain",
+    )
