@@ -16,12 +16,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import static_law
-from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
-from synth.design.static import LARGEST_GAIN, descended
-from synth.design.two_step import Design, as_measurement_matrix, two_step_design, with_redundant_rows, zero_l_design
+from synth.design.two_step import LARGEST_GAIN, Design, as_measurement_matrix, two_step_design, with_redundant_rows, zero_l_design
 from synth.lmi.central_path import CentralPoint
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs
@@ -92,6 +90,8 @@ def two_steps_or_descent(
         reason, failure = (NOT_FROM_THESE if isinstance(error, InfeasibleError) else str(error)), error
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     noise = Dyw[kept] if Dyw is not None else None
+    from synth.design.static import descended
+
     try:
         by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise)
         certificate, gain = by_descent.certificate, by_descent.gain
@@ -123,6 +123,8 @@ def _known_gain(
 
     def no_control() -> Array | None:
         return np.zeros((plant.B.shape[1], len(Cy))) if is_stable(plant.A, plant.dt) else None
+
+    from synth.analysis.bounding import certify_tightly
 
     for how, known in (
         ("the gain of the two steps as it is", of_two_steps),

@@ -25,7 +25,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
 from synth.analysis.stability import stabilisability_failures
 from synth.design.fallback import check_stabilisable, two_steps_or_descent
-from synth.design.static import LARGEST_GAIN
+from synth.design.two_step import LARGEST_GAIN
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_continuous, check_inputs, measured_with, real_matrix
 from synth.plant.numerics import DesignError, InfeasibleError, numerics

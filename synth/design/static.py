@@ -35,14 +35,13 @@ from synth.design.descent.minimax import along_edges, quasi_newton
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.descent.symmetry import Symmetry
-from synth.design.two_step import Design, two_step_design
+from synth.design.two_step import LARGEST_GAIN, Design, two_step_design
 from synth.lmi.output_feedback import independent_rows
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
-LARGEST_GAIN = 1e5
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none

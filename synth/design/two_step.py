@@ -174,6 +174,7 @@ def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forc
     return replace(plant, C=C, D=D, Dw=np.vstack([plant.Dw, np.zeros((n + m, plant.Dw.shape[1]))]))
 
 
+LARGEST_GAIN = 1e5  # of |K_ij| where a search has no bound of its own
 MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
 
