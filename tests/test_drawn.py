@@ -109,8 +109,8 @@ def false_alarms(cases: list[tuple[str, int]], only: str = "") -> tuple[list[str
     return wrong, ran
 
 
-FEW = {"quarter_car": range(6), "half_car": range(2), "full_car": range(1)}
-MANY = {"quarter_car": range(6, 26), "half_car": range(2, 12), "full_car": range(1, 7)}
+FEW = {"quarter_car": range(3), "half_car": range(1), "full_car": range(1)}
+MANY = {"quarter_car": range(3, 19), "half_car": range(1, 9), "full_car": range(1, 6)}
 
 
 @pytest.mark.parametrize("seeds", [FEW, pytest.param(MANY, marks=pytest.mark.attack)], ids=["few", "many"])
@@ -167,6 +167,6 @@ def test_what_is_2_percent_off_is_found_there(name):
 @pytest.mark.attack
 def test_linked_cars_with_curves_agree():
     """Of cars with axes and links, whose springs and dampers bend, none disagrees: of ninety of them one in four once did."""
-    wrong, ran = false_alarms([(kind, seed) for kind in ALL for seed in range(20, 25)], "linked")
+    wrong, ran = false_alarms([(kind, seed) for kind in ALL for seed in range(20, 24)], "linked")
     assert wrong == []
-    assert ran >= 8
+    assert ran >= 7
