@@ -12,8 +12,8 @@ from models.common.errors import InputError
 from models.laws.combinations import refusal
 from models.vehicle.vehicle import parse_vehicle
 from synth.analysis.norm import hinf_norm
+from synth.design import feedback
 from synth.design.fallback import two_steps_or_descent
-from synth.design.feedback import FeedbackDesign, design_feedback
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import h2_design, lqg_design
 from synth.design.static import static_output_feedback
@@ -26,9 +26,11 @@ from tests.commands import attacks
 from tests.test_any_plant import asked
 from tests.test_bounds_hold import of_lists
 
+design_feedback: Any = feedback.design_feedback  # it takes lists for arrays
 CY: Any = [[0, 1]]
-OSCILLATOR = GeneralizedPlant([[0, 1], [-4, -0.1]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]], [[0], [0]])
-STIFFER = GeneralizedPlant([[0, 1], [-5, -0.1]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]], [[0], [0]])
+OSCILLATOR, STIFFER = (
+    of_lists([[0, 1], [-stiffness, -0.1]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]]) for stiffness in (4, 5)
+)
 # Words of the door by the parts of the table that they are.
 WORDS: dict[str, dict[str, Any]] = {
     "steps": {"order": "static"},
@@ -105,7 +107,7 @@ def test_each_method_is_its_own():
         (design_feedback(OSCILLATOR, CY, design="lqg", noise=[0.01]).law.A, lqg_design(OSCILLATOR, CY, [0.01]).law.A),
         (design_feedback(OSCILLATOR), two_step_design(OSCILLATOR, np.eye(2)).gain),
     ):
-        np.testing.assert_array_equal(found.gain if isinstance(found, FeedbackDesign) else found, law)
+        np.testing.assert_array_equal(found.gain if isinstance(found, feedback.FeedbackDesign) else found, law)
 
 
 def test_goals_are_those_of_a_vehicle_file(paper):
@@ -131,7 +133,7 @@ def test_where_the_two_steps_find_none_there_is_a_gain():
     """x'' = x + u + w from y = x - x' / 2: (25) has no solution, a gain exists, and nobody is told that it does not."""
     plant = of_lists([[0, 1], [1, -3]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     with pytest.raises(InfeasibleError):
-        two_step_design(plant, [[1, -0.5]])
+        two_step_design(plant, np.array([[1, -0.5]]))
     found = design_feedback(plant, [[1, -0.5]])
     assert found.certificate.failures == ()
     assert found.method == "descent on the norm"
