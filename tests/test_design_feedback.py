@@ -23,7 +23,7 @@ from synth.plant.numerics import DesignError, InfeasibleError
 from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
 from tests.commands import attacks
-from tests.test_any_plant import asked
+from tests.test_any_plant import asked, drawn
 from tests.test_bounds_hold import of_lists
 
 design_feedback: Any = feedback.design_feedback  # it takes lists for arrays
@@ -240,6 +240,16 @@ def test_it_finds_what_any_method_finds(seed):
     if found is None:
         methods = (two_step_design, zero_l_design, lambda *given: static_output_feedback(*given, Dyw=Dyw))
         assert [asked(lambda method=method: method(plant, Cy)) for method in methods] == [None] * len(methods)
+
+
+@pytest.mark.attack
+def test_units_beyond_floats_hide_no_gain():
+    """Where a plant's own units lead beyond floats, and the first checks and the two steps end there, descent finds a gain."""
+    parts, Cy = drawn(2000)
+    plant = GeneralizedPlant(**parts)
+    with pytest.raises(InputError, match="D has an entry beyond"):
+        two_step_design(plant, Cy)
+    assert design_feedback(plant, Cy).certificate.failures == ()
 
 
 @pytest.mark.attack

@@ -32,7 +32,9 @@ FAR = 0.01  # relative; how far above what no controller beats the two steps may
 
 def check_stabilisable(plant: GeneralizedPlant, Cy: Array, states: Sequence[str] = ()) -> None:
     """Raises an InfeasibleError if a single mode, or the poles' sum or product, keeps every static gain from stabilising."""
-    reasons = stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)
+    reasons = list[str]()
+    with contextlib.suppress(InputError):  # units in which an entry is too large: nothing is known against a gain
+        reasons = stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)
     if reasons:
         raise InfeasibleError("; ".join(reasons))
 
@@ -98,7 +100,7 @@ def two_steps_or_descent(
         how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
-    except DesignError as error:
+    except InputError as error:
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
             raise DesignError(
