@@ -120,7 +120,7 @@ class Agreement(Shown):
         lift_off: intervals [s] in which a tyre is off the road.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
-            does not end it.
+            does not end it. A state that the vehicle's exact equations do not take does.
         blurred: True if measurements are noisy or quantised: then differences up to their predicted spread are allowed.
         steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
     """
@@ -153,6 +153,11 @@ class Agreement(Shown):
         return self.until > 0 and self.step_by_step and all(signal.agrees for signal in self.signals.values())
 
     @property
+    def lost(self) -> bool:
+        """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
+        return self.steps is not None and self.steps.lost and self.steps.until == self.until
+
+    @property
     def step_by_step(self) -> bool:
         """Returns False if a step differs from the vehicle's exact equations, else True."""
         return self.steps is None or self.steps.agrees
@@ -177,6 +182,8 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
         steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended), rounding)
+        if steps.lost:  # what no step confirms is not called geometry
+            until = min(until, steps.until)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     if prediction.loop is not None and prediction.radius > 1:
@@ -264,7 +271,7 @@ def with_geometry(agreement: Agreement, prediction: Prediction, physics: Respons
     end = agreement.until
     more: Mapping[str, Array] = {}
     if not steps.agrees:
-        more = left_over(motion, prediction.input, physics, requested_force, min(end, steps.until))
+        more = left_over(motion, prediction.input, physics, requested_force, end)
     signals = {}
     for name, signal in agreement.signals.items():
         geometry = signal.sampled
