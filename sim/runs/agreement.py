@@ -31,6 +31,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import Shown
+from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
@@ -172,7 +173,7 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
-    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(prediction.input, physics), diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
     if foretold < until:
@@ -181,7 +182,8 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
     steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended), rounding)
+        end = steps_end(prediction.input, physics, ended)
+        steps = compare_steps(motion, prediction.input, physics, requested_force, end, rounding)
         if steps.lost:  # what no step confirms is not called geometry
             until = min(until, steps.until)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
@@ -202,13 +204,13 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread), steps=steps)
 
 
-def steps_end(vehicle: Vehicle, physics: Response, ended: Mapping[str, float]) -> float:
+def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) -> float:
     """Returns the time [s] before which single steps are compared: until a tyre is flat, or the run diverges.
 
     A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
     """
     end = min(ended[FLAT.name], physics.diverged)
-    return end if vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(vehicle, physics))
+    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(road, physics))
 
 
 def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response) -> Agreement:
@@ -325,19 +327,18 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
     return tuple(sorted(intervals))
 
 
-def _first_loose(vehicle: Vehicle, physics: Response) -> float:
+def _first_loose(met: RoadInput, physics: Response) -> float:
     """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
-    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. The curvature of
-    paths within a step, as RK4's stages see it, is bounded by their second differences.
+    MuJoCo holds the road at its height in the middle of a step, so there a tyre is shorter or longer than at the samples. The
+    curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
-    static, first = vehicle.kind.static_tyre_deflection(vehicle.parameters), np.inf
-    for wheel in vehicle.kind.wheels:
-        road = physics[wheel.road_displacement]
-        hub = physics[wheel.tyre_deflection] + road
-        held = (road[:-1] + road[1:]) / 2
-        hub_bend, road_bend = (np.abs(np.diff(path, n=2, prepend=path[0])) for path in (hub, road))
-        longest = np.maximum(hub[:-1], hub[1:]) - held + hub_bend + road_bend / 8
+    vehicle, first = met.vehicle, np.inf
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    for wheel, held in zip(vehicle.kind.wheels, met.midway.T, strict=True):
+        hub = physics[wheel.tyre_deflection] + physics[wheel.road_displacement]
+        bend = np.abs(np.diff(hub, n=2, prepend=hub[0]))
+        longest = np.maximum(hub[:-1], hub[1:]) - held[: len(hub) - 1] + bend
         loose = longest >= static[wheel.tyre_deflection]
         if loose.any():
             first = min(first, float(physics.time[1 + loose.argmax()]))
