@@ -215,7 +215,7 @@ def test_where_nothing_is_within_the_nearest_is_named(campaign, capsys):
     assert main([str(folder / "campaign.toml"), *options, "--brief", "--save", str(folder / "none.toml")]) == 1
     name = who[0] if who[1] is None else f"{who[0]}#{who[1]}"
     limits = r"peak_travel <= \S+ m and dynamic_load <= \S+"
-    said = rf"none of 12 is within {limits}; {name}.* is nearest, and misses peak_travel by \S+ \(.* %\)"
+    said = rf"none of 12 is within {limits}; {name}.* is nearest, and misses peak_travel by \S+ m \(.* %\)"
     assert re.search(said, prose(capsys.readouterr().out))
     assert not (folder / "none.toml").exists()
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import sim.command.comparison
 from models.common.errors import InputError
 from models.kinds.kind import GRAVITY
+from models.kinds.rigid_motion import SHORTEST, STRUT
 from models.roads.choice import choose_road
 from models.roads.description import described_road
 from models.roads.iso8608 import Iso8608
@@ -27,7 +28,10 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
+from sim.report.headline import what_ended
+from sim.response.regime import LIFT_OFF
 from sim.response.response import Response
+from sim.runs.report import LOST, NO_STATE, verdict, verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.analysed import continuous_response, energy, sampled_response, simulate
@@ -103,6 +107,23 @@ def test_geometry_is_all_that_differs_in_cars(kind, text, name):
     assert max(smalls, default=0.0) < 1e-5  # measured up to 2e-6
     assert run.energy is not None
     assert run.energy.residual < 1e-6
+
+
+def test_what_no_step_confirms_is_not_compared():
+    """A payload that squeezes struts to nothing ends the comparison where the exact equations take no state, and says so."""
+    car = read_vehicle("half_car")
+    road = road_of("flat + payload:mass=3000:rise=1.5", car)
+    (run,) = run_controllers(car, [designed(car, "passive")], road, sample_times(car, 1.4, 1e-3))
+    agreement = run.agreement
+    assert run.passed
+    assert agreement.steps is not None
+    assert agreement.lost
+    assert agreement.until == agreement.steps.until < agreement.ended[LIFT_OFF.name]
+    shortest = STRUT + np.minimum(*(run.physics[f"suspension_deflection_{axle}"] for axle in ("front", "rear")))
+    assert agreement.until == run.physics.time[(shortest <= SHORTEST).argmax()]
+    assert f"until {agreement.until:.4g} s ({LOST})" in verdict(run)
+    assert any(NO_STATE in line for line in verdict_lines(run))
+    assert what_ended(run) == NO_STATE
 
 
 def test_a_flat_road_has_no_roughness(capsys):

@@ -1,5 +1,6 @@
 """A complaint is one line of a sensible length that a terminal can show, whatever it quotes."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -9,10 +10,56 @@ import pytest
 from models.common.errors import LONGEST, LONGEST_VALUE, LONGEST_WORD, InputError, middle_cut, one_line, quoted
 from models.kinds.kind import HERE
 from models.roads.choice import choose_road
+from models.roads.iso8608 import Iso8608
+from models.roads.load import LOADS
+from models.roads.obstacles import OBSTACLES
 from models.roads.profile_file import read_profile
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.__main__ import main as synth
 from synth.plant.numerics import DesignError
+
+
+def test_numpy_warns_on_no_screen():
+    """A command's text says what overflows: stderr has no warning of numpy's, of no process of ours, unless `-W` asks for it."""
+    program = "import numpy; from models.common.command import run_command; run_command(lambda: int(1 / numpy.zeros(1)[0] < 0))"
+    for options, warned in (([], False), (["-W", "default"], True)):
+        ran = subprocess.run([sys.executable, *options, "-c", program], capture_output=True, text=True, cwd=HERE.parent)
+        assert ran.returncode == 0
+        assert ("RuntimeWarning" in ran.stderr) == warned
+        assert warned or not ran.stderr
+    for file in (file for room in ("sim", "synth") for file in (HERE.parent / room).rglob("*.py")):
+        _, started, end = file.read_text(encoding="utf-8").partition('\nif __name__ == "__main__":\n')
+        assert not started or "run_command(" in end or "hide_numpy_warnings()" in end, file
+
+
+UNIT = {
+    "m": "height length edge depth amplitude track_width x y",
+    "m/s": "speed",
+    "Hz": "lowest highest",
+    "kg": "mass",
+    "N": "force",
+}
+UNIT |= {"s": "start rise hold duration", "": "g factor"}
+
+
+@pytest.mark.parametrize("kind", [*OBSTACLES.values(), Iso8608, *LOADS.values()], ids=lambda kind: kind.__name__)
+def test_every_range_has_its_unit(kind):
+    """A number of a road, a load or a vehicle that is not allowed is told its range in its unit, and a pure number in none."""
+    for name, unit in ((name, unit) for unit, names in UNIT.items() for name in names.split()):
+        if name in (field.name for field in dataclasses.fields(kind)):
+            with pytest.raises(
+                InputError, match=rf"{name} = -1e\+12 is not allowed; give a number from \S+ to \S+{unit and ' ' + unit}$"
+            ):
+                kind(**{name: -1e12})
+
+
+def test_pure_numbers_have_no_unit():
+    """A share is from -2 to 3, not from -2 to 3 1; nor has an error of any parameter such a unit."""
+    for kind in ("quarter_car", "half_car", "full_car"):
+        for parameter in read_vehicle(kind).kind.parameters:
+            with pytest.raises(InputError) as said:
+                parameter.check(-1e99)
+            assert str(said.value).endswith(f"{parameter.largest:g} {parameter.unit}".removesuffix(" 1"))
 
 
 @pytest.mark.parametrize("error", [InputError, DesignError])

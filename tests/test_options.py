@@ -152,7 +152,16 @@ REFUSED = [
     ("sim.envelope", ["--controller", "I", "--vary", "height:0:0.3:20", "--vary", "speed:3:30:20"], "low < high"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:nan:20", "--vary", "speed:3:30:20"], "low < high"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:2.5", "--vary", "speed:3:30:20"], "name:low:high:count"),
-    ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:1000", "--vary", "speed:3:30:1000"], "too many"),
+    (
+        "sim.envelope",
+        ["--controller", "I", "--vary", "height:0.02:0.3:1000", "--vary", "speed:3:30:1000"],
+        "1000000 cells are too many",
+    ),
+    (
+        "sim.envelope",
+        ["--controller", "I", "--vary", "height:0.02:0.3:1000000", "--vary", "speed:3:30:2"],
+        "at most 100000 cells",
+    ),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:20", "--vary", "speed:0.5:30:20"], "longer --duration"),
     ("sim.margins", [], "--controller", "I, II", "state"),
     ("sim.margins", ["--controller", "passive"], "'passive'", "no gain", "no margin"),

@@ -155,6 +155,13 @@ def test_a_quarter_car_has_no_geometry_to_excuse_it(height):
     assert "first order" not in _says_what_is_wrong(run)
 
 
+def about_its_centre(kind: str) -> Vehicle:
+    """The car that turns about its centre of mass: its matrices are constant, but points of its body move nonlinearly."""
+    car = read_vehicle(kind)
+    axes = ["pitch_centre_height", *(f"roll_centre_height_{axle}" for axle in ("front", "rear") if kind == "full_car")]
+    return car.with_parameters(**dict.fromkeys(axes, car.parameters["centre_height"]))
+
+
 def test_geometry_is_asked_of_the_model(tmp_path):
     """Cars that pitch or roll have it however light they are, cars that go up and down have not, of any kind; springs may."""
     limited = dataclasses.replace(read_vehicle("quarter_car"), limits=Limits(suspension_stroke=0.01, actuator_bandwidth=30.0))
@@ -162,13 +169,57 @@ def test_geometry_is_asked_of_the_model(tmp_path):
     paper, own = read_vehicle("quarter_car"), read_vehicle(hopper(tmp_path))
     for plain in (paper, limited, knotted, light(paper), own):
         assert not has_geometry(plain)
-    for turning in (read_vehicle("half_car"), read_vehicle("full_car")):
+    for turning in (make(kind) for make in (read_vehicle, about_its_centre) for kind in KINDS[1:]):
         assert has_geometry(turning)
         assert has_geometry(light(turning))
     drawn = (tmp_path / "hopper.xml").read_text()
     for name, changed in OWN_GEOMETRY.items():
         (tmp_path / "hopper.xml").write_text(changed(drawn))
         assert has_geometry(read_vehicle(tmp_path / "hopper.toml")), name
+
+
+@pytest.mark.parametrize("own", [False, True])
+@pytest.mark.parametrize("kind", KINDS[1:])
+def test_a_car_that_turns_about_its_centre_agrees(kind, own):
+    """Read-outs off its axis are geometry, with equations of its own or without; a body heavier by a ten-thousandth is not."""
+    car = about_its_centre(kind)
+    if own:
+        car = dataclasses.replace(car, kind=dataclasses.replace(car.kind, motion=None))
+    prediction = predict(car, Designer(car).design("passive"), Bump(), sample_times(car, 0.6, 1e-3))
+    run = judged(prediction, car)
+    assert run.agreement.agrees, verdict_lines(run)
+    assert not judged(prediction, heavier(car, 1e-4)).agreement.agrees
+
+
+@pytest.mark.parametrize(
+    ("name", "height", "step", "noise"),
+    [
+        ("passive", 0.03, 8e-3, {}),  # RK4's error is as large as what geometry makes
+        ("I", 0.1, 1e-3, {"heave_velocity": 1e-5}),  # so is the spread of noise
+    ],
+)
+def test_geometry_is_foretold_beside_what_every_height_has(name, height, step, noise):
+    """RK4's error and noise are the same share of every height, no geometry: a kind without `motion` is right with either."""
+    car = read_vehicle("half_car")
+    car = dataclasses.replace(
+        car, kind=dataclasses.replace(car.kind, motion=None), implementation=Implementation(noise=noise), controllers={}
+    )
+    controller = Designer(read_vehicle("half_car")).design(name)
+    prediction = predict(car, controller, Bump(height=height), sample_times(car, 0.8, step))
+    run = judged(prediction, car)
+    assert run.agreement.agrees, verdict_lines(run)
+    assert all(signal.foretold is not None for signal in run.agreement.signals.values())
+    assert not judged(prediction, heavier(car, 0.01)).agreement.agrees
+
+
+@pytest.mark.parametrize("seed", [68, 89, 111])
+def test_a_tyre_that_is_loose_within_a_step_ends_the_comparison(seed):
+    """A road with waves as short as a step is lower where MuJoCo holds it than its samples say; a tyre that is loose there is."""
+    car = read_vehicle("quarter_car")
+    road = Iso8608("D", seed, 25.0)
+    (run,) = run_controllers(car, [Designer(car).design("passive")], road, sample_times(car, 0.4, 3e-3), balanced=False)
+    assert run.agreement.agrees, verdict_lines(run)
+    assert run.agreement.until < 0.4
 
 
 @pytest.mark.parametrize("kind", KINDS)

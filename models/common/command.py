@@ -204,6 +204,7 @@ class _Flag(argparse.Action):
 def run_command(main: Callable[[], int]) -> NoReturn:
     """Runs a command and exits with the code that it returns, with 2 on bad input, or with the code of a signal."""
     interrupt.enable_interrupts()
+    interrupt.hide_numpy_warnings()
     gc.set_threshold(GARBAGE)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks

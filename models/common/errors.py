@@ -50,6 +50,11 @@ def listing(names) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
+def number_range(smallest: float, largest: float, unit: str = "") -> str:
+    """Returns the allowed range of a number for a message, with its unit; "1", "-" and "" are units of pure numbers."""
+    return f"a number from {smallest:g} to {largest:g} {'' if unit in ('1', '-') else unit}".rstrip()
+
+
 def alike(name: object, names: Iterable[str], most: int = 12) -> str:
     """Returns the allowed names as a list for a message; of many only those that are most like a wrong one."""
     known = sorted(names)

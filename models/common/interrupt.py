@@ -1,4 +1,4 @@
-"""Start and end of a process: UTF-8 in any locale, and a clean end on a signal at any time.
+"""Start and end of a process: UTF-8 in any locale, no warnings of numpy, and a clean end on a signal at any time.
 
 On Ctrl-C, SIGTERM and SIGHUP a command cleans up, prints one word, and exits with the shell's code for the signal, without a
 traceback. "Ctrl-C" in the code means all three.
@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -34,6 +35,12 @@ def speak_utf8() -> None:
     if given.isascii() and sys.stdout is not None:  # closed, as in `>&-`
         environment.setdefault("PYTHONIOENCODING", f"{sys.stdout.encoding}:backslashreplace")
     os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
+
+
+def hide_numpy_warnings() -> None:
+    """Keeps numpy's warnings off a command's stderr: its text says what overflows. They stay with `python -W`, and in tests."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore", RuntimeWarning)
 
 
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}  # printed; Windows has no SIGHUP

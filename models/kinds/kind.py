@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, SUSPENSION_VELOCITY, Signal
@@ -88,7 +88,7 @@ class Parameter(Checked):
             InputError: not a number of the allowed range.
         """
         smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
-        allowed = f"a number from {smallest:g} to {self.largest:g} {self.unit}"
+        allowed = number_range(smallest, self.largest, self.unit)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
         if not smallest <= value <= self.largest:  # NaN is in no range

@@ -70,8 +70,9 @@ class RigidMotion:
     names: tuple[str, ...]
     further: tuple[str, ...]
 
+    @np.errstate(all="ignore")
     def state(self, signals: Mapping[str, Array], heights: Array) -> Array:
-        """See `Motion`. The position of the body is sought whose struts have these deflections."""
+        """See `Motion`. It searches for the position of the body with these deflections, and gives NaN without one."""
         c = len(self.shape)
         columns = np.stack([signals[name] for name in self.names], axis=-1)
         deflections, hubs = columns[:, :c], columns[:, c : 2 * c] + heights
@@ -88,7 +89,7 @@ class RigidMotion:
     def usable(self, state: Array) -> Array:
         """See `Motion`. Where a body lies over, or a strut has no length left, its position does not follow from the struts."""
         q, hubs, rates, hub_rates = self._split(state)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(all="ignore"):
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)
             turned, shortest = np.abs(q[:, 1:]).max(axis=1, initial=0.0), STRUT + d.min(axis=1)
             upright = (turned < MOST_TURNED) & (up.min(axis=1) > LEAST_UPRIGHT)

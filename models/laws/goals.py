@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 
 EVERYWHERE = (0.0, float("inf"))
 WORST, REGRET = "worst", "regret"
@@ -314,7 +314,7 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
     if kind == "norm":
         return NormBound(_norm(where, value, outputs), _number(f"{where} norm", value["norm"], SMALLEST, LARGEST))
     if kind == "decay":
-        return DecayBound(_number(f"{where} decay", value["decay"], SMALLEST, LARGEST, " rad/s"))
+        return DecayBound(_number(f"{where} decay", value["decay"], SMALLEST, LARGEST, "rad/s"))
     if kind == "gain":
         return GainBound(_number(f"{where} gain", value["gain"], SMALLEST, LARGEST))
     signal, road = value[kind], value.get("road", "bump")
@@ -324,10 +324,10 @@ def _bound(where: str, value: Mapping[str, Any], outputs: Collection[str]) -> Bo
         raise InputError(f"{where} has no at_most; give the largest magnitude of {signal} that is allowed, in its SI unit")
     at_most = _number(f"{where} at_most", value["at_most"], SMALLEST, LARGEST)
     if kind == "energy_peak":
-        return EnergyBound(signal, _number(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, " m2/s"), at_most)
+        return EnergyBound(signal, _number(f"{where} energy", value.get("energy", 1.0), SMALLEST, LARGEST, "m2/s"), at_most)
     if not isinstance(road, str):
         raise InputError(f'{where} road = {quoted(road)} is no road; give its name, as in road = "bump:height=0.08"')
-    speed = _number(f"{where} speed", value["speed"], 0.1, 200.0, " m/s") if "speed" in value else None
+    speed = _number(f"{where} speed", value["speed"], 0.1, 200.0, "m/s") if "speed" in value else None
     return PeakBound(signal, road, speed, at_most)
 
 
@@ -343,7 +343,7 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
             raise InputError(
                 f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
             )
-        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, ", relative: 0.1 is 10 %")
+        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=", relative: 0.1 is 10 %")
     if FORCE in value and any(force in value for force in forces if force not in measured):
         raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
     return {name: float(share) for name, share in value.items()}
@@ -403,9 +403,9 @@ def _known(where: str, value: Mapping[str, Any], keys: Sequence[str]) -> None:
             raise InputError(f"{where} unknown key {quoted(key)}; known: {listing(keys)}")
 
 
-def _number(what: str, value: Any, smallest: float, largest: float, unit: str = "") -> float:
+def _number(what: str, value: Any, smallest: float, largest: float, unit: str = "", more: str = "") -> float:
     if not _is_number(value) or not smallest <= value <= largest:
-        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}{unit}")
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}{more}")
     return float(value)
 
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 
 STILL = 1e-150  # m/s, replaces a velocity of 0
 SPRUNG, UNSPRUNG, ACCELERATION = "sprung_velocity", "unsprung_velocity", "sprung_acceleration"
@@ -161,7 +161,7 @@ LAWS: dict[str, tuple[Law, tuple[str, ...], tuple[str, ...]]] = {
     "skyhook_modal": (skyhook_modal, (UNSPRUNG,), ("sky_damping", "heave_damping", "pitch_damping", "roll_damping")),
 }
 KEYS = ("semi_active", "sky_damping", "ground_damping", "mix", "crossover", "heave_damping", "pitch_damping", "roll_damping")
-UNITS = {"mix": "", "crossover": " rad/s"}
+UNITS = {"mix": "", "crossover": "rad/s"}
 MODAL = {"heave_damping": MODES[0], "pitch_damping": MODES[1], "roll_damping": MODES[2]}
 
 
@@ -303,6 +303,6 @@ def _number(where: str, key: str, value: Any) -> float:
     smallest, largest = (0.0, 1.0) if key == "mix" else (SMALLEST, LARGEST) if key == "crossover" else (0.0, LARGEST)
     real = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not real or not smallest <= value <= largest:
-        unit = UNITS.get(key, " N s/m")
-        raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}{unit}")
+        allowed = number_range(smallest, largest, UNITS.get(key, "N s/m"))
+        raise InputError(f"{where} {key} = {quoted(value)} is not allowed; give {allowed}")
     return float(value)

@@ -29,7 +29,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields
-from models.common.errors import InputError
+from models.common.errors import InputError, number_range
 from models.roads.iri import white_slope
 from models.roads.road import Road, check_numbers
 from models.roads.spectrum import Spectrum, coherency
@@ -66,7 +66,7 @@ def roughness_by_iri(iri: float) -> float:
         InputError: no road has such an IRI.
     """
     if not IRI_LIMITS[0] <= iri <= IRI_LIMITS[1]:
-        raise InputError(f"road iri = {iri:g} is not allowed; give a number from {IRI_LIMITS[0]:g} to {IRI_LIMITS[1]:g} [m/km]")
+        raise InputError(f"road iri = {iri:g} is not allowed; give {number_range(*IRI_LIMITS, 'm/km')}")
     return white_slope(iri, LOWEST, HIGHEST) / (2 * np.pi * N0) ** 2
 
 

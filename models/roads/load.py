@@ -22,11 +22,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, number_range
 from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
+UNITS = {"mass": "kg", "force": "N", "height": "m", "x": "m", "y": "m", "start": "s", "rise": "s", "hold": "s"}
 AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; a load takes time to rise, as no time step could follow a jump
 
 
@@ -103,7 +104,8 @@ class Ramped(Load):
         for name, (smallest, largest) in limits.items():
             value = getattr(self, name)
             if not smallest <= value <= largest:  # NaN is in no range
-                raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give a number from {smallest:g} to {largest:g}")
+                allowed = number_range(smallest, largest, UNITS.get(name, ""))
+                raise InputError(f"{self.kind} {name} = {value:g} is not allowed; give {allowed}")
 
     @property
     def text(self) -> str:

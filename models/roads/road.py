@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import Must, check, is_finite
-from models.common.errors import InputError, quoted
+from models.common.errors import InputError, number_range, quoted
 from models.kinds.kind import Parameters, Wheel
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
 from models.vehicle.vehicle import Vehicle
@@ -128,6 +128,12 @@ class Road(ABC):
 
 
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
+UNITS = dict.fromkeys(("height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
+    "speed": "m/s",
+    "lowest": "Hz",
+    "highest": "Hz",
+    "duration": "s",
+}
 
 
 def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float]]) -> None:
@@ -140,7 +146,9 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
         value = getattr(road, name)
         if not is_finite(value) or not smallest <= value <= largest:
             shown = f"{value:g}" if isinstance(value, int | float) else quoted(value)
-            raise InputError(f"{kind} {name} = {shown} is not allowed; give a number from {smallest:g} to {largest:g}")
+            raise InputError(
+                f"{kind} {name} = {shown} is not allowed; give {number_range(smallest, largest, UNITS.get(name, ''))}"
+            )
     check(f"{kind} track", road.track, Track)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 from models.suspension import STOP_KEYS
 
 SIDES = ("bump", "rebound")  # the suspension squeezed, and stretched
@@ -162,12 +162,12 @@ def _stiffness(where: str, value: Any) -> Stiffness:
     units = ("N/m", "N/m2", "N/m3")
     coefficients = tuple(_number(f"{where}[{i}]", k, unit, 0.0) for i, (k, unit) in enumerate(zip(value, units, strict=False)))
     if not coefficients[0] >= SMALLEST:
-        raise InputError(f"{where}[0] = {coefficients[0]:g} is not allowed; give a number from {SMALLEST:g} to {LARGEST:g} N/m")
+        raise InputError(f"{where}[0] = {coefficients[0]:g} is not allowed; give {number_range(SMALLEST, LARGEST, 'N/m')}")
     return coefficients
 
 
 def _number(where: str, value: Any, unit: str, smallest: float) -> float:
-    allowed = f"a number from {smallest:g} to {LARGEST:g} {unit}"
+    allowed = number_range(smallest, LARGEST, unit)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{where} = {quoted(value)} is not a number; give {allowed}")
     if not (math.isfinite(value) and smallest <= value <= LARGEST):

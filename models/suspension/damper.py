@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 from models.suspension.curve import STRAIGHT, ForceCurve
 from models.suspension.curve_reading import VELOCITY, curve_of
 
@@ -217,7 +217,7 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
         smallest, unit = (0.0, "N s/m") if name == "c_min" else (SMALLEST, "rad/s" if name == "bandwidth" else "N s/m")
         real = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not real or not smallest <= value <= LARGEST:
-            allowed = f"a number from {smallest:g} to {LARGEST:g} {unit}"
+            allowed = number_range(smallest, LARGEST, unit)
             raise InputError(f"{where} {name} = {quoted(value)} is not allowed; give {allowed}")
     if not numbers["c_min"] < numbers["c_max"]:
         raise InputError(

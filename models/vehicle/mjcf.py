@@ -289,7 +289,7 @@ def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
 
 
 MOVED = 1e-2  # m, rad; less than a hub is above its road, and the cosine of a hinge's angle changes by 5e-5
-CHANGE = 1e-9  # of the largest entry of a matrix; the relative effect of rounding is 1e-15
+CHANGE = 1e-9  # of the largest entry of a matrix, or of a reading; the relative effect of rounding is 1e-15
 TRIALS = 3
 
 
@@ -297,7 +297,8 @@ TRIALS = 3
 def has_geometry(vehicle: Vehicle) -> bool:
     """Returns True if the model is linear for small motions only, whatever its parameters.
 
-    Masses, weights or levers of tendons and actuators then change with the position, or a spring or damper is a polynomial.
+    Masses, weights or levers of tendons and actuators then change with the position, a spring or damper is a polynomial, or a
+    sensor reads what is no sum of positions, velocities and accelerations, as the velocity of a point of a body that turns.
     """
     model = build_model(replace(vehicle, limits=Limits()), 1e-3, drawn=False)
     bent = (model.jnt_stiffnesspoly, model.dof_dampingpoly, model.tendon_stiffnesspoly, model.tendon_dampingpoly)
@@ -316,4 +317,32 @@ def has_geometry(vehicle: Vehicle) -> bool:
         np.abs(there - here).max(initial=0.0) > CHANGE * np.abs(here).max(initial=0.0)
         for trial in moved
         for here, there in zip(rest, trial, strict=True)
-    )
+    ) or _reads_geometry(vehicle, model)
+
+
+def _reads_geometry(vehicle: Vehicle, model: mujoco.MjModel) -> bool:
+    """Returns True if a sensor of an output signal reads no sum of positions, velocities and accelerations.
+
+    Half of a motion then does not change its reading by half. The motion is given, whatever forces it takes.
+    """
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    outputs, combined = vehicle.linear_model.outputs, vehicle.kind.combined
+    names = list(dict.fromkeys(part for name in outputs for part in combined.get(name, {name: 1.0})))
+
+    def read(motion: Array) -> Array:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = motion[0], motion[1]
+        mujoco.mj_forward(model, data)
+        data.qacc[:] = motion[2]
+        mujoco.mj_rnePostConstraint(model, data)
+        mujoco.mj_sensorAcc(model, data)
+        sensed = {name: data.sensor(name).data for name in names}
+        return np.array([model.sensor(name).user[: len(sensed[name])] @ sensed[name] for name in names])
+
+    rest = read(np.zeros((3, model.nv)))
+    for _ in range(TRIALS):
+        motion = rng.uniform(-1.0, 1.0, (3, model.nv)) * np.array([[MOVED], [1.0], [1.0]])
+        whole, half = read(motion) - rest, read(motion / 2) - rest
+        if np.any(np.abs(whole - 2 * half) > CHANGE * np.maximum(np.abs(whole), MOVED)):
+            return True
+    return False

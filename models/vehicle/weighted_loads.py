@@ -3,8 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 from models.kinds.kind import LARGEST, SMALLEST, is_within
+from models.kinds.signals import HEAVE_LOAD
 
 
 def weighed_loads(where: str, section: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
@@ -20,7 +21,6 @@ def weighed_loads(where: str, section: Mapping[str, Any], loads: Sequence[str]) 
         if name not in loads:
             raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
         if not (is_within(value, LARGEST) and value >= SMALLEST):
-            raise InputError(
-                f"{where} loads: {name} = {quoted(value)} is not allowed; give a number from {SMALLEST:g} to {LARGEST:g}"
-            )
+            allowed = number_range(SMALLEST, LARGEST, "N" if name.startswith(HEAVE_LOAD.name) else "N m")
+            raise InputError(f"{where} loads: {name} = {quoted(value)} is not allowed; give {allowed}")
     return tuple((name, float(value)) for name, value in given.items())

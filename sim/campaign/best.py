@@ -120,12 +120,15 @@ class Choice:
             others = f", and {len(near) - NEAREST} more" if len(near) > NEAREST else ""
             tied = f"; and {', '.join(near[:NEAREST])}{others}" if near else ""
             return f"{self.vehicle}: the best {request.metric}{limits} has {candidate.name}{keys}: {numbers}{count}{tied}"
-        missed = " and ".join(
-            f"{name} by {by:.3g}{f' ({percent(by / abs(limit))})' if (limit := request.limits[name]) else ''}"
-            for name, by in self.misses.items()
-        )
+        missed = " and ".join(self._missed(name, by) for name, by in self.misses.items())
         nearest = f"{candidate.name}{keys} is nearest, and misses {missed}"
         return f"{self.vehicle}: none of {self.count} is within {request.words}; {nearest}"
+
+    def _missed(self, name: str, by: float) -> str:
+        """A missed limit in words: by how much, in its unit and as its share."""
+        limit = self.request.limits[name]
+        far = f"{name} by {by:.3g} {self.request.units[name]}".rstrip()
+        return f"{far} ({percent(by / abs(limit))})" if limit else far
 
 
 def requested(campaign: Campaign, best: str | None, limits: Sequence[str], save: Path | None) -> Request | None:

@@ -118,16 +118,16 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
     a_vehicle = next(iter(vehicles.values()))
     _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])
     written = _list(data, "speeds", "20.0")
-    speeds = tuple(read_number(speed, "speeds", 0.1, 200.0) for speed in written)
+    speeds = tuple(read_number(speed, "speeds", 0.1, 200.0, "m/s") for speed in written)
     _check_once("speeds", written, speeds)
-    duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6), data.get("timestep", 1e-3)
-    timestep = read_number(timestep, "timestep", 0.0, 1.0)
+    duration, timestep = read_number(data.get("duration", 10.0), "duration", 0.0, 1e6, "s"), data.get("timestep", 1e-3)
+    timestep = read_number(timestep, "timestep", 0.0, 1.0, "s")
     for name, vehicle in vehicles.items():
         try:
             sample_times(vehicle, duration, timestep)
         except InputError as error:
             raise InputError(f"vehicle {name!r}: {error}") from error
-    settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6)
+    settle = read_number(data.get("settle", min(SETTLE, duration / 2)), "settle", 0.0, 1e6, "s")
     if settle > duration / 2:
         raise InputError(f"settle = {settle:g} s leaves too little of a run of {duration:g} s; give at most half of it")
     drawn = read_samples(data.get("samples"), vehicles, controllers)

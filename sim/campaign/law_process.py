@@ -23,6 +23,7 @@ from typing import Any, BinaryIO
 
 import cloudpickle
 
+from models.common.interrupt import hide_numpy_warnings
 from models.laws.python_runtime import leave_by
 from sim.campaign.batch import FAILED, Rows, run_batch
 from sim.campaign.plan import Plan
@@ -227,4 +228,5 @@ def _kept(number: int, mode: int) -> BinaryIO:
 
 
 if __name__ == "__main__":
+    hide_numpy_warnings()
     main()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing, quoted
+from models.common.errors import InputError, listing, number_range, quoted
 from models.kinds.kind import Parameter
 from models.roads.iso8608 import check_seed
 from models.suspension.adjustable_dampers import Adjustable
@@ -255,14 +255,14 @@ def _of_dampers(vehicle: Vehicle) -> dict[str, tuple[float, list[str]]]:
     return {name: (value, forces) for name, (value, forces) in quantities.items() if value is not None}
 
 
-def read_number(value: Any, where: str, smallest: float, largest: float) -> float:
+def read_number(value: Any, where: str, smallest: float, largest: float, unit: str = "") -> float:
     """Reads a number of a campaign file, within limits.
 
     Raises:
         InputError: the value is not a number, or beyond them.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
-        raise InputError(f"{where}: {quoted(value)} is not allowed; give a number from {smallest:g} to {largest:g}")
+        raise InputError(f"{where}: {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}")
     return float(value)
 
 

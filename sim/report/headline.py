@@ -12,6 +12,7 @@ from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
+from sim.runs.report import NO_STATE
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
@@ -169,6 +170,8 @@ def what_ended(run: Run) -> str:
     one = run.agreement
     broken = "the states of the law run away" if run.physics.ran_away else "the run diverges"
     causes = {end.happens: one.ended[end.name] for end in REGIME_ENDS} | {broken: run.diverged}
+    if one.lost:
+        return NO_STATE
     return next((text for text, when in causes.items() if when == one.until), "within a step, a tyre may leave the road")
 
 

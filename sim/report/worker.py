@@ -11,6 +11,7 @@ from os import _exit as leave_at_once
 from typing import BinaryIO
 
 import sim.report.contents  # noqa: F401 - all that a piece needs, before the first is asked for
+from models.common.interrupt import hide_numpy_warnings
 
 
 def main() -> None:
@@ -39,4 +40,5 @@ def _listen(requests: BinaryIO, pieces: queue.SimpleQueue) -> None:
 
 
 if __name__ == "__main__":
+    hide_numpy_warnings()
     main()

@@ -31,6 +31,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import Shown
+from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
@@ -59,9 +60,9 @@ class SignalAgreement:
         blur: part of `allowed` for noise and quantisation.
         rounding: part of `allowed` that does not depend on the road; see `sim.linear.sampled_response`.
         scale: of all these differences, in the signal's unit.
-        geometry: value of `sampled` if physics differed from the linear analysis by geometry alone, or None if `small` was
-            not needed.
-        foretold: largest difference of physics from the linear response plus the effect of geometry that smaller heights
+        geometry: value of `sampled` if physics differed from the linear analysis by geometry and the integrator's error alone,
+            or None if `small` was not needed.
+        foretold: largest difference of physics from RK4's linear response plus the effect of geometry that smaller heights
             predict, or None for a vehicle with exact equations.
         small: `sampled` over the same road at `SMALL` of its height, or None if it was not needed.
         allowed_small: `allowed` over that road, or None.
@@ -91,8 +92,13 @@ class SignalAgreement:
 
     @property
     def is_geometry(self) -> bool:
-        """Returns True unless smaller heights predict another difference."""
-        return self.foretold is None or self.foretold <= self.allowed + FORETOLD * self.sampled
+        """Returns True unless smaller heights predict another difference.
+
+        With F = 6 f(1/2) - 8 f(1/4), noise is the same share n of every height, and leaves 3 n of f(1) - F. Rounding r is of no
+        height, so that it may come to (1 + 12 + 32) r.
+        """
+        allowed = self.allowed + 2 * self.blur + 44 * self.rounding
+        return self.foretold is None or self.foretold <= allowed + FORETOLD * self.sampled
 
     @property
     def excess(self) -> float:
@@ -115,7 +121,7 @@ class Agreement(Shown):
         lift_off: intervals [s] in which a tyre is off the road.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
-            does not end it.
+            does not end it. A state that the vehicle's exact equations do not take does.
         blurred: True if measurements are noisy or quantised: then differences up to their predicted spread are allowed.
         steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
     """
@@ -148,6 +154,11 @@ class Agreement(Shown):
         return self.until > 0 and self.step_by_step and all(signal.agrees for signal in self.signals.values())
 
     @property
+    def lost(self) -> bool:
+        """Returns True if the comparison ends because the vehicle's exact equations do not take the state of physics."""
+        return self.steps is not None and self.steps.lost and self.steps.until == self.until
+
+    @property
     def step_by_step(self) -> bool:
         """Returns False if a step differs from the vehicle's exact equations, else True."""
         return self.steps is None or self.steps.agrees
@@ -162,7 +173,7 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     vehicle, spread, diverged = prediction.vehicle, prediction.spread, physics.diverged
     sampled, integrated, continuous = prediction.sampled, prediction.integrated, prediction.continuous
     ended = dict(zip(END_NAMES, reached(vehicle, physics, has_anti_windup(prediction.controller)).tolist(), strict=True))
-    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(vehicle, physics), diverged)
+    until = min(*(ended[end.name] for end in REGIME_ENDS if not end.exact), _first_loose(prediction.input, physics), diverged)
     # A loop that grows threefold in a step passes through the road and back within a step, as the predicted deflections show.
     foretold = dict(zip(END_NAMES, reached(vehicle, sampled).tolist(), strict=True))[FLAT.name]
     if foretold < until:
@@ -171,7 +182,10 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     controller = prediction.controller if isinstance(prediction.controller, Controller) else None
     steps, rounding = None, roundings(vehicle, controller)
     if (motion := motion_of(vehicle)) is not None:
-        steps = compare_steps(motion, prediction.input, physics, requested_force, steps_end(vehicle, physics, ended), rounding)
+        end = steps_end(prediction.input, physics, ended)
+        steps = compare_steps(motion, prediction.input, physics, requested_force, end, rounding)
+        if steps.lost:  # what no step confirms is not called geometry
+            until = min(until, steps.until)
     physics, sampled, integrated, continuous = (r.until(until) for r in (physics, sampled, integrated, continuous))
     signals = {}
     if prediction.loop is not None and prediction.radius > 1:
@@ -190,13 +204,13 @@ def compare(prediction: Prediction, physics: Response, requested_force: Array | 
     return Agreement(signals, lift_off, ended, until, blurred=bool(spread), steps=steps)
 
 
-def steps_end(vehicle: Vehicle, physics: Response, ended: Mapping[str, float]) -> float:
+def steps_end(road: RoadInput, physics: Response, ended: Mapping[str, float]) -> float:
     """Returns the time [s] before which single steps are compared: until a tyre is flat, or the run diverges.
 
     A kind without equations of its own has those of its linear model, which hold only while all tyres are on the road.
     """
     end = min(ended[FLAT.name], physics.diverged)
-    return end if vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(vehicle, physics))
+    return end if road.vehicle.kind.motion is not None else min(end, ended[LIFT_OFF.name], _first_loose(road, physics))
 
 
 def look_closer(agreement: Agreement, small: ScaledPrediction, physics: Response) -> Agreement:
@@ -259,7 +273,7 @@ def with_geometry(agreement: Agreement, prediction: Prediction, physics: Respons
     end = agreement.until
     more: Mapping[str, Array] = {}
     if not steps.agrees:
-        more = left_over(motion, prediction.input, physics, requested_force, min(end, steps.until))
+        more = left_over(motion, prediction.input, physics, requested_force, end)
     signals = {}
     for name, signal in agreement.signals.items():
         geometry = signal.sampled
@@ -272,25 +286,32 @@ def with_geometry(agreement: Agreement, prediction: Prediction, physics: Respons
 
 def foretell(
     agreement: Agreement,
-    whole: tuple[Response, Response],
-    parts: Sequence[tuple[Response, Response]],
+    prediction: Prediction,
+    physics: Response,
+    parts: Sequence[tuple[Response, ScaledPrediction]],
 ) -> Agreement:
     """Adds the effect of geometry on the whole road as smaller heights predict it, to the third power of the height.
 
+    That effect is what leaves RK4's own response: the integrator's error is the same share of every height, no power of it.
+
     Args:
-        whole: physics and exact response over the whole road.
-        parts: the same over `PARTS` of its height.
+        prediction: over the whole road.
+        physics: response of MuJoCo over it.
+        parts: the same two over `PARTS` of its height.
     """
-    signals = {}
+    whole, end, signals = prediction.integrated, agreement.until, {}
     for name, signal in agreement.signals.items():
-        far, half, quarter = (
-            (physics.until(agreement.until)[name] - sampled.until(agreement.until)[name]) / (share * signal.scale)
-            for share, (physics, sampled) in zip((1.0, *PARTS), (whole, *parts), strict=True)
+        far = (physics.until(end)[name] - whole.until(end)[name]) / signal.scale
+        half, quarter = (
+            (made.until(end)[name] - (known.integrated.until(end)[name] if known.integrated else share * whole.until(end)[name]))
+            / (share * signal.scale)
+            for share, (made, known) in zip(PARTS, parts, strict=True)
         )
         foretold = 6 * half - 8 * quarter
+        integrator = (whole.until(end)[name] - prediction.sampled.until(end)[name]) / signal.scale
         signals[name] = replace(
             signal,
-            geometry=float(np.abs(foretold).max(initial=0.0)),
+            geometry=float(np.abs(foretold + integrator).max(initial=0.0)),
             foretold=float(np.abs(far - foretold).max(initial=0.0)),
         )
     return replace(agreement, signals=signals)
@@ -306,19 +327,18 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
     return tuple(sorted(intervals))
 
 
-def _first_loose(vehicle: Vehicle, physics: Response) -> float:
+def _first_loose(met: RoadInput, physics: Response) -> float:
     """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
-    MuJoCo holds the road at its middle over a step, so there a tyre is shorter or longer than at the samples. The curvature of
-    paths within a step, as RK4's stages see it, is bounded by their second differences.
+    MuJoCo holds the road at its height in the middle of a step, so there a tyre is shorter or longer than at the samples. The
+    curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
-    static, first = vehicle.kind.static_tyre_deflection(vehicle.parameters), np.inf
-    for wheel in vehicle.kind.wheels:
-        road = physics[wheel.road_displacement]
-        hub = physics[wheel.tyre_deflection] + road
-        held = (road[:-1] + road[1:]) / 2
-        hub_bend, road_bend = (np.abs(np.diff(path, n=2, prepend=path[0])) for path in (hub, road))
-        longest = np.maximum(hub[:-1], hub[1:]) - held + hub_bend + road_bend / 8
+    vehicle, first = met.vehicle, np.inf
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    for wheel, held in zip(vehicle.kind.wheels, met.midway.T, strict=True):
+        hub = physics[wheel.tyre_deflection] + physics[wheel.road_displacement]
+        bend = np.abs(np.diff(hub, n=2, prepend=hub[0]))
+        longest = np.maximum(hub[:-1], hub[1:]) - held[: len(hub) - 1] + bend
         loose = longest >= static[wheel.tyre_deflection]
         if loose.any():
             first = min(first, float(physics.time[1 + loose.argmax()]))

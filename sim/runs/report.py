@@ -70,6 +70,8 @@ def energy_lines(run: Run) -> list[str]:
 
 NO_CLAIM = "no linear claim: a law in Python"
 NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
+LOST = "beyond its equations"
+NO_STATE = "a strut has no length left, or the body lies over"
 NOT_GEOMETRY = 0.01  # share of a difference; a sentence leaves out smaller parts
 MOST_FLIGHTS = 4  # flights of a run that are listed one by one
 
@@ -177,7 +179,8 @@ def verdict(run: Run) -> str:
     agreement = run.agreement
     if math.isfinite(agreement.until):
         ended = [name for name, when in agreement.ended.items() if when == agreement.until]
-        why = ended or ([broken_by(run.physics)] if run.diverged == agreement.until else [LIFT_OFF.name])
+        other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
+        why = ended or [other]
         when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
     else:
         why, when = [], "throughout"
@@ -252,8 +255,14 @@ def verdict_lines(run: Run) -> list[str]:
             f"flat: a tyre is squeezed by more than {MOST_SQUEEZE} m at {times[FLAT.name]:.4g} s, its hub is in the road; "
             "no model of it holds from there"
         )
+    if agreement.lost:
+        lines.append(f"{LOST}: from {agreement.until:.4g} s on {NO_STATE}; what MuJoCo does there is compared with nothing")
     if math.isfinite(agreement.until):
-        why = "" if agreement.until in (*times.values(), run.diverged) else ": within a step, a tyre may leave the road there"
+        why = (
+            ""
+            if agreement.lost or agreement.until in (*times.values(), run.diverged)
+            else ": within a step, a tyre may leave the road there"
+        )
         lines.append(f"the linear comparison does not apply from {agreement.until:.4g} s on{why}")
         when = f"until {agreement.until:.4g} s"
     if agreement.until <= 0:

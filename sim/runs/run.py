@@ -321,8 +321,7 @@ def _looked_closer(runs: Sequence[Run], requests: Sequence[Array | None]) -> lis
     if any(agreement.steps is None for agreement in closer):  # the kind gives no exact equations
         half, quarter = (over(share, runs) for share in PARTS)
         for i, run in enumerate(runs):
-            parts = [(made, known.sampled) for made, known in (half[i], quarter[i])]
-            closer[i] = foretell(closer[i], (run.physics, run.sampled), parts)
+            closer[i] = foretell(closer[i], run.prediction, run.physics, (half[i], quarter[i]))
         return closer
     larger = [i for i, agreement in enumerate(closer) if not all(signal.agrees for signal in agreement.signals.values())]
     if larger:

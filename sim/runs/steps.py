@@ -44,6 +44,7 @@ class StepAgreement:
         signal: name of that signal.
         since: start of the first step that differs by more than is allowed [s], or infinity.
         until: steps that begin before this time are compared [s]; infinite for all.
+        lost: True if the equations do not take the state at that time.
     """
 
     error: float
@@ -51,6 +52,7 @@ class StepAgreement:
     signal: str
     since: float
     until: float
+    lost: bool = False
 
     @property
     def agrees(self) -> bool:
@@ -168,6 +170,7 @@ def compare_steps(
         signal=names[which],
         since=float(physics.time[beyond.argmax()]) if beyond.any() else np.inf,
         until=np.inf if usable else float(physics.time[len(ahead)]),
+        lost=len(ahead) < len(physics.time) - 1,
     )
 
 

@@ -74,10 +74,12 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     # With its noise that norm is of another w, and with its lag of another z, which weighs the force asked for.
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
-    heard = ", with the noise of its measurements" if any(controller.hardware.noise) else ""
+    noisy = any(controller.hardware.noise)
+    heard = ", with the noise of its measurements" if noisy else ""
+    which = "a road with noise" if noisy else "a road"
     lines = [
         f"sampled norm {norm.value:.7g}{more}{heard}",
-        f"it is less than {norm.upper:.9g} by level sets, and a road reaches {norm.reached:.9g} of it",
+        f"it is less than {norm.upper:.9g} by level sets, and {which} reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
         lines.append("it is decided within one sample period: no controller at this rate has less")
@@ -102,10 +104,10 @@ def norm_failures(norm: SampledNorm | None) -> tuple[str, ...]:
     if norm is None or not norm.stable:
         return ()
     if norm.reached > norm.upper:
-        return (f"the sampled norm is not less than {norm.upper:.12g}: a road reaches {norm.reached:.12g}",)
+        return (f"the sampled norm is not less than {norm.upper:.12g}: a disturbance reaches {norm.reached:.12g}",)
     if norm.gap <= ROUTES_AGREE:
         return ()
-    return (f"the sampled norm {norm.value:.9g} and what a road reaches of it differ by {norm.gap:.0e}",)
+    return (f"the sampled norm {norm.value:.9g} and what a disturbance reaches of it differ by {norm.gap:.0e}",)
 
 
 def instability_cured_by_sampling(vehicle: Vehicle, certificate: Certificate, norm: SampledNorm | None) -> tuple[str, ...]:

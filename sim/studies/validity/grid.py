@@ -50,13 +50,17 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, GridAxis]:
         smallest, largest = LOWEST if name == "height" else LIMITS[name][0], LIMITS[name][1]
         if not smallest <= low < high <= largest:
             raise InputError(f"--vary {text}: give low < high, from {smallest:g} to {largest:g} {UNITS[name]}")
-        if not 2 <= count <= MOST_CELLS:
+        if count < 2:
             raise InputError(f"--vary {text}: {count} point(s) make no axis; give 2 or more")
+        if count > MOST_CELLS // 2:  # the other axis has 2 or more
+            raise InputError(f"--vary {text}: {count} points are too many; a map has at most {MOST_CELLS} cells")
         axes.append(GridAxis(name, tuple(np.linspace(low, high, count).tolist())))
     if axes[0].name == axes[1].name:
         raise InputError(f"--vary {axes[0].name} twice; vary two different ones of {listing(UNITS)}")
     if len(axes[0].values) * len(axes[1].values) > MOST_CELLS:
-        raise InputError(f"{len(axes[0].values) * len(axes[1].values)} cells are too many; at most {MOST_CELLS}")
+        raise InputError(
+            f"{len(axes[0].values) * len(axes[1].values)} cells are too many; a map has at most {MOST_CELLS}: give fewer points"
+        )
     return axes[0], axes[1]
 
 
