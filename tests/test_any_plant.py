@@ -149,7 +149,7 @@ def test_odd_plants(capfd):
 def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) -> Iterator[Callable[[], Any]]:
     """Calls of every public function of plants, with q measurements, as arrays and as lists."""
     (n, m), r = plant.B.shape, plant.Bw.shape[1]
-    arrays = rng.standard_normal((q, n)), -0.01 * rng.standard_normal((m, q)), rng.standard_normal((q, r)), np.ones((m, q))
+    arrays: Any = rng.standard_normal((q, n)), -0.01 * rng.standard_normal((m, q)), rng.standard_normal((q, r)), np.ones((m, q))
     for Cy, K, Dyw, anywhere in (arrays, [each.tolist() for each in arrays]):
         yield lambda Cy=Cy: synth.design_feedback(plant, Cy)
         yield lambda Cy=Cy, Dyw=Dyw: synth.design_feedback(plant, Cy, Dyw, order="full")
@@ -168,7 +168,7 @@ def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) ->
         yield lambda Cy=Cy, K=K: synth.certify(plant, synth.Feedback(K, Cy))
         yield lambda: synth.hinf_norm(plant)
         yield lambda: synth.norm_in_band(plant, 1.0, 2.0)
-        yield lambda Cy=Cy, K=K: synth.worst_norm(plant, Cy, K, [0.1] * q, [0.1] * m)
+        yield lambda Cy=Cy, K=K: synth.worst_norm(plant, Cy, K, np.full(q, 0.1), np.full(m, 0.1))
         yield lambda Cy=Cy, anywhere=anywhere, K=K: synth.multi_objective_design(
             synth.MultiObjectiveProblem(
                 (synth.FamilyMember((synth.MeasuredPlant(plant, Cy),)),),
@@ -189,8 +189,9 @@ def every_function(plant: GeneralizedPlant, q: int, rng: np.random.Generator) ->
 def test_what_is_missing_is_said(n, m, q, dt):
     """Without an input, a measurement or a state every public function answers, or says in one line what is missing."""
     rng = np.random.default_rng(1)
-    A, shapes = 0.3 * rng.standard_normal((n, n)) - (dt is None) * np.eye(n), ((n, m), (n, 1), (2, n), (2, m))
-    plant = GeneralizedPlant(A, *(rng.standard_normal(shape) for shape in shapes), np.zeros((2, 1)), dt=dt)
+    A = 0.3 * rng.standard_normal((n, n)) - (dt is None) * np.eye(n)
+    B, Bw, C, D = (rng.standard_normal(shape) for shape in ((n, m), (n, 1), (2, n), (2, m)))
+    plant = GeneralizedPlant(A, B, Bw, C, D, np.zeros((2, 1)), dt=dt)
     for call in every_function(plant, q, rng):
         asked(call)
 

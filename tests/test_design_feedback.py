@@ -245,6 +245,7 @@ def test_it_finds_what_any_method_finds(seed):
 @pytest.mark.attack
 def test_units_beyond_floats_hide_no_gain():
     """Where a plant's own units lead beyond floats, and the first checks and the two steps end there, descent finds a gain."""
+    parts: dict[str, Any]
     parts, Cy = drawn(2000)
     plant = GeneralizedPlant(**parts)
     with pytest.raises(InputError, match="D has an entry beyond"):

@@ -476,7 +476,7 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
     assert worst(over_the_bump(scope, [kept])) == "holds"
     assert [row[-2:] for row in energy_table([run, kept]).rows] == [
-        (f"{one.energy.residual:.1e}", f"{one.energy.allowed:.1e}") for one in (run, kept)
+        (f"{one.residual:.1e}", f"{one.allowed:.1e}") for one in (run.energy, kept.energy) if one is not None
     ]
 
 

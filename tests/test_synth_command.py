@@ -112,9 +112,9 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     text = (
         "limit: at 0 rad/s, where a mode does not decay by itself, no control force that holds it brings z's response to the road"
     )
-    assert _limit(limit, held=is_pole(plant, 0.0)) == f"{text} below 2"
+    assert _limit(limit, at_pole=is_pole(plant, 0.0)) == f"{text} below 2"
     assert not is_pole(plant, 1.0)
-    assert "(invariant point)" in _limit(limit, held=False)
+    assert "(invariant point)" in _limit(limit, at_pole=False)
 
 
 def test_the_case_is_said(capsys, tmp_path):
