@@ -334,7 +334,7 @@ def test_matrices_that_do_not_fit(change, message):
     ("change", "message"),
     [
         ({"Bw": np.zeros((2, 1))}, "no disturbance: Bw and Dw are zero"),
-        ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "no disturbance"),
+        ({"Bw": np.zeros((2, 0)), "Dw": np.zeros((2, 0))}, "Bw has no columns, so that there is no norm from w to z"),
         ({"C": np.zeros((2, 2))}, "the controlled output is zero"),
     ],
 )

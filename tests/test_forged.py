@@ -191,7 +191,7 @@ def test_bound_is_rounded_upwards():
 def test_matrix_of_the_proof():
     """The judged matrix is that of (20) in rational arithmetic, whatever the sizes of its numbers, rounded once."""
     rng = np.random.default_rng(1)
-    for n, m, r, d in ((1, 1, 1, 1), (4, 2, 1, 3), (3, 0, 2, 1), (2, 1, 0, 2)):
+    for n, m, r, d in ((1, 1, 1, 1), (4, 2, 1, 3), (3, 0, 2, 1), (2, 1, 1, 2)):
         shapes = {"A": (n, n), "B": (n, m), "Bw": (n, r), "C": (d, n), "D": (d, m), "Dw": (d, r)}
         drawn = {
             name: rng.standard_normal(shape) * 10.0 ** rng.uniform(-30, 30, shape)
