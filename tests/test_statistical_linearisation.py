@@ -239,12 +239,11 @@ SEEDS, SETTLED, WINDOW, STEP = 200, 8.0, 9.0, 2e-3  # s; controller I leaves a m
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("road_class", ["B", "C", "D"])
-@pytest.mark.parametrize("name", ["passive", "I", "II"])
+@pytest.mark.parametrize(("name", "road_class"), [("passive", "C"), ("I", "B"), ("II", "C"), ("II", "D")])
 def test_it_is_within_what_two_hundred_roads_say(road_class, name):
     """Over 200 roads in MuJoCo, ride, travel and load of a quarter-car with a digressive damper have the mean squares expected.
 
-    The interval is of three standard errors: 24 comparisons, of which one in twenty would be outside of two. On class D wheels
+    The interval is of three standard errors: 12 comparisons, of which one in twenty would be outside of two. On class D wheels
     leave the road. There, and for shocks, the numbers are within what the output says of them.
     """
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
