@@ -35,7 +35,7 @@ from synth.lmi.central_path import CentralPoint, fits
 from synth.lmi.full_order_bound import bound_beyond_control
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
-from synth.plant.generalized import GeneralizedPlant
+from synth.plant.generalized import GeneralizedPlant, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError, numerics
 from synth.plant.units import own_units
 
@@ -176,8 +176,7 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
     except DesignError as error:
         reasons = stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)
         raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
-    gain = np.zeros((len(K), len(problem.Cy)))
-    gain[:, kept] = K
+    gain = on_all_rows(K, kept, len(problem.Cy))
     return SampledDataDesign(gain, norm, level, tuple(kept), instead)
 
 

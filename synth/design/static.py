@@ -38,7 +38,7 @@ from synth.design.descent.symmetry import Symmetry
 from synth.design.two_step import LARGEST_GAIN, Design, two_step_design
 from synth.lmi.output_feedback import independent_rows
 from synth.plant.augmented import on_larger_plant
-from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with
+from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, on_all_rows
 from synth.plant.numerics import DesignError, numerics, up_to_rounding
 from synth.plant.units import size
 
@@ -134,9 +134,7 @@ def static_output_feedback(
     except InputError as error:
         two_steps = str(error)
     found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept])
-    gain = np.zeros((len(found.gain), len(Cy)))
-    gain[:, kept] = found.gain
-    return replace(found, gain=gain)
+    return replace(found, gain=on_all_rows(found.gain, kept, len(Cy)))
 
 
 @numerics()

@@ -24,7 +24,7 @@ from synth.analysis.stability import balance, is_stable, pole_text
 from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
 from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
-from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, check_states, measurement_matrices
+from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, check_states, measurement_matrices, on_all_rows
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import own_units, size
 
@@ -400,6 +400,5 @@ def as_measurement_matrix(plant: GeneralizedPlant, Cy: Array) -> tuple[Array, li
 
 def with_redundant_rows(design: Design, kept: Sequence[int], q: int, state_step_gap: float) -> Design:
     """A design from some of q measurements as one from all of them, with a gain of zero for the others."""
-    gain = np.zeros((len(design.gain), q))
-    gain[:, kept] = design.gain
+    gain = on_all_rows(design.gain, kept, q)
     return replace(design, gain=gain, state_step_gap=state_step_gap, redundant=tuple(i for i in range(q) if i not in kept))

@@ -1,5 +1,6 @@
 """The generalized plant (15): x' = A x + B u + Bw w, z = C x + D u + Dw w; or x[k+1] = A x[k] + ..., every dt seconds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -250,6 +251,13 @@ def check_posed(plant: GeneralizedPlant) -> None:
         raise InputError("the plant has no disturbance: Bw and Dw are zero; name one, or there is nothing to design against")
     if not (np.any(plant.C) or np.any(plant.D)):
         raise InputError("the controlled output is zero: C and D are; give at least one signal a weight above zero")
+
+
+def on_all_rows(gain: Array, kept: Sequence[int] | Array, q: int) -> Array:
+    """Returns a gain on some of q measurements as one on all, with zeros for the others, shape (m, q)."""
+    whole = np.zeros((len(gain), q))
+    whole[:, kept] = gain
+    return whole
 
 
 def measured_with(plant: GeneralizedPlant, Cy: object, Dyw: object | None) -> tuple[Array, Array | None]:

@@ -19,7 +19,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 @dataclass(frozen=True)
 class _Nameless:
-    """What goals ask of a kind of vehicle, for a plant: no parameters, and forces that belong to no corner."""
+    """Stand-in of a plant for a kind of vehicle, as goals need it: no parameters, and forces that belong to no corner."""
 
     corners: Mapping[str, str]
     parameters: tuple[()] = ()

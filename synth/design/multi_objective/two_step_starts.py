@@ -12,6 +12,7 @@ from synth.design.multi_objective.design import MultiObjectiveDesign, multi_obje
 from synth.design.multi_objective.problem import MeasuredPlant, MultiObjectiveProblem
 from synth.design.multi_objective.search import Told
 from synth.design.two_step import two_step_design
+from synth.plant.generalized import on_all_rows
 from synth.plant.numerics import DesignError
 
 
@@ -40,7 +41,7 @@ def _slack(asked: MultiObjectiveProblem) -> list[Array]:
     plants, kept = [member.posed[0] for member in asked.members], _of_state(asked.members[0].posed[0])
     try:
         few = slack_design([each.plant for each in plants], [each.Cy[kept] for each in plants], asked.structure[:, kept]).gain
-        return [plants[0].on_readings(_whole(few, kept))]
+        return [plants[0].on_readings(on_all_rows(few, kept, len(kept)))]
     except InputError:
         return []
 
@@ -50,13 +51,6 @@ def _of_state(posed: MeasuredPlant) -> Array:
     return np.any(posed.Cy != 0, axis=1)
 
 
-def _whole(few: Array, kept: Array) -> Array:
-    """Returns a gain on some of the measurements as one on all."""
-    gain = np.zeros((len(few), len(kept)))
-    gain[:, kept] = few
-    return gain
-
-
 def two_step_gains(asked: MultiObjectiveProblem) -> list[Array]:
     """The gains of the two steps, of the first, middle and last member."""
     count, gains = len(asked.members), []
@@ -64,7 +58,8 @@ def two_step_gains(asked: MultiObjectiveProblem) -> list[Array]:
         posed = asked.members[i].posed[0]
         try:
             kept = _of_state(posed)
-            gains.append(posed.on_readings(_whole(two_step_design(posed.plant, posed.Cy[kept]).gain, kept)))
+            few = two_step_design(posed.plant, posed.Cy[kept]).gain
+            gains.append(posed.on_readings(on_all_rows(few, kept, len(kept))))
         except InputError:
             continue
     return gains
