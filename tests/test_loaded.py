@@ -9,6 +9,7 @@ from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.vehicle.names import LOAD_KINDS, ROAD_KINDS
 from sim.__main__ import COMMANDS
+from tests.commands import in_the_suite
 from tests.pages import ROOT
 
 # Each takes from a thirtieth of a second to two seconds to import. What a command has to do with it may load, and no other.
@@ -50,7 +51,7 @@ def own(modules: set[str]) -> list[str]:
     return sorted(name for name in modules if name.split(".")[0] in ("models", "synth", "sim"))
 
 
-@pytest.mark.parametrize("command", LOADED)
+@pytest.mark.parametrize("command", in_the_suite([*LOADED][:3], LOADED))
 def test_a_command_loads_what_it_does(command, tmp_path):
     """No command waits for a package that it has no use for, nor for methods, readers and roads that nobody asked it for."""
     arguments = command.replace("DIR", str(tmp_path)).split()

@@ -67,7 +67,7 @@ def test_bound_with_noise(seed, noise, through):
     assert find_lower_bound(plant, Cy).gamma <= bound.gamma * (1 + 1e-5)  # where the paths end
 
 
-@pytest.mark.parametrize("seed", [*range(2), *attacks((2, 3))])
+@pytest.mark.parametrize("seed", [0, *attacks((1, 2, 3))])
 def test_no_controller_beats_it(seed):
     """No law of any order, stable by luck, has a norm below the bound: 300 random ones of 0 to 3 states for each plant."""
     plant, Cy, Dyw = noisy(2 * seed, 0.5, 0.3)

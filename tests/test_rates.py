@@ -317,7 +317,7 @@ def test_a_road_that_reaches_more_than_the_norm_is_said(monkeypatch, capsys):
 def test_what_is_not_designed_is_said(tmp_path, capsys, never_lost):
     """A controller that cannot be designed has a reason in its place, and the others their rates; the exit code is 1."""
     car = tmp_path / "car.toml"
-    hasty = '\n[controllers.blind]\nmeasured = ["suspension_deflection"]\nbounds = [{ decay = 1e6 }]\n'
+    hasty = '\n[controllers.blind]\nmeasured = ["suspension_deflection"]\nbounds = [{ norm = 1.0 }]\n'
     car.write_text(read_vehicle("quarter_car").text + hasty)
     code, found = asked(capsys, "10", "--vehicle", str(car), "--controller", "blind", "--controller", "II")
     assert code == 1

@@ -1,6 +1,7 @@
 """Shared parts of all commands: option parsing, one-line errors, exit codes, Ctrl-C, and versions of packages."""
 
 import argparse
+import functools
 import gc
 import io
 import math
@@ -24,6 +25,11 @@ PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglo
 
 def versions() -> dict[str, str]:
     """Returns the versions of Python and of all packages that the numbers depend on."""
+    return dict(_versions())
+
+
+@functools.cache  # packages' metadata take 20 ms to read, and do not change while a process runs
+def _versions() -> dict[str, str]:
     import platform
     from importlib import metadata
 
