@@ -28,7 +28,7 @@ from synth.vehicle.designer import Designer
 from tests.commands import prose
 from tests.test_python_laws import vehicle_of
 
-FEW = 8  # of the 20 sinusoids that the command drives
+FEW = 10  # of the 20 sinusoids that the command drives
 FINE = 4e-3  # s
 STEP, AMPLITUDE, SPEED = 2e-3, 1e-4, 12.5  # s, m, m/s; half the work of the command's own step
 COARSE = 8e-3  # s, where no number is held against an exact one
