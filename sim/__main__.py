@@ -18,11 +18,12 @@ COMMANDS = (  # name, the question it answers, the options that one reaches for 
     ("sim.envelope", "over which bumps may linear analysis be trusted?", "--vary --picture --csv"),
     ("sim.campaign", "what comes out over thousands of roads and vehicles?", "--best --results --verify"),
     ("sim.report", "all of it for one vehicle file, on one page?", "--out --quick --figures"),
+    ("sim.gallery", "does it give the numbers that others printed?", "NAME"),
     ("sim.inspect", "does a log still prove what it claims?", "--csv --kinds"),
 )
 EPILOG = """
-All but sim.campaign and sim.inspect take --vehicle and --controller; all take
---json, and --help says the rest.
+All but sim.campaign, sim.gallery and sim.inspect take --vehicle and
+--controller; all take --json, and --help says the rest.
 exit code: 0 done, agreed, proved; 1 not; 2 bad input;
 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal
 

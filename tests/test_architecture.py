@@ -56,7 +56,7 @@ ROOMS = {
     "sim.recording": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "sim.linear sim.physics sim.response sim.runs",
     "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
-    "synth.controller synth.design synth.plant sim.linear sim.physics sim.response sim.runs",
+    "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
     "sim.command": "models models.figures models.roads models.vehicle synth.controller sim.recording "
     "sim.response sim.runs sim.studies",
     "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs sim.studies",
@@ -66,6 +66,7 @@ ROOMS = {
     "sim.drive": "models.figures models.vehicle synth.vehicle sim.command sim.runs sim.studies",
     "sim.envelope": "models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
+    "sim.gallery": "sim.studies",
     "sim.inspect": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "synth.design synth.vehicle sim.command sim.linear sim.physics sim.recording sim.response sim.runs "
     "sim.studies",

@@ -1,0 +1,1 @@
+"""The gallery: numbers that others printed, and what comes out here."""

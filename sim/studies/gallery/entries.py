@@ -1,0 +1,167 @@
+"""Entries of the gallery: what a source prints of its vehicles, as `models/gallery/NAME/entry.toml` has it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError, listing, quoted
+from models.common.files import parse_toml
+from models.kinds.kind import HERE
+from synth.vehicle.paper import PRINTED
+
+FOLDER = HERE / "gallery"
+PAPER = "paper"
+CAR = "car.toml"  # the usual vehicle file of an entry
+SHORT = 1e-3  # relative: what the paper's solver stopped short by, in every number
+
+
+@dataclass(frozen=True)
+class PrintedNumber:
+    """Number that a source prints.
+
+    Attributes:
+        what: its kind, a key of `sim.studies.gallery.numbers.KINDS`.
+        value: as printed, in `unit`.
+        digits: decimals of the printed value.
+        where: where it stands in the source, or its formula.
+        vehicle: vehicle file in the entry's folder.
+        controller: name in the vehicle file.
+        signal: output signal.
+        at: row and column of an entry of a matrix, from 0; empty for a scalar.
+        hertz: frequency [Hz].
+        road: of a bump, by the names of `models.roads.road.Bump`.
+        unit: unit of the value.
+        scale: factor from SI units to `unit`.
+        symbol: quantity of the paper.
+        reason: why it differs here; empty if it does not.
+        within: the largest difference that the reason explains, relative.
+    """
+
+    what: str
+    value: float
+    digits: int
+    where: str
+    vehicle: str = CAR
+    controller: str = "passive"
+    signal: str = ""
+    at: tuple[int, ...] = ()
+    hertz: float = 0.0
+    road: Mapping[str, Any] = field(default_factory=dict)
+    unit: str = ""
+    scale: float = 1.0
+    symbol: str = ""
+    reason: str = ""
+    within: float = 0.0
+
+    @property
+    def half_digit(self) -> float:
+        """Half a unit of the last printed digit, and its rounding."""
+        return 0.5 * 10.0**-self.digits * (1 + 1e-9)
+
+    @property
+    def text(self) -> str:
+        """Description in a few words."""
+        name = self.symbol or f"{self.what} {self.signal or self.controller}"
+        where = f"[{', '.join(map(str, self.at))}]" if self.at else ""
+        vehicle = "" if self.symbol or self.vehicle == CAR else f", {self.vehicle.removesuffix('.toml')}"
+        return f"{name}{where}{vehicle}"
+
+    @property
+    def shown(self) -> str:
+        """The printed value with its digits and unit."""
+        return f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+
+
+@dataclass(frozen=True)
+class MissingNumber:
+    """Number of a source that no vehicle file can express.
+
+    Attributes:
+        what: the number, in words.
+        why: what it needs, in a line.
+    """
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Source and its numbers.
+
+    Attributes:
+        name: of its folder.
+        title: of the publication.
+        source: where it is found.
+        licence: what of it stands here.
+        printed: the numbers that can be compared.
+        missing: those that cannot.
+        folder: of its vehicle files.
+    """
+
+    name: str
+    title: str
+    source: str
+    licence: str
+    printed: tuple[PrintedNumber, ...]
+    missing: tuple[MissingNumber, ...]
+    folder: Path
+
+
+def names() -> list[str]:
+    """Returns the names of all entries; the paper's is the first."""
+    return [PAPER, *sorted(path.parent.name for path in FOLDER.glob("*/entry.toml"))]
+
+
+def read_entry(name: str) -> Entry:
+    """Returns an entry by its name.
+
+    Raises:
+        InputError: there is no such entry, or its file has a key that means nothing.
+    """
+    if name not in names():
+        raise InputError(f"unknown entry {name!r}; the gallery has {listing(names())}")
+    if name == PAPER:
+        return _paper()
+    path = FOLDER / name / "entry.toml"
+    tables = parse_toml(path.read_text(encoding="utf-8"))
+    printed = tuple(_read(PrintedNumber, path, one) for one in tables.pop("printed", []))
+    missing = tuple(_read(MissingNumber, path, one) for one in tables.pop("missing", []))
+    try:
+        return Entry(name, printed=printed, missing=missing, folder=path.parent, **tables)
+    except TypeError as error:
+        raise InputError(f"{path.name} of {name}: {error}; give title, source, licence, printed and missing") from error
+
+
+def _read(what: type, path: Path, table: Mapping[str, Any]) -> Any:
+    allowed = [one.name for one in fields(what)]
+    if unknown := sorted(set(table) - set(allowed)):
+        raise InputError(f"{path.parent.name}/{path.name}: {quoted(unknown[0])} means nothing; allowed: {listing(allowed)}")
+    return what(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+
+
+def _paper() -> Entry:
+    """Returns the paper's own numbers, which `synth.vehicle.paper` holds, as an entry like the others."""
+    printed = tuple(
+        PrintedNumber(
+            what="paper",
+            value=one.value,
+            digits=_decimals(one.digit),
+            where=f"equation {one.equation}",
+            vehicle="quarter_car",
+            at=() if one.entry is None else one.entry,
+            symbol=one.quantity,
+            reason=one.reason,
+            within=SHORT * bool(one.reason),
+        )
+        for one in PRINTED
+    )
+    title = "Static output-feedback H-infinity controllers for vehicle suspensions, equations (40) to (60)"
+    source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"
+    return Entry(PAPER, title, source, "numbers alone are quoted", printed, (), HERE)
+
+
+def _decimals(digit: float) -> int:
+    """Returns the number of decimals whose last one has this unit: 4 for 1e-4, 0 for 1."""
+    return len(f"{digit:.10f}".rstrip("0").partition(".")[2])
