@@ -21,7 +21,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse_options(arguments)
     from models.vehicle.vehicle import read_vehicle
 
+    if options.check is not None and options.check.is_dir():
+        from synth.command.export import check_folder
+
+        return check_folder(options.check, options)
     vehicle = read_vehicle(options.check or options.vehicle)
+    if options.export is not None:
+        from synth.command.export import export
+
+        return export(vehicle, options)
     if options.front is not None:
         from synth.command.trade_off import answer as front
 

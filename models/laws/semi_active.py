@@ -41,6 +41,7 @@ class LawCoefficients:
             over `sky`, then alone, shapes (b, N, m).
         mix: of hybrid: 1 is skyhook alone, 0 groundhook; shape (N, m).
         crossover: frequency of the mixed law, skyhook below and ADD above [rad/s], shape (N, m).
+        still: what replaces a velocity of 0 [m/s].
     """
 
     c_min: Quantity
@@ -51,6 +52,7 @@ class LawCoefficients:
     modes: tuple[Sequence[Quantity], Sequence[Quantity]]
     mix: Quantity
     crossover: Quantity
+    still: float = STILL
 
     def subset(self, which: Array | slice) -> "LawCoefficients":
         """Returns the coefficients of some of the vehicles."""
@@ -85,9 +87,9 @@ def _choose(condition: Quantity, this: Quantity, that: Quantity) -> Quantity:
     return this if condition else that
 
 
-def _over(force: Quantity, v: Quantity) -> Quantity:
+def _over(of: LawCoefficients, force: Quantity, v: Quantity) -> Quantity:
     """Returns the coefficient of a damper that gives a force [N] at a velocity, or next to it if that is 0."""
-    return -force / _choose(v == 0, STILL, v)
+    return -force / _choose(v == 0, of.still, v)
 
 
 def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
@@ -98,7 +100,7 @@ def skyhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
 def skyhook_linear(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     """Continuous skyhook: the force of a damper to the sky, where the damper's own has its sign, else soft."""
     v = body - wheel
-    return _choose(body * v > 0, _over(-of.sky * body, v), of.c_min)
+    return _choose(body * v > 0, _over(of, -of.sky * body, v), of.c_min)
 
 
 def groundhook(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
@@ -111,7 +113,7 @@ def hybrid(of: LawCoefficients, body: Quantity, wheel: Quantity) -> Quantity:
     v = body - wheel
     sky = _choose(body * v > 0, -of.sky * body, 0.0)
     ground = _choose(-wheel * v > 0, of.ground * wheel, 0.0)
-    return _over(of.mix * sky + (1 - of.mix) * ground, v)
+    return _over(of, of.mix * sky + (1 - of.mix) * ground, v)
 
 
 def acceleration_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, acceleration: Quantity) -> Quantity:
@@ -128,7 +130,7 @@ def power_driven(of: LawCoefficients, body: Quantity, wheel: Quantity, travel: Q
     v = body - wheel
     spring = of.stiffness * travel
     soft, hard = spring * v + of.c_min * (v * v) >= 0, spring * v + of.c_max * (v * v) < 0
-    coefficient = _choose(soft, of.c_min, _choose(hard, of.c_max, _over(spring, v)))
+    coefficient = _choose(soft, of.c_min, _choose(hard, of.c_max, _over(of, spring, v)))
     return _choose((v == 0) & (spring != 0), (of.c_min + of.c_max) / 2, coefficient)
 
 
@@ -145,7 +147,7 @@ def skyhook_modal(of: LawCoefficients, *modes_and_wheel: Quantity) -> Quantity:
         damped += to_sky * speed
         moved += share * speed
     v = moved - modes_and_wheel[-1]
-    return _choose(damped * v > 0, _over(-of.sky * damped, v), of.c_min)
+    return _choose(damped * v > 0, _over(of, -of.sky * damped, v), of.c_min)
 
 
 BOTH = (SPRUNG, UNSPRUNG)

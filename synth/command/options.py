@@ -24,6 +24,7 @@ examples:
   python -m synth --vehicle half_car --controller I --json
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
+  python -m synth --controller I --export ecu --numbers float
   python -m synth --zero-l
   python -m synth --controller I --fragility
   python -m synth --vehicle quarter_car_goals --picture bands.png
@@ -52,6 +53,11 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
         raise InputError(
             "--front designs a trade-off; it goes with --controller, --vehicle, --picture, --csv, --save, --point and --json only"
         )
+    others = {"zero_l", "refine", "save", "check", "cross_check", "prove", "rates", "fragility", "front", "picture"}
+    if options.export is not None and options.given & others:
+        raise InputError("--export writes one controller; it goes with --controller, --vehicle, --numbers and --json only")
+    if options.export is None and "numbers" in options.given:
+        raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
     for name in ("csv", "point"):
         if options.front is None and name in options.given:
             raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
@@ -84,7 +90,18 @@ def _parser() -> Parser:
         help="say how far, in per cent, each reading and each of several forces may be off until the loop is unstable, or its "
         "norm 1 or 10 %% higher: proved, and found; and what rounding its numbers to int16 or float16 does",
     )
-    parser.add_argument("--check", type=Path, metavar="FILE", help="verify the gains of a vehicle file and their certificates")
+    parser.add_argument(
+        "--check",
+        type=Path,
+        metavar="FILE",
+        help="verify the gains of a vehicle file and their certificates, or a folder of --export, file by file",
+    )
+    parser.add_argument(
+        "--export", type=Path, metavar="DIR", help="write one controller as C99 with tests, certificate and manifest"
+    )
+    parser.add_argument(
+        "--numbers", choices=("double", "float"), default="double", help="numbers of the code of --export (default: double)"
+    )
     parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
     parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")
     parser.add_argument(

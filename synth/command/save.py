@@ -47,14 +47,25 @@ def save(
     Raises:
         InputError: there is nothing to write, a name is taken, or the file cannot be written.
     """
+    text = saved_text(path, vehicle, controllers, sampled_bounds)
+    with whole_file(path, "save") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+
+
+def saved_text(
+    path: Path,
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    sampled_bounds: Mapping[str, SampledBound | None] | None = None,
+) -> str:
+    """Returns the text that `save` writes. Arguments and errors as for `save`."""
     designed = [controller for controller in controllers if controller.designed and controller.measured]
     check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text_for(path).rstrip("\n") + "\n"
     for controller in designed:
         text += "\n" + "\n".join(_entry(vehicle, controller, (sampled_bounds or {}).get(controller.name))) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
-    with whole_file(path, "save") as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    return text
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:

@@ -1,0 +1,246 @@
+"""The computation that is exported: a controller as its vehicle file runs it, and the same step by step in Python.
+
+A sample goes so: readings are quantised; a linear law's forces are summed over readings, then states, in the order of the
+columns; forces are limited, or become coefficients of adjustable dampers; the states are summed likewise; and what was computed
+`delay` samples before goes out. C and Python do the same operations in the same order, in the same numbers, so they have the same
+bits.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.anti_windup import anti_windup_gain
+from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
+from models.vehicle.semi_active_coefficients import numbers_of
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller, Driver
+
+NUMBERS = {"double": np.float64, "float": np.float32}
+STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
+NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
+KEYWORDS = frozenset(
+    ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
+)  # that names may be
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedLaw:
+    """Controller as a computer of a car runs it.
+
+    Attributes:
+        name: prefix of all its names in C.
+        controller: its name in the vehicle file.
+        numbers: "double" or "float".
+        period: seconds between samples; None if it needs none, as it has no states.
+        inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
+        units: of the inputs.
+        meanings: of the inputs, a line each.
+        outputs: names of the m forces, or of the dampers' coefficients.
+        output_units: of the outputs.
+        A, B, C, D: of a linear law with k states, sampled; D alone has rows without states.
+        resolution: of each reading, shape (q,); 0 for one that is not quantised.
+        limit: largest force [N], or None.
+        delay: samples from a reading to its output.
+        anti_windup: shape (k, m), or None.
+        dampers: nominal, least and largest coefficient of each adjustable damper [N s/m]; empty for force actuators.
+        semi_active: name of a semi-active law, or empty.
+        coefficients: of a semi-active law; None for a linear one.
+        modes: number of readings of the body's modes before those of the suspensions.
+    """
+
+    name: str
+    controller: str
+    numbers: str
+    period: float | None
+    inputs: tuple[str, ...]
+    units: tuple[str, ...]
+    meanings: tuple[str, ...]
+    outputs: tuple[str, ...]
+    output_units: tuple[str, ...]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    resolution: Array
+    limit: float | None
+    delay: int
+    anti_windup: Array | None
+    dampers: tuple[tuple[float, float, float], ...]
+    semi_active: str = ""
+    coefficients: LawCoefficients | None = None
+    modes: int = 0
+
+    @property
+    def states(self) -> int:
+        """Number k of states of the law."""
+        return len(self.A)
+
+    @property
+    def readings(self) -> int:
+        """Number q of readings, without the suspensions' velocities."""
+        return len(self.resolution)
+
+
+def c_name(name: str) -> str:
+    """Returns a controller's name as one of C."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"law_{plain}" if plain[0].isdigit() or plain[0] == "_" or plain in KEYWORDS else plain
+
+
+def exported_law(vehicle: Vehicle, driver: Driver, numbers: str, name: str) -> ExportedLaw:
+    """Returns a controller as it is exported.
+
+    Args:
+        vehicle: with its limits and implementation.
+        driver: a controller of it.
+        numbers: "double" or "float".
+        name: prefix in C.
+
+    Raises:
+        InputError: the controller is a law in Python, has states but no sample period, or sets dampers with curves.
+    """
+    how, model = vehicle.implementation, vehicle.linear_model
+    if not isinstance(driver, (Controller, SemiActive)):
+        raise InputError(f"controller {driver.name!r} is {driver.kind}, and its own code; export a linear or semi-active one")
+    if not driver.measured:
+        raise InputError(f"controller {driver.name!r} gives no force; export one that measures something")
+    if vehicle.dampers and any(one.damper.pair is not None for one in vehicle.adjustable):
+        raise InputError("adjustable dampers with curves are not exported; give them c_min and c_max alone")
+    if vehicle.dampers and len(vehicle.adjustable) != len(model.inputs):
+        raise InputError("dampers beside force actuators are not exported; give every suspension the one or the other")
+    if how.delay != int(how.delay):
+        raise InputError(
+            f"delay = {how.delay:g} samples is not a whole number; code gives forces at samples: give {int(how.delay)}"
+        )
+    q, m, k = len(driver.measured), len(model.inputs), driver.states
+    if k and how.sample_period is None:
+        raise InputError(
+            f"controller {driver.name!r} has {k} states, and no sample period: give [implementation] sample_period, or a static "
+            "gain"
+        )
+    velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
+    read = [*map(vehicle.kind.signal, driver.measured), *velocities]
+    outputs = tuple(one.coefficient for one in vehicle.adjustable) if vehicle.dampers else model.inputs
+    common: dict[str, Any] = {
+        "name": name,
+        "controller": driver.name,
+        "numbers": numbers,
+        "period": how.sample_period,
+        "inputs": (*driver.measured, *(one.name if one.name not in driver.measured else f"{one.name}_now" for one in velocities)),
+        "units": tuple(one.unit for one in read),
+        "meanings": tuple(one.meaning for one in read),
+        "outputs": outputs,
+        "output_units": tuple(["N s/m" if vehicle.dampers else "N"] * m),
+        "resolution": np.array([how.quantisation.get(one, 0.0) for one in driver.measured]),
+        "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
+        "delay": int(how.delay),
+        "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
+    }
+    if isinstance(driver, SemiActive):
+        none = {"A": np.zeros((0, 0)), "B": np.zeros((0, q)), "C": np.zeros((m, 0)), "D": np.zeros((m, q)), "anti_windup": None}
+        of = numbers_of([driver.law], [vehicle])
+        return ExportedLaw(**common, **none, semi_active=driver.law.name, coefficients=of, modes=len(driver.law.modes))
+    law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
+    L = anti_windup_gain(law) if law.anti_windup is not None and k else None
+    return ExportedLaw(**common, A=law.A, B=law.B, C=law.C, D=law.D, anti_windup=L)
+
+
+@dataclass
+class PythonStep:
+    """The exported computation in Python, with the bits that C has.
+
+    Attributes:
+        law: the exported law.
+    """
+
+    law: ExportedLaw
+    _x: list[Any] = field(default_factory=list)
+    _line: list[list[Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        law, self._number = self.law, NUMBERS[self.law.numbers]
+        self._x = [self._number(0)] * law.states
+        still = [one[0] for one in law.dampers] or [0.0] * len(law.outputs)
+        self._line = [self._all(still) for _ in range(law.delay)]
+
+    def _all(self, values: Sequence[float]) -> list[Any]:
+        return [self._number(value) for value in values]
+
+    def __call__(self, seen: Sequence[float]) -> list[Any]:
+        """Returns the outputs for the inputs of a sample."""
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            computed = self._computed(self._all(seen))
+        if not self.law.delay:
+            return computed
+        self._line.append(computed)
+        return self._line.pop(0)
+
+    def _computed(self, seen: list[Any]) -> list[Any]:
+        law, number, zero = self.law, self._number, self._number(0)
+        y = [self._quantised(value, number(step)) for value, step in zip(seen[: law.readings], law.resolution, strict=True)]
+        closing = [-value for value in seen[law.readings :]]
+        closing = [number(STILL[law.numbers]) if value == 0 else value for value in closing]
+        if law.semi_active:
+            requested = self._semi_active(y)
+            return [
+                self._clipped(c - number(n), low, high) + number(n)
+                for c, (n, low, high) in zip(requested, law.dampers, strict=True)
+            ]
+        forces = [self._sum(zero, (law.D[j], y), (law.C[j], self._x)) for j in range(len(law.D))]
+        given, out = forces, forces
+        if law.dampers:
+            beyond = [self._clipped(f / v, *ends[1:]) for f, v, ends in zip(forces, closing, law.dampers, strict=True)]
+            given = [c * v for c, v in zip(beyond, closing, strict=True)]
+            out = [number(ends[0]) + c for c, ends in zip(beyond, law.dampers, strict=True)]
+        elif law.limit is not None:
+            given = out = [self._clipped(force, -law.limit, law.limit) for force in forces]
+        missing = [g - f for g, f in zip(given, forces, strict=True)]
+        after = [] if law.anti_windup is None else [(row, missing) for row in law.anti_windup]
+        self._x = [self._sum(zero, (law.A[i], self._x), (law.B[i], y), *([after[i]] if after else [])) for i in range(law.states)]
+        return out
+
+    def _sum(self, start: Any, *parts: tuple[Any, list[Any]]) -> Any:
+        for row, values in parts:
+            for factor, value in zip(row, values, strict=True):
+                start = start + self._number(factor) * value
+        return start
+
+    def _clipped(self, value: Any, low: float, high: float) -> Any:
+        low, high = self._number(low), self._number(high)
+        return low if value < low else high if value > high else value
+
+    def _quantised(self, value: Any, step: Any) -> Any:
+        if step == 0:
+            return value
+        count, large = value / step, self._number(NEAREST[self.law.numbers])
+        if -large < count < large:
+            count = (count + large) - large if count >= 0 else (count - large) + large
+        return step * count
+
+    def _semi_active(self, y: list[Any]) -> list[Any]:
+        law, number = self.law, self._number
+        assert law.coefficients is not None, "the law is semi-active"
+        m = len(law.outputs)
+        values = []
+        for j in range(m):
+            of = law.coefficients.alone(j)
+            own = {one.name: number(getattr(of, one.name)) for one in fields(of) if one.name not in ("modes", "still")}
+            damped, moved = ([number(one) for one in factors] for factors in of.modes)
+            mine = LawCoefficients(**own, modes=(damped, moved), still=number(STILL[law.numbers]))
+            values.append(number(LAWS[law.semi_active][0](mine, *y[: law.modes], *y[law.modes + j :: m])))
+        return values
+
+
+def random_inputs(law: ExportedLaw, count: int, seed: int) -> Iterator[list[float]]:
+    """Yields inputs of the size that they have on roads, of both signs, and now and then zero, `count` samples of them."""
+    sizes = {"m": 0.05, "m/s": 0.5, "m/s²": 3.0, "m/s2": 3.0, "N": 1000.0, "rad": 0.05, "rad/s": 0.3, "rad/s²": 3.0}
+    rng, scale = np.random.default_rng(seed), np.array([sizes.get(unit, 1.0) for unit in law.units])
+    for row in rng.standard_normal((count, len(scale))) * scale:
+        row[rng.random(len(row)) < 0.02] = 0.0
+        yield [float(NUMBERS[law.numbers](value)) for value in row]

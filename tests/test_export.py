@@ -1,0 +1,215 @@
+"""A controller as C99: the compiled code has the bits of the law, and a folder that is changed is found out."""
+
+import ctypes
+import dataclasses
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.kinds.kind import HERE
+from models.laws.anti_windup import anti_windup_gain
+from models.laws.linear import LinearLaw
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from synth.__main__ import main
+from synth.controller.controller import Controller
+from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
+from synth.controller.export.c_source import FLAGS, CSource
+from tests.commands import attacks, prose
+
+COMPILER = shutil.which("cc")
+needs_cc = pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")
+STRICT = "-pedantic -Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion -Wstrict-prototypes -Werror"
+BUILT = "\n[implementation]\nsample_period = 0.005\n"
+LAW = """
+[controllers.law]
+measured = ["suspension_deflection", "sprung_velocity"]
+A = [[0.9, 0.05], [-0.02, 1.0]]
+B = [[1.0, 0.3], [0.2, -0.1]]
+C = [[900.0, -300.0]]
+D = [[4000.0, -1500.0]]
+sample_period = 0.005
+anti_windup = 5.0
+"""
+SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
+
+
+def compiled(law: ExportedLaw, folder: Path) -> ctypes.CDLL:
+    """Returns the code of a law as a library, without a warning of the compiler's."""
+    source = CSource(law, "0" * 64)
+    for name, text in (
+        (f"{law.name}.h", source.header()),
+        (f"{law.name}.c", source.source()),
+        (f"{law.name}_data.h", source.data()),
+    ):
+        (folder / name).write_text(text)
+    library = folder / f"{law.name}.so"
+    command = [COMPILER, *FLAGS.split(), *STRICT.split(), "-shared", "-fPIC", str(folder / f"{law.name}.c"), "-o", str(library)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)  # pyright: ignore[reportArgumentType,reportCallIssue]
+    assert (ran.returncode, ran.stderr) == (0, "")
+    return ctypes.CDLL(str(library))
+
+
+def differing(law: ExportedLaw, folder: Path, samples: int) -> int:
+    """Returns the number of outputs in which compiled code and Python differ in any bit."""
+    library, number = compiled(law, folder), {"double": ctypes.c_double, "float": ctypes.c_float}[law.numbers]
+    state = (ctypes.c_double * (law.states + law.delay * len(law.outputs) + 8))()
+    seen, given = (number * len(law.inputs))(), (number * len(law.outputs))()
+    step, python, wrong = getattr(library, f"{law.name}_step"), PythonStep(law), 0
+    getattr(library, f"{law.name}_init")(ctypes.byref(state))
+    for row in random_inputs(law, samples, 7):
+        seen[:] = row
+        step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
+        wrong += sum(float(ours) != theirs for ours, theirs in zip(python(row), given, strict=True))
+    return wrong
+
+
+def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> ExportedLaw:
+    """Returns a random law of a half-car's signals: 0 to 12 states, quantised, delayed, limited, with anti-windup."""
+    k, signals = int(rng.integers(13)), list(vehicle.linear_model.measurable)
+    q, m = int(rng.integers(1, 5)), len(vehicle.linear_model.inputs)
+    A = rng.standard_normal((k, k))
+    A *= 0.98 / max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 1e-9)
+    matrices = rng.standard_normal((k, q)), rng.standard_normal((m, k)), 1e3 * rng.standard_normal((m, q))
+    law = LinearLaw(A, *matrices, 0.005, float(rng.uniform(0.1, 20)) if k and rng.random() < 0.5 else None)
+    measured = tuple(rng.choice(signals, q, replace=False).tolist())
+    steps = {name: float(10.0 ** rng.uniform(-4, -1)) for name in measured if rng.random() < 0.4}
+    how = dataclasses.replace(vehicle.implementation, sample_period=0.005, delay=int(rng.integers(4)), quantisation=steps)
+    limits = dataclasses.replace(vehicle.limits, actuator_force=float(rng.uniform(50, 2000)) if rng.random() < 0.5 else None)
+    built = dataclasses.replace(vehicle, implementation=how, limits=limits)
+    controller = dataclasses.replace(_given(vehicle, "passive"), name="law", measured=measured, law=law)
+    return exported_law(built, controller, numbers, "law")
+
+
+@needs_cc
+@pytest.mark.parametrize("seed", [0, 1, *attacks(range(2, 100))])
+def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
+    """For a random law every output of the compiled code is that of Python to the last bit, in double and in float."""
+    for numbers in ("double", "float"):
+        law = random_law(np.random.default_rng(seed), read_vehicle("half_car"), numbers)
+        folder = tmp_path / numbers
+        folder.mkdir()
+        assert differing(law, folder, 1000 if seed < 2 else 10_000) == 0
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["double", "float"])
+def test_semi_active_laws_have_their_bits(tmp_path, numbers):
+    """So has every semi-active law, and a linear one on an adjustable damper, whose coefficients stay within its range."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    for name in (*SEMI_ACTIVE, "sky"):
+        driver = vehicle.controllers[name].driver() if name != "sky" else _given(vehicle, name)
+        law = exported_law(vehicle, driver, numbers, c_name(name))
+        assert differing(law, tmp_path, 1000) == 0
+        step = PythonStep(law)
+        given = [step(row)[0] for row in random_inputs(law, 300, 3)]
+        assert 200.0 * (1 - 1e-6) <= min(given) < 500 < max(given) <= 1000.0 * (1 + 1e-6)  # rounding of float
+
+
+def _given(vehicle: Vehicle, name: str) -> Controller:
+    from synth.vehicle.designer import Designer
+
+    return Designer(vehicle, search=False).design(name)
+
+
+def test_the_python_step_is_the_law():
+    """By matrices, without an order of summation: states, forces, limits, anti-windup and delay are those of the harness."""
+    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + "delay = 2\n\n[limits]\nactuator_force = 30.0\n")
+    controller = _given(vehicle, "law")
+    law, run = exported_law(vehicle, controller, "double", "law"), controller.law.sampled(0.005)
+    step, x, line, L = PythonStep(law), np.zeros(2), [np.zeros(1)] * 2, anti_windup_gain(run)
+    clipped = 0
+    for row in random_inputs(law, 500, 1):
+        y = np.array(row)
+        force = run.C @ x + run.D @ y
+        given = np.clip(force, -30.0, 30.0)
+        x = run.A @ x + run.B @ y + L @ (given - force)
+        line.append(given)
+        clipped += bool(np.any(given != force))
+        assert step(row) == pytest.approx(line.pop(0), rel=1e-11, abs=1e-11)  # rounding of another order
+    assert 50 < clipped < 500
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory) -> Path:
+    """Returns the folder of a law with states, as the command writes it."""
+    folder = tmp_path_factory.mktemp("export")
+    (folder / "car.toml").write_text(read_vehicle("quarter_car").text + LAW + BUILT + "\n[limits]\nactuator_force = 500.0\n")
+    assert main(["--vehicle", str(folder / "car.toml"), "--controller", "law", "--export", str(folder / "ecu")]) == 0
+    return folder / "ecu"
+
+
+def test_a_folder_proves_itself(exported, capsys, tmp_path):
+    """Nothing is changed in what was written; the code runs back to back; a designed controller brings its certificate."""
+    capsys.readouterr()
+    assert main(["--check", str(exported)]) == 0
+    said = prose(capsys.readouterr().out)
+    assert "nothing is changed" in said
+    assert ("1000 samples, 0 outputs differ" in said) == (COMPILER is not None)
+    assert main(["--controller", "II", "--export", str(tmp_path / "two"), "--numbers", "float", "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()} == {*files}
+    assert main(["--check", str(tmp_path / "two")]) == 0
+    assert "every claim of its certificate holds" in prose(capsys.readouterr().out)
+    assert "`bound` = 7.9" in (tmp_path / "two" / "README.md").read_text()
+
+
+def test_every_changed_file_is_named(exported, capsys, tmp_path):
+    """A flipped bit of any file, one that is missing, and one that is new are named, and the exit code is 1."""
+    names = sorted(path.relative_to(exported).as_posix() for path in exported.rglob("*") if path.is_file())
+    assert len(names) == 10
+    for name in names:
+        copy = tmp_path / name.replace("/", "_")
+        shutil.copytree(exported, copy)
+        content = bytearray((copy / name).read_bytes())
+        place = len(content) // 2
+        content[place] ^= 1
+        (copy / name).write_bytes(content)
+        try:
+            code, said = main(["--check", str(copy)]), prose(capsys.readouterr().out)
+        except InputError as error:  # what cannot be read any more is named, too
+            code, said = 1, str(error)
+        assert code == 1
+        assert name.rpartition("/")[2] in said, said
+    copy = tmp_path / "other"
+    shutil.copytree(exported, copy)
+    (copy / "law.c").rename(copy / "more.c")
+    assert main(["--check", str(copy)]) == 1
+    said = prose(capsys.readouterr().out)
+    assert "law.c: is missing" in said
+    assert "more.c: was not exported" in said
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "options", "said"),
+    [
+        (
+            LAW.replace("sample_period = 0.005\n", "").replace("anti_windup = 5.0\n", ""),
+            ["--controller", "law"],
+            "no sample period",
+        ),
+        ("", ["--controller", "passive"], "unknown controller 'passive'"),
+        ("", [], "no controller is given"),
+        ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
+        ("", ["--controller", "I", "--refine"], "it goes with --controller"),
+        (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not a whole number"),
+    ],
+)
+def test_what_is_not_exported(vehicle, options, said, tmp_path):
+    """What cannot be code is refused in one line, and no folder is left."""
+    (tmp_path / "car.toml").write_text((HERE / "quarter_car.toml").read_text() + vehicle)
+    with pytest.raises(InputError, match=said):
+        main(["--vehicle", str(tmp_path / "car.toml"), *options, "--export", str(tmp_path / "ecu")])
+    assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+
+
+def test_nothing_is_overwritten(exported):
+    """A folder that holds something is left as it is; --numbers is of --export alone."""
+    with pytest.raises(InputError, match="is there already, and not empty"):
+        main(["--controller", "I", "--export", str(exported)])
+    with pytest.raises(InputError, match="--numbers is of the code"):
+        main(["--controller", "I", "--numbers", "float"])
