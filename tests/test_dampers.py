@@ -18,7 +18,7 @@ from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
 from tests.analysed import predict_replayed, predict_switched, sampled_response, simulate
-from tests.commands import refused
+from tests.commands import attacks, refused
 
 QUARTER = """
 type = "quarter_car"
@@ -175,7 +175,11 @@ def test_passive_is_the_linear_vehicle():
 
 @pytest.mark.parametrize(
     ("name", "more"),
-    [("sky", ""), ("sky", "bandwidth = 100.0\n"), ("sky", LATE), ("leaky", ""), ("leaky", "bandwidth = 100.0\n" + LATE)],
+    [
+        ("sky", ""),
+        *attacks([("sky", "bandwidth = 100.0\n"), ("sky", LATE), ("leaky", "")]),
+        ("leaky", "bandwidth = 100.0\n" + LATE),
+    ],
     ids=["static", "static, lag", "static, late", "states", "states, both"],
 )
 def test_the_exact_response(name, more):

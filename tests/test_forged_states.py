@@ -20,6 +20,7 @@ from synth.command.save import save
 from synth.controller.controller import Controller
 from synth.plant.augmented import on_larger_plant
 from synth.vehicle.designer import Designer, certify_given
+from tests.commands import in_the_suite
 from tests.rewriting import contents, written
 
 ACCELERATIONS = {
@@ -165,7 +166,7 @@ def inspected(path, capsys) -> tuple[int, list]:
     return code, [*found["findings"], *(finding for run in found["runs"] for finding in run["findings"])]
 
 
-@pytest.mark.parametrize("log", ACCELERATIONS, indirect=True)
+@pytest.mark.parametrize("log", in_the_suite(["quarter_car", "half_car"], ACCELERATIONS), indirect=True)
 def test_a_log_proves_itself(log, capsys):
     """From the log alone the law, its certificate, its linear response and the physics are confirmed."""
     code, findings = inspected(log, capsys)

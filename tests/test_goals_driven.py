@@ -14,7 +14,7 @@ from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
 from synth.analysis.specification import Specification
 from tests.commands import prose
-from tests.drives import EVERY_DRIVE, MAP
+from tests.drives import MAP
 from tests.reading import PageRead
 from tests.rewriting import contents, written
 
@@ -45,7 +45,7 @@ def vehicles(tmp_path_factory):
     return found
 
 
-@EVERY_DRIVE
+@pytest.mark.parametrize(("main", "options"), [(bump.main, ["--no-logs", "--duration", "0.2"]), (envelope.main, MAP)])
 def test_said_by(vehicles, capsys, main, options):
     """One line names the controller and the first goal it misses, and nothing else changes; of kept goals there is none."""
     said = {}
