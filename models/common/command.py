@@ -136,6 +136,19 @@ class Parser(argparse.ArgumentParser):
         nargs = "+" if many else None
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
 
+    def add_printed(self, what: str, brief: str = "") -> None:
+        """Adds `--verbose`, `--json` and, with a help text, `--brief`, of which one may be given.
+
+        Args:
+            what: details that `--verbose` prints.
+            brief: help of `--brief`; empty for a command without it.
+        """
+        printed = self.add_mutually_exclusive_group()
+        printed.add_argument("-v", "--verbose", action="store_true", help=f"print {what}, too")
+        if brief:
+            printed.add_argument("--brief", action="store_true", help=brief)
+        printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
         self.add_argument("--logs", type=Path, metavar="DIR", help=f"record {what} in this folder (default: record nothing)")

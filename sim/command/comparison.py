@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
+from models.common.printed import wrapped
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.runs.report import controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.report import claims, controller_lines, energy_lines, run_lines, verdict_lines
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
 
@@ -185,6 +186,15 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[str]]:
     """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict."""
     return [_compared_lines(run, None if run is passive else passive) for run in runs]
+
+
+def short_lines(runs: Sequence[Run]) -> list[str]:
+    """Returns a line on each controller's claims, and the sentences behind a verdict that is not met."""
+    lines = []
+    for run in runs:
+        lines += wrapped(claims(run.controller), f"{run.controller.name}: ", 4)
+        lines += [] if run.passed else [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
+    return [*lines, "-v adds gains, every signal and how the verdict is reached"]
 
 
 def standings_of(
