@@ -185,13 +185,16 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
 
 
 def short_lines(row: Row) -> list[str]:
-    """Returns the gain of a designed controller on a line if it fits there, its promises, and what fails."""
+    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it, and what fails."""
     if row.controller is None:
         return [f"{row.name} NOT DESIGNED: {failure}" for failure in row.failures]
-    gain = law_lines(row.controller.law, f"{row.name}: gain ", f"{row.name}: ")
-    lines = gain if row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
-    promised = [line for promise in row.controller.specifications for line in wrapped(promise.text, f"{row.name}: ", 4)]
-    return [*lines, *promised, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
+    promises, gain = row.controller.specifications, law_lines(row.controller.law, f"{row.name}: gain ", "")
+    if promises:
+        kept = sum(promise.holds for promise in promises[1:])
+        lines = wrapped(f"{promises[0].text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
+    else:
+        lines = gain if row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+    return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
 
 
 def semi_active_lines(vehicle: Vehicle) -> list[str]:
