@@ -1,4 +1,4 @@
-"""The site: `python -m sphinx -W -n docs docs/_build` builds it; `generate.py` makes the reference, the gallery and the notebook."""
+"""The site: `python -m sphinx -W docs docs/_build` builds it; `generate.py` makes reference, gallery and notebook."""
 
 import sys
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""Pages of the site that are made from the code: the reference, the gallery and the notebook, as Markdown.
+"""Pages of the site that are made from the code, as Markdown: the reference, the gallery and the notebook.
 
-Nothing here lists what the code lists: commands come from their parsers, keys from the tables of their readers, signals, roads and
-metrics from the models, public names from `__all__`, pictures from the pages that draw them.
+Nothing here lists what the code lists. Commands come from their parsers, and keys from the tables of their readers. Signals,
+roads and metrics come from the models, public names from `__all__`, and pictures from the pages that draw them.
 """
 
 import argparse
@@ -63,12 +63,6 @@ def pages() -> dict[str, str]:
     }
 
 
-def written() -> list[Path]:
-    """Returns the pages that somebody wrote."""
-    made = {HERE / f"{name}.md" for name in (*pages(), "reference/logs")}
-    return sorted(path for path in HERE.rglob("*.md") if path not in made and "_build" not in path.parts)
-
-
 def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Returns a Markdown table."""
     lines = [heading, ["---"] * len(heading), *rows]
@@ -86,7 +80,7 @@ def attributes(owner: type) -> dict[str, str]:
 # Commands, from their parsers
 
 
-class _Made(Exception):
+class _MadeError(Exception):
     """Signal that a command has made its parser."""
 
 
@@ -96,11 +90,11 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 
     def stop(parser: Parser, *_: object) -> None:
         made.append(parser)
-        raise _Made
+        raise _MadeError
 
     module = importlib.import_module(command)
     main = getattr(module, "main", None) or importlib.import_module(f"{command}.__main__").main
-    with mock.patch.object(Parser, "parse_args", stop), contextlib.suppress(_Made):
+    with mock.patch.object(Parser, "parse_args", stop), contextlib.suppress(_MadeError):
         main([])
     return made[0]
 
@@ -131,7 +125,7 @@ def cell(text: str) -> str:
 
 def shown_in(key: str) -> str:
     """Returns links to the pages on which a key of a vehicle file stands as code."""
-    there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]", re.M)
+    there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
     found = [path for path in sorted((HERE / "how-to").glob("*.md")) if there.search(path.read_text(encoding="utf-8"))]
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
 
@@ -159,7 +153,8 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     found["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
     found["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
     found["[implementation]"] = [
-        (key, "", own.get(key, "designs are for the sampled loop, where a section says nothing else")) for key in IMPLEMENTATION_KEYS
+        (key, "", own.get(key, "designs are for the sampled loop, where a section says nothing else"))
+        for key in IMPLEMENTATION_KEYS
     ]
     found["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
     found["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
@@ -178,7 +173,9 @@ def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
     text = "# Keys of a vehicle file\n\nValues are in SI units. The right column has the pages that use a key.\n"
     for section, keys in key_sections().items():
-        rows = [(f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys]
+        rows = [
+            (f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys
+        ]
         text += f"\n## {section}\n\n{table(('key', 'unit', 'meaning', 'used in'), rows)}"
     return text
 
@@ -187,8 +184,9 @@ def together() -> str:
     """Returns the page of what goes together in a controller's section."""
     rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
     text = (
-        f"# What goes together\n\nThe first {len(KINDS)} rows are laws and designs; a section has one of them. The other rows are "
-        'keys that may stand beside it: "yes" means that the two go together. Several keys in one section must all go together. '
+        f"# What goes together\n\nThe first {len(KINDS)} rows are laws and designs; a section has one of them. The other rows "
+        'are keys that may stand beside it: "yes" means that the two go together. Several keys in one section must all go '
+        "together. "
         '"Goals" are all keys of [goals](../how-to/goals.md). `control_force` is one among the measurements, of forces that act '
         "at once. The options are those of `python -m synth`; `--rates` gives every linear controller's norms, and designs anew "
         "as said here. What does not go together is refused with the reason. LQG takes `noise` by itself.\n"
@@ -213,9 +211,11 @@ def signal_tables() -> str:
     text += "\nOn several wheels a signal carries the wheel's name. A law's states follow as `controller_1` and so on.\n"
     for name in kinds():
         listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
-        text += f"\n## {name}\n\n{listed}.\n\nControllers may measure: " + ", ".join(
-            f"`{one}`" for one in read_vehicle(name).linear_model.measurable
-        ) + ".\n"
+        text += (
+            f"\n## {name}\n\n{listed}.\n\nControllers may measure: "
+            + ", ".join(f"`{one}`" for one in read_vehicle(name).linear_model.measurable)
+            + ".\n"
+        )
     return text
 
 
@@ -223,9 +223,7 @@ def numbers(owner: type) -> str:
     """Returns the table of a road's or load's numbers, with their defaults."""
     said = attributes(owner)
     fields = [one for one in inspect.signature(owner).parameters.values() if one.name in said]
-    rows = [
-        (f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(said[one.name])) for one in fields
-    ]
+    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(said[one.name])) for one in fields]
     return table(("number", "default", "meaning"), rows) if rows else ""
 
 
@@ -236,7 +234,9 @@ def first(owner: Any) -> str:
 
 def roads() -> str:
     """Returns the page of roads and loads."""
-    text = "# Roads and loads\n\nA road is named as in `--road pothole:depth=0.06:length=1.5`, a load as in `--load brake:g=0.5`.\n"
+    text = (
+        "# Roads and loads\n\nA road is named as in `--road pothole:depth=0.06:length=1.5`, a load as in `--load brake:g=0.5`.\n"
+    )
     for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
         for name, owner in table_of.items():
             text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(owner)}"
@@ -246,7 +246,9 @@ def roads() -> str:
 def metric_tables() -> str:
     """Returns the page of metrics: how they are defined, and their names for the quarter-car under loads."""
     about, _, formulas = (inspect.getdoc(metrics) or "").partition("\n\n")
-    rows = [(f"`{one.name}`", one.unit, f"`{one.source}`", one.what) for one in metrics.metrics_of(read_vehicle("quarter_car"), True)]
+    rows = [
+        (f"`{one.name}`", one.unit, f"`{one.source}`", one.what) for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
+    ]
     others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
     return (
         f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Of a quarter-car\n\n"
@@ -275,8 +277,10 @@ def log_page() -> str:
             attached = [(f"`{one.name}`", one.media_type) for one in reader.iter_attachments()]
     rows = []
     for channel in sorted(summary.channels.values(), key=lambda one: one.topic):
-        rows.append((f"`{channel.topic}`", summary.schemas[channel.schema_id].name, ", ".join(f"`{each}`" for each in channel.metadata)))
-    text = "# Log channels\n\nThe channels of a run of `quarter_car_semi_active`; those of other vehicles are named by their signals.\n"
+        rows.append(
+            (f"`{channel.topic}`", summary.schemas[channel.schema_id].name, ", ".join(f"`{each}`" for each in channel.metadata))
+        )
+    text = "# Log channels\n\nThe channels of a run of `quarter_car_semi_active`; other vehicles have their own signals.\n"
     text += f"\n{table(('topic', 'schema', 'units are given of'), rows)}"
     for name, values in claims.items():
         text += f"\n## Metadata {name}\n\n{', '.join(f'`{key}`' for key in values)}.\n"
@@ -321,7 +325,9 @@ def gallery() -> str:
     """Returns the page of pictures, with the command that draws each."""
     text = "# Gallery\n\nEach picture comes out of the command below it, which a test runs.\n"
     for name, alt, line, path in drawn():
-        text += f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it](how-to/{path.name}).\n\n```text\n{line}\n```\n"
+        text += (
+            f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it](how-to/{path.name}).\n\n```text\n{line}\n```\n"
+        )
     return text
 
 

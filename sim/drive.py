@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *comparison.short_lines(runs)]
             for run, one in zip(runs, measured, strict=True):
                 lines += run_metrics.angle_lines(run.controller.name, one)
+                lines += [f"{run.controller.name}: {line}" for line in run_metrics.broken_lines(run)]
         lines += ["", *standing_lines(standings, f"MuJoCo, from {time[first]:.4g} s on")]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)

@@ -99,7 +99,7 @@ def test_report_and_log(tmp_path, monkeypatch, capsys):
     assert too_wide(out) == []
     assert out.startswith("report\n  report.html\nleft out: state_printed, I_printed, II_printed; ")
     assert ANSWERS["sim.report"] in out
-    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2"]) == 0
+    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "-v"]) == 0
     capsys.readouterr()
     (log,) = tmp_path.glob("logs/*.mcap")
     assert main_of("sim.inspect")([str(log), "--csv", "signals.csv"]) == 0

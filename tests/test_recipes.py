@@ -55,7 +55,7 @@ def test_add_a_road_and_a_command(tmp_path):
         return done.stdout
 
     driven = run("sim.drive", "--road", "ramp:height=0.05", "--duration", "2", "--controller", "I", "--logs", "logs")
-    assert "type ramp, height 0.05" in driven
+    assert "ramp, height 0.05 m" in driven
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "the log still proves what it claims" in run("sim.inspect", str(log))
     assert "Hz   damping" in run("sim.modes", "--controller", "I")

@@ -54,7 +54,7 @@ class Parser(argparse.ArgumentParser):
     by_verb = False  # True for `roadproof VERB`: errors then name the command like this
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
-        page = f"{prog.partition('.')[0]}/README.md"
+        page = f"docs/how-to/{prog.rpartition('.')[2]}.md" if prog != "sim" else "docs/which-command.md"
         super().__init__(
             prog=f"python -m {prog}",
             description=_page(description),

@@ -189,11 +189,12 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
 
 
 def short_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns a line on each controller's claims, and the sentences behind a verdict that is not met."""
+    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable."""
     lines = []
     for run in runs:
         lines += wrapped(claims(run.controller), f"{run.controller.name}: ", 4)
-        lines += [] if run.passed else [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
+        told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
+        lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
     return [*lines, "-v adds gains, every signal and how the verdict is reached"]
 
 

@@ -62,7 +62,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve`, `--verbose`, `--brief`, `--json`."""
+    """Adds `--duration` with its default [s], `--timestep`, those of logs and viewers, `--verbose`, `--brief` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     logs = parser.add_mutually_exclusive_group()

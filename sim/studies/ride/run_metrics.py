@@ -192,10 +192,7 @@ def beside(vehicle: Vehicle) -> list[str]:
 
 def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
     """Returns the metrics of a run and its road as a table, with notes below."""
-    measured, notes = metrics.metrics, []
-    if run.broke_off is not None:
-        why, at = run.broke_off
-        notes.append(f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless")
+    measured, notes = metrics.metrics, broken_lines(run)
     if metrics.settled is not None:
         notes.append(
             f"when measuring begins, the variance of {metrics.settled.signal} is {percent(metrics.settled.share)} of its final "
@@ -238,6 +235,14 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
             rows.append(source := metric.source)
         rows.append(_row(metric.what, measured[metric.name], shown))
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
+
+
+def broken_lines(run: Run) -> list[str]:
+    """Returns a sentence on a run that broke off; empty for others."""
+    if run.broke_off is None:
+        return []
+    why, at = run.broke_off
+    return [f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless"]
 
 
 def angle_lines(controller: str, metrics: RunMetrics) -> list[str]:
