@@ -127,12 +127,14 @@ def test_campaign(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])
 def test_help_fits(name, monkeypatch, capsys):
-    """`--help` fits, too; a line of its examples is to be copied, and may be longer."""
+    """`--help` fits, its examples, too, which go on after a backslash."""
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main_of(name)(["--help"])
-    printed = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  python -m ")]
-    assert [line for line in printed if len(line) > WIDTH] == []
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
+    examples = re.findall(r"^  (python -m .*(?:\\\n.*)*)$", printed.partition("examples:")[2], re.M)
+    assert all(shlex.split(each.replace("\\\n", ""))[2].startswith(("sim.", "synth")) for each in examples) and examples
 
 
 def test_sentences_keep_their_words():

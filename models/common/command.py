@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
-from models.common.printed import show, wrapped
+from models.common.printed import WIDTH, command, show, wrapped
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
 
@@ -318,9 +318,14 @@ def _check_encoding(arguments: Sequence[str]) -> None:
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with its lines wrapped, except indented examples, which users copy."""
-    lines = [[line] if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
+    """Returns a text of `--help` with its lines wrapped; an example, which is indented, goes on after a backslash."""
+    lines = [_example(line) if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
+
+
+def _example(line: str) -> list[str]:
+    """Returns an example in lines that fit, to be copied as a whole."""
+    return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 
 def _text(text: str) -> str:
