@@ -24,17 +24,19 @@ html_math_renderer = "mathml"  # which browsers show by themselves: no network, 
 html_show_sourcelink = False
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
-suppress_warnings = ["ref.python"]
-autodoc_typehints = "none"  # signatures have them
+suppress_warnings = ["ref.python"]  # two classes of different packages may share a name
+autodoc_typehints = "none"  # docstrings have shapes and units
 autodoc_member_order = "bysource"
 napoleon_use_ivar = True
 toc_object_entries = False
 
 
 def mathml(translator: SphinxTranslator, node: nodes.math | nodes.math_block) -> None:
-    """Writes a formula as MathML."""
+    """Writes a formula as MathML; the theme cuts what overhangs a formula of a line of its own, so that it has a margin."""
+    block = isinstance(node, nodes.math_block)
     try:
-        translator.body.append(tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
+        formula = tex2mathml(node.astext(), as_block=block)
+        translator.body.append(f'<div class="math" style="padding: 0.6em 0">{formula}</div>' if block else formula)
     except MathError as error:
         raise ValueError(f"formula {node.astext()!r}: {error}") from error
     raise nodes.SkipNode
