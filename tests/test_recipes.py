@@ -23,7 +23,7 @@ def test_add_a_road_and_a_command(tmp_path):
         if recipe.heading == heading
         for block in recipe.blocks("python")
     )
-    for folder in ("models", "synth", "sim", "tests", ".github"):
+    for folder in ("models", "synth", "sim", "tests", "docs", ".github"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, tmp_path)
