@@ -511,6 +511,10 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert metrics["roll_angle_at_end"]["linear"] == pytest.approx(run["static_angles"][ROLL], rel=1e-4)
     assert run["static_angles"][ROLL] < -1
     assert run["static_angles"][PITCH] == pytest.approx(0.0, abs=1e-9)
+    assert main(arguments) == 0
+    brief = prose(capsys.readouterr().out)
+    assert f"pitch_angle_dive {metrics['pitch_angle_dive']['mujoco']:.3g}, " in brief
+    assert f"roll_angle {run['static_angles'][ROLL]:.3g} deg" in brief
     assert main([*arguments, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert "the moment of the body's own weight as it turns is left out" in printed

@@ -19,6 +19,7 @@ from synth.__main__ import main
 from synth.analysis.invariant_point import invariant_limit, is_pole
 from synth.command.cross_check import cross_check
 from synth.command.design_table import _limit
+from synth.command.table import semi_active_lines
 from synth.controller.problem import generalized_plant
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import bound_beyond_control
@@ -161,6 +162,16 @@ def test_text_says_where_there_is_no_limit(capsys, tmp_path):
     assert said in prose(capsys.readouterr().out)
     _, found = table(capsys, "--vehicle", str(file), "--controller", "passive")
     assert found["invariant_limit"] is None
+
+
+def test_laws_that_are_left_out_are_named():
+    """Laws without a linear claim stand in one line, by all their names; without any there is no line."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    (line,) = semi_active_lines(vehicle)
+    named = line.partition(": ")[2].partition(";")[0].split(", ")
+    assert [*vehicle.linear_names, *named] == sorted(vehicle.controller_names, key=lambda name: name in named)
+    assert len(named) >= 7
+    assert semi_active_lines(read_vehicle("quarter_car")) == []
 
 
 def test_remark_4(capsys):
