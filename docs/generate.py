@@ -323,7 +323,7 @@ def drawn() -> list[tuple[str, str, str, Path]]:
 
 def gallery() -> str:
     """Returns the page of pictures, with the command that draws each."""
-    text = "# Gallery\n\nEach picture comes out of the command below it, which a test runs.\n"
+    text = "# Gallery of pictures\n\nEach picture comes out of the command below it, which a test runs.\n"
     for name, alt, line, path in drawn():
         text += (
             f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it](how-to/{path.name}).\n\n```text\n{line}\n```\n"
