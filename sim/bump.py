@@ -50,9 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
         lines = _titled(vehicle, road, options)
-        if not options.brief:
+        if options.verbose:
             for of_run in comparison.compared_lines(runs, passive):
                 lines += ["", *of_run]
+        elif not options.brief:
+            lines += ["", *comparison.short_lines(runs)]
         lines += ["", *standing_lines(standings, "MuJoCo, all of the run")]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)

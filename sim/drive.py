@@ -57,10 +57,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
-        if not options.brief:
+        if options.verbose:
             for run, one, compared in zip(runs, measured, comparison.compared_lines(runs, passive), strict=True):
                 lines += ["", *compared, ""]
                 lines += run_metrics.metric_lines(run, one, float(time[first]), options.duration, roughness)
+        elif not options.brief:
+            lines += ["", *comparison.short_lines(runs)]
+            for run, one in zip(runs, measured, strict=True):
+                lines += run_metrics.angle_lines(run.controller.name, one)
+                lines += [f"{run.controller.name}: {line}" for line in run_metrics.broken_lines(run)]
         lines += ["", *standing_lines(standings, f"MuJoCo, from {time[first]:.4g} s on")]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)

@@ -30,7 +30,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import controllers_of, log_lines, recorded, say_false_claims
     from sim.linear.nonlinear_elements import at_rest_words
-    from sim.studies.frequency.sweep import EXTREMES, LINES, OWN, holds, summary_lines, sweep, sweep_lines, sweep_object
+    from sim.studies.frequency.sweep import (
+        EXTREMES,
+        LINES,
+        OWN,
+        holds,
+        short_lines,
+        summary_lines,
+        sweep,
+        sweep_lines,
+        sweep_object,
+    )
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
@@ -84,16 +94,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             vehicle.source,
         )
         lines += filter(None, [at_rest_words(vehicle) if swept else ""])
-        for one in sweeps:
-            lines += ["", *sweep_lines(one)]
+        if options.verbose or len(sweeps) == 1:
+            for one in sweeps:
+                lines += ["", *sweep_lines(one)]
+        else:
+            lines += ["", *short_lines(sweeps)]
         say(
             [
                 *lines,
                 *written_lines(outputs),
                 *log_lines(logs),
+                *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
                 "",
                 *summary_lines(sweeps),
-                *left_out_lines(omitted_controllers(vehicle, options.controller, names)),
             ]
         )
     return 0 if all(map(holds, sweeps)) else 1

@@ -1,4 +1,4 @@
-"""Some two hundred kinds of vehicle that are none: the hopper of models/README.md with one thing wrong, by kind of damage."""
+"""Some two hundred kinds of vehicle that are none: the hopper of its page with one thing wrong, by kind of damage."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

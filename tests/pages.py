@@ -14,7 +14,11 @@ import numpy as np
 from tests.commands import main_of
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "models/README.md", "synth/README.md", "sim/README.md", "logs/README.md")
+GENERATED = ("docs/reference/", "docs/gallery.md", "docs/tutorials/notebook.md", "docs/_build/")  # when the site is built
+SITE = tuple(
+    sorted(name for path in ROOT.glob("docs/**/*.md") if not (name := path.relative_to(ROOT).as_posix()).startswith(GENERATED))
+)
+PAGES = ("README.md", "models/README.md", "synth/README.md", "sim/README.md", "logs/README.md", *SITE)
 PICTURES = ROOT / ".github" / "pictures"
 
 # A command that takes long on its page runs with less to do here: what is added to its line, and why that says as much.
@@ -50,7 +54,7 @@ class Section:
 
     Attributes:
         page: its path from the root of the project.
-        heading: of the section; empty for what comes before the first.
+        heading: of the section; of what comes before the first, the title of a page of the site, empty for the others.
         text: from there to the next one.
     """
 
@@ -79,7 +83,7 @@ def page(name: str) -> str:
 def sections(name: str) -> Iterator[Section]:
     """The sections of a page."""
     first, *rest = page(name).split("\n## ")
-    yield Section(name, "", first)
+    yield Section(name, first.splitlines()[0].removeprefix("# ") if name in SITE else "", first)
     for part in rest:
         heading, _, text = part.partition("\n")
         yield Section(name, heading, text)
@@ -91,9 +95,15 @@ def section(name: str, heading: str) -> Section:
     return found
 
 
+def site(heading: str) -> Section:
+    """The one section of the site whose heading begins so."""
+    (found,) = [each for name in SITE for each in sections(name) if each.heading.startswith(heading)]
+    return found
+
+
 def hopper(folder: Path) -> Path:
     """The vehicle of "Add your own kind of vehicle", its three files written to a folder; the path of the vehicle file."""
-    recipe = section("models/README.md", "Add your own kind of vehicle")
+    recipe = site("Add your own kind of vehicle")
     for suffix, language in (("py", "python"), ("xml", "xml"), ("toml", "toml")):
         (block,) = recipe.blocks(language)
         (folder / f"hopper.{suffix}").write_text(block, encoding="utf-8", newline="\n")

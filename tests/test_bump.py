@@ -140,7 +140,7 @@ def test_json_says_what_was_proved(everything):
 
 def test_table_says_what_json_says(capsys, everything):
     """The table shows the gain, bound, norm, every signal with its unit, the change against passive, and the verdict."""
-    assert main(["--controller", "I", "--no-logs"]) == 0
+    assert main(["--controller", "I", "--no-logs", "-v"]) == 0
     printed = capsys.readouterr()
     run = next(run for run in everything["runs"] if run["controller"]["name"] == "I")
     lines = printed.out.splitlines()
@@ -159,7 +159,7 @@ def test_table_says_what_json_says(capsys, everything):
 def test_logs_are_written_and_named(capsys, tmp_path, monkeypatch):
     """Without `--no-logs` an MCAP file, its layout and a Rerun file are in `logs`; above the verdict it says how to open them."""
     monkeypatch.chdir(tmp_path)
-    assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1"]) == 0
+    assert main(["--controller", "passive", "--controller", "II", "--duration", "0.1", "-v"]) == 0
     *_, opens, _, first, second, _, passive, other = capsys.readouterr().out.splitlines()
     layout, mcap, rrd = sorted(Path("logs").iterdir())
     assert opens.split() == ["rerun", str(rrd)]
@@ -207,7 +207,7 @@ def test_exit_code_2_and_one_line(tmp_path):
 
 def test_exit_code_1_when_the_step_is_too_coarse(capsys):
     """At 20 ms RK4 is a tenth of the peak off: that is no agreement, the exit code is 1, and the line says what to do."""
-    assert main(["--controller", "I", "--no-logs", "--timestep", "0.02"]) == 1
+    assert main(["--controller", "I", "--no-logs", "--timestep", "0.02", "-v"]) == 1
     assert "DOES NOT AGREE" in (out := capsys.readouterr().out)
     assert "give a smaller one" in out
 
@@ -249,7 +249,7 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     assert abs(tyre["mujoco"] - tyre["sampled"]) > 0.1 * tyre["sampled"]
 
     start, end = run["lift_off"][0]
-    main(["--controller", "I", "--no-logs", *options])
+    main(["--controller", "I", "--no-logs", "-v", *options])
     out = prose(capsys.readouterr().out)
     first = ", first" if len(run["lift_off"]) > 4 else ""
     assert f"a tyre is off the road{first} from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" in out
@@ -258,7 +258,7 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
 
 def test_a_tyre_squeezed_flat_is_reported(capsys):
     """A ten-metre bump at 12.5 m/s puts the hub into the road: the run says so, and compares no further."""
-    assert main(["--controller", "passive", "--no-logs", "--height", "10"]) == 0
+    assert main(["--controller", "passive", "--no-logs", "--height", "10", "-v"]) == 0
     out = capsys.readouterr().out
     assert "flat: a tyre is squeezed by more than 0.25 m at 0.022 s" in out
     assert "does not apply from 0.022 s on" in out
@@ -273,7 +273,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     assert run["controller"]["norm"] is None
     assert run["controller"]["peak_frequency"] is None
     assert run["agrees"] is True
-    main(["--controller", "mine", "--no-logs", "--vehicle", vehicle])
+    main(["--controller", "mine", "--no-logs", "--vehicle", vehicle, "-v"])
     out = capsys.readouterr().out
     assert re.search(r"unstable: a pole at \S+\+\S+j rad/s|unstable: a pole at \S+ 1/s", out)
     assert "unstable: the sampled loop grows by a factor of 1.000" in out
@@ -281,7 +281,7 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
 
 def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):
     """If MuJoCo diverges, no peak and no rms is printed, and the errors say until when they are."""
-    assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4)]) == 0
+    assert main(["--controller", "mine", "--no-logs", "--vehicle", vehicle_with(tmp_path, 6e4), "-v"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (until,) = [line for line in lines if "the linear comparison does not apply from" in line]
     instant = until.split("from ")[1].split(" s")[0]
@@ -312,7 +312,7 @@ def test_a_diverging_run_is_logged(capsys, tmp_path, monkeypatch):
     """A run that broke off is written to the logs like any other, and the table has no "nan" in it."""
     monkeypatch.chdir(tmp_path)
     vehicle = vehicle_with(tmp_path, "1e5")
-    assert main(["--controller", "mine", "--vehicle", vehicle, "--logs", str(tmp_path / "logs")]) == 0
+    assert main(["--controller", "mine", "--vehicle", vehicle, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     out = capsys.readouterr().out
     assert "diverged: MuJoCo was stopped at" in out
     assert "nan" not in out
@@ -365,7 +365,7 @@ def test_how_far_the_physics_holds_after_lift_off(capsys, controller):
     arguments = ["--controller", controller, "--height", "0.1", "--length", "1", "--duration", "1", "--no-logs"]
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"][0]["half_step"]
-    assert main(arguments) == 0
+    assert main([*arguments, "-v"]) == 0
     out = prose(capsys.readouterr().out)
     assert f"is good to about {found['difference']:.1e} of a peak: half the step changes {found['signal']} by so much" in out
 
@@ -389,7 +389,7 @@ def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path, b
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert run["lift_off"]
     assert run["half_step"] is None
-    main([*arguments, "--duration", "0.5", "--no-logs"])
+    main([*arguments, "--duration", "0.5", "--no-logs", "-v"])
     out = prose(capsys.readouterr().out)
     assert f"how good the physics is after lift-off is not said: at half the step its {blur} would be another" in out
     assert f"MuJoCo stays within the spread that is predicted of its measurements' {blur} (" in out

@@ -405,7 +405,7 @@ def test_a_user_sees_it_and_a_log_proves_it(tmp_path, capsys):
     """The verdict says when the curve leaves its line and by how much; from the log alone all of it is computed again."""
     (tmp_path / "mine.toml").write_text(curved_text(suspension_damping=DIGRESSIVE))
     arguments = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "I", "--duration", "0.6"]
-    assert main([*arguments, "--logs", str(tmp_path / "logs")]) == 0
+    assert main([*arguments, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "suspension_velocity" in read_log(log).result["runs"][0]["signals"]

@@ -94,14 +94,14 @@ def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
 def test_full_car_in_words(capsys, tmp_path):
     """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]
-    assert main(arguments) == 0
+    assert main([*arguments, "-v"]) == 0
     out = capsys.readouterr().out
     vehicle = read_vehicle("full_car")
     rows = metric_rows(out, vehicle)
     assert set(rows) == {metric.name for metric in metrics_of(vehicle)}
     assert all(len(row) >= 4 for row in rows.values())  # unit, and three numbers: no name has pushed them to another line
     assert "agrees to first order" in out
-    assert "track_width 1.51" in out
+    assert out.startswith("full_car over a road: random, class B, seed 0, speed 20 m/s; 3 s at 0.001 s\n")
     assert f"  rerun {next(tmp_path.glob('*.rrd'))}" in out.splitlines()
     assert out.splitlines()[-1].startswith("passive  agrees to first order")
 
@@ -123,7 +123,7 @@ def test_verdict_before_a_wheel_lifts(capsys, seed):
         "--seed",
         seed,
     ]
-    assert main([*arguments, "--no-logs"]) == 0
+    assert main([*arguments, "--no-logs", "-v"]) == 0
     out = capsys.readouterr().out
     assert "a tyre is off the road, first from 0." in out
     assert "  agrees" in out
@@ -146,13 +146,13 @@ def test_a_run_that_ends_early_has_no_metrics(capsys):
 def test_what_an_error_is_of_is_said(capsys):
     """If the comparison ends, the table says until when its errors are; where it does not, they are of the whole run."""
     about = "peak and rms: of the whole run"
-    assert main(["--controller", "I", "--class", "D", "--duration", "3", "--no-logs"]) == 0
+    assert main(["--controller", "I", "--class", "D", "--duration", "3", "--no-logs", "-v"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (at,) = [i for i, line in enumerate(lines) if about in line]
     assert lines[at - 1].split() == ["signal", "MuJoCo", "sampled", "continuous", "error", "to", "cont.", "vs", "passive"]
     time = lines[at].split("until ")[1].split(" s;")[0]
     assert any(f"until {time} s" in line and "agrees" in line for line in lines[at + 1 :])
-    assert main(["--controller", "I", "--class", "A", "--duration", "3", "--no-logs"]) == 0
+    assert main(["--controller", "I", "--class", "A", "--duration", "3", "--no-logs", "-v"]) == 0
     assert about not in capsys.readouterr().out
 
 
@@ -166,7 +166,7 @@ def test_what_metrics_rest_on_is_said(capsys):
     assert run["settled"]["signal"] == "suspension_deflection"
     assert 0.7 < run["settled"]["share"] < 0.9  # half of the run, 2 s, is a third of its settling time
     assert run["expected_error"] < 1e-4
-    main(arguments)
+    main([*arguments, "-v"])
     table = capsys.readouterr().out
     out = prose(table)
     assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in out
@@ -187,7 +187,7 @@ def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):
     """For limits, and of noise on what is measured, a sentence says that only MuJoCo's numbers have them."""
     text = read_vehicle("quarter_car").text + "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\n[implementation]\n"
     (tmp_path / "built.toml").write_text(text + "noise = { sprung_velocity = 1e-3 }\n")
-    main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs"])
+    main(["--vehicle", str(tmp_path / "built.toml"), "--controller", "I", "--class", "B", "--duration", "2", "--no-logs", "-v"])
     out = prose(capsys.readouterr().out)
     assert "sampled and expected numbers are for a vehicle without bump stops" in out
     assert "MuJoCo's numbers include the noise of the measurements, sampled and expected ones do not" in out
@@ -208,10 +208,10 @@ def test_a_flat_road_changes_nothing(tmp_path, capsys):
     road = tmp_path / "flat.csv"
     road.write_text("".join(f"{distance},0\n" for distance in range(40)))
     options = ["--controller", "I", "--controller", "passive", "--duration", "1", "--no-logs"]
-    assert main([*options, "--road", str(road)]) == 0
+    assert main([*options, "--road", str(road), "-v"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     changes = [row[-1] for row in rows if row[:1] in (["peak"], ["rms"]) and len(row) > 4]  # metrics have a unit and two numbers
     assert len(changes) == 2 * 2 * 6  # two runs of six signals
     assert set(changes) == {"-"}
-    assert main([*options, "--road", "bump"]) == 0
+    assert main([*options, "--road", "bump", "-v"]) == 0
     assert capsys.readouterr().out.count(" %") >= 8  # there it is one, of all but the force

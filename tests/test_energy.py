@@ -245,7 +245,7 @@ def test_at_rest_nothing_is_left_over(paper, designer):
 
 def test_it_is_printed_and_in_json(capsys):
     """The sentence under the verdict has the numbers of --json."""
-    assert main(["--controller", "I", "--no-logs"]) == 0
+    assert main(["--controller", "I", "--no-logs", "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert main(["--controller", "I", "--no-logs", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"][0]["energy"]

@@ -14,7 +14,7 @@ from synth.command.table import Row, ride_lines
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import expected_ride
 from tests.commands import prose
-from tests.pages import section
+from tests.pages import site
 
 
 @pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
@@ -67,8 +67,8 @@ def test_no_ride_of_a_loop_that_is_lost():
 
 
 def test_the_comfort_template():
-    """The template of the README rides as much better than the passive car as is said there, for the tyre load said there."""
-    page = section("models/README.md", "A template for comfort")
+    """The template of the page rides as much better than the passive car as is said there, for the tyre load said there."""
+    page = site("A template for comfort")
     weights, controller = page.blocks("toml")[0].split("\n\n")
     text = read_vehicle("quarter_car").text
     start = text.index("[performance]")

@@ -40,7 +40,7 @@ def test_too_large_is_said_and_descent_goes_on(capsys, monkeypatch):
     assert row["failures"] == []
     assert row["lower_bound"] <= row["norm"] <= row["bound"]
     assert row["norm"] < 7.843188  # the two steps' own, which descent improves upon
-    assert main(["--controller", "I"]) == 0
+    assert main(["--controller", "I", "-v"]) == 0
     assert note in prose(capsys.readouterr().out)
 
 

@@ -23,7 +23,7 @@ from synth.plant.generalized import Feedback
 from synth.plant.units import speed
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import closed_loop, weighted_loop
-from tests.pages import section
+from tests.pages import site
 from tests.shared import designed
 
 PAPER = "sprung_acceleration = 1.0"
@@ -242,8 +242,8 @@ def test_the_worst_sinusoid_reaches_the_filtered_norm(lines):
 
 
 def test_the_readmes_example():
-    """The example of models/README.md is a vehicle's weights, and II designed for them is certified."""
-    (snippet,) = section("models/README.md", "Weights that depend").blocks("toml")
+    """The example of the page on weights is a vehicle's weights, and II designed for them is certified."""
+    (snippet,) = site("Weights that depend").blocks("toml")
     text = read_vehicle("quarter_car").text
     head, _, tail = text.partition("[performance]")
     vehicle = parse_vehicle(head + snippet + "[controllers.I]" + tail.partition("[controllers.I]")[2])
@@ -289,7 +289,7 @@ def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
     """A bump with filters is recorded and inspected: the certificate is computed again from the log's own vehicle file."""
     file, brief = tmp_path / "felt.toml", ("--duration", "0.5")
     file.write_text(file_with(WK, SLOW_ROAD))
-    assert bump(["--vehicle", str(file), "--controller", "II_printed", *brief, "--logs", str(tmp_path / "logs")]) == 0
+    assert bump(["--vehicle", str(file), "--controller", "II_printed", *brief, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "norms are of sprung_acceleration through iso2631_wk, the road's velocity from w through (1) / (0.01 s + 1)" in said
     (log,) = (tmp_path / "logs").glob("*.mcap")

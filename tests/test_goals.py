@@ -204,7 +204,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
     section = f"measured = {ONE}\n{BAND}\nbounds = [{{ norm = 9.63 }}, {bound}]\n"
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     path.write_text(vehicle_with(section).text)
-    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)]) == 0
+    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved), "-v"]) == 0
     assert main_of("synth")(["--check", str(saved)]) == 0
     assert "promise: norm from 4 to 8 Hz" in capsys.readouterr().out
     saved.write_text(saved.read_text().replace('"norm" = 9.63', '"norm" = 7.8').replace("norm = 9.63", "norm = 7.8"))
@@ -354,7 +354,7 @@ def test_a_design_for_goals_is_not_refined(tmp_path, capsys):
     """`--refine` would leave its goals: it is neither advised nor done; nor is there an L to be zero."""
     path = tmp_path / "car.toml"
     path.write_text(vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1e4 }}]").text)
-    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal"]) == 0
+    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "-v"]) == 0
     assert "--refine" not in capsys.readouterr().out
     with pytest.raises(DesignError, match="goals with --refine: it is static gains of the least norm that are refined"):
         Designer(read_vehicle(path)).refine("goal")
@@ -594,11 +594,11 @@ def test_the_picture_of_a_band(tmp_path, capsys):
     assert response.y.max() > 5 * level.y[0]  # what lies beside the band is not hidden
     path = tmp_path / "car.toml"
     path.write_text(f"{vehicle.text}gain = {controller.gain.tolist()}\n")  # which is designed already
-    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--picture", str(tmp_path / "bands.png")]) == 0
+    assert main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--picture", str(tmp_path / "bands.png"), "-v"]) == 0
     assert "bands.png" in capsys.readouterr().out
     assert (tmp_path / "bands.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="is an input file"):
-        main_of("synth")(["--vehicle", str(path), "--picture", str(path)])
+        main_of("synth")(["--vehicle", str(path), "--picture", str(path), "-v"])
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
@@ -623,7 +623,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
         Designer, "design", lambda self, name, zero_l=False, told=None, tell=told: design(self, name, zero_l, tell)
     )
     with pytest.raises(KeyboardInterrupt):
-        main_of("synth")(["--vehicle", str(path), "--controller", "goal"])
+        main_of("synth")(["--vehicle", str(path), "--controller", "goal", "-v"])
     printed = capsys.readouterr().out
     assert "interrupted: the best within all bounds until then" in printed
     assert "promise: norm from 4 to 8 Hz" in printed
@@ -814,7 +814,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, capsys, monkeypatch, where):
     monkeypatch.setattr(where, stopped)
     with pytest.raises(KeyboardInterrupt):
         main_of("synth")(
-            ["--vehicle", str(path), "--controller", "goal", "--controller", "second", "--save", str(saved)]
+            ["--vehicle", str(path), "--controller", "goal", "--controller", "second", "--save", str(saved), "-v"]
             + ["--fragility"] * (name == "fragility_report")
         )
     printed, said = " ".join(capsys.readouterr().out.split()), LATER[where]
@@ -835,11 +835,11 @@ def test_ctrl_c_before_anything_is_finished(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("synth.vehicle.multi_objective.run_search", stopped)
     with pytest.raises(KeyboardInterrupt):
-        main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved)])
+        main_of("synth")(["--vehicle", str(path), "--controller", "goal", "--save", str(saved), "-v"])
     assert capsys.readouterr().out == ""
     assert not saved.exists()
     with pytest.raises(KeyboardInterrupt):
-        main_of("synth")(["--vehicle", str(path), "--controller", "passive", "--controller", "goal", "--save", str(saved)])
+        main_of("synth")(["--vehicle", str(path), "--controller", "passive", "--controller", "goal", "--save", str(saved), "-v"])
     assert "controller passive" in capsys.readouterr().out
     assert not saved.exists()
 

@@ -101,7 +101,7 @@ def test_a_report_has_them(vehicles, tmp_path, capsys):
         capsys.readouterr()
         synth([*asked, "--json"])
         (row,) = json.loads(capsys.readouterr().out)["controllers"]
-        synth(asked)
+        synth([*asked, "-v"])
         text = prose(capsys.readouterr().out)
         out = tmp_path / f"{name}.html"
         assert report([*asked, "--quick", "--timestep", "0.0025", "--out", str(out)]) == 0

@@ -76,7 +76,7 @@ def test_its_table_says_what_the_norm_is_of(tmp_path, capsys):
     file = tmp_path / "car.toml"
     file.write_text(built("noise = true", "lag = true", "gain = [[9000.0, -2500.0]]").text)
     asked = ["--vehicle", str(file), "--controller", "one", "--controller", "passive"]
-    assert main(asked) == 0
+    assert main([*asked, "-v"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "count noise, too: an rms of 0.001 on suspension_deflection, 0.02 on sprung_velocity weighs as much as 1 m/s" in text
     assert "include the actuators' lag, 80 rad/s; z weighs the commanded force" in text
@@ -167,11 +167,11 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     file, saved, logs = tmp_path / "car.toml", tmp_path / "saved.toml", tmp_path / "logs"
     measured = BUILT.replace(", sprung_acceleration = 0.3", "")
     file.write_text(built("noise = true", "lag = true", with_what=measured).text)
-    assert main(["--vehicle", str(file), "--controller", "one", "--save", str(saved)]) == 0
+    assert main(["--vehicle", str(file), "--controller", "one", "--save", str(saved), "-v"]) == 0
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
     assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
-    assert bump(["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--logs", str(logs)]) == 0
+    assert bump(["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--logs", str(logs), "-v"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "norm and bounds count noise, too" in said
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0

@@ -234,7 +234,7 @@ def test_printed_and_logged(capsys, monkeypatch, tmp_path):
         "4e-3",
     ]
     monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
-    assert main([*arguments, "--no-logs"]) == 0
+    assert main([*arguments, "--no-logs", "-v"]) == 0
     out = capsys.readouterr().out
     assert main([*arguments, "--logs", str(tmp_path), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

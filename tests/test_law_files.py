@@ -122,7 +122,7 @@ def test_what_is_recorded_is_whole(tmp_path, capsys):
     assert again is not None
     assert again.record == {name: value.tolist() for name, value in LAW.items()}
     assert tmp_path / "mine.mat" in vehicle.files  # and no option may write there
-    assert bump(["--vehicle", str(file), "--controller", "mine", "--duration", "0.2", "--logs", str(tmp_path)]) == 0
+    assert bump(["--vehicle", str(file), "--controller", "mine", "--duration", "0.2", "--logs", str(tmp_path), "-v"]) == 0
     (tmp_path / "mine.mat").unlink()
     (log,) = tmp_path.glob("*.mcap")
     capsys.readouterr()

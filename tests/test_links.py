@@ -270,7 +270,7 @@ def test_commands_say_what_is_modelled(tmp_path, capsys):
     path, logs = tmp_path / "car.toml", tmp_path / "logs"
     path.write_text(linked("full_car", f"{ON_THE_GROUND}\n{WHEELS}").text)
     arguments = ["--vehicle", str(path), "--controller", "passive", "--load", "corner:g=0.3"]
-    assert drive([*arguments, "--duration", "1", "--timestep", "4e-3", "--logs", str(logs)]) == 0
+    assert drive([*arguments, "--duration", "1", "--timestep", "4e-3", "--logs", str(logs), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert "the moment of the body's own weight as it pitches is left out" in said
     (log,) = logs.glob("*.mcap")

@@ -130,7 +130,7 @@ def test_a_flat_road_has_no_roughness(capsys):
     """Over a flat road the table has no rows of IRI, which would be rounding; over a bump it has them."""
     options = ["--vehicle", "half_car", "--controller", "passive", "--duration", "1", "--no-logs"]
     for road, rows in (("flat", 0), ("bump", 1)):
-        assert main([*options, "--road", road, "--load", "brake:g=0.1"]) == 0
+        assert main([*options, "--road", road, "--load", "brake:g=0.1", "-v"]) == 0
         assert len(re.findall(r"^  iri ", capsys.readouterr().out, re.M)) == rows
 
 
@@ -411,7 +411,9 @@ def test_bad_files_are_refused(text, words):
 
 def drive(folder, capsys, *arguments):
     """Returns what `sim.drive` prints, and the log that it writes."""
-    assert main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments]) == 0
+    assert (
+        main(["--controller", "passive", "--duration", "0.6", "--timestep", "2e-3", "--logs", str(folder), *arguments, "-v"]) == 0
+    )
     (log,) = folder.glob("*.mcap")
     return prose(capsys.readouterr().out), log
 
@@ -427,7 +429,7 @@ def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
     }[way]
     printed, log = drive(tmp_path / "logs", capsys, "--vehicle", "half_car", *arguments)
     assert "energy balances: the work of road, loads and actuators" in printed
-    assert {"alone": "type flat, speed 20, loads brake:g=0.2:", "with a road": "loads brake:g=0.3:", "from a file": "pull.csv"}[
+    assert {"alone": "flat, speed 20 m/s, loads brake:g=0.2:", "with a road": "loads brake:g=0.3:", "from a file": "pull.csv"}[
         way
     ] in printed
     assert "time [s]" not in printed  # a file's rows are in the log, and not in a title
@@ -510,6 +512,10 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert run["static_angles"][ROLL] < -1
     assert run["static_angles"][PITCH] == pytest.approx(0.0, abs=1e-9)
     assert main(arguments) == 0
+    brief = prose(capsys.readouterr().out)
+    assert f"pitch_angle_dive {metrics['pitch_angle_dive']['mujoco']:.3g}, " in brief
+    assert f"roll_angle {run['static_angles'][ROLL]:.3g} deg" in brief
+    assert main([*arguments, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert "the moment of the body's own weight as it turns is left out" in printed
     assert f"pitch_angle dive deg {metrics['pitch_angle_dive']['mujoco']:.4g}" in printed

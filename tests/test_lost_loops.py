@@ -44,7 +44,7 @@ def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
     assert row["norm"] is None
     assert row["certificate"].keys() & {"norm", "bound", "sampled_norm"} == {"sampled_norm"}
     for arguments in (["--vehicle", str(held), "--controller", "I"], ["--check", str(saved), "--controller", "I_designed"]):
-        assert synth(arguments) == 0
+        assert synth([*arguments, "-v"]) == 0
         text = capsys.readouterr().out
         assert WITHOUT in prose(text)
         assert "FAILS" not in text
@@ -56,7 +56,7 @@ def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
 def test_what_it_claims_in_vain_still_fails(held, tmp_path, capsys):
     """A certificate that claims another sampled norm, or a norm without the computer, does not hold."""
     saved = tmp_path / "saved.toml"
-    synth(["--vehicle", str(held), "--controller", "I", "--save", str(saved)])
+    synth(["--vehicle", str(held), "--controller", "I", "--save", str(saved), "-v"])
     text = saved.read_text()
     head, tail = text.split("sampled_norm = ")
     for wrong in (f"{head}sampled_norm = 7.9{tail[tail.index(chr(10)) :]}", f"{head}norm = 7.9\nsampled_norm = {tail}"):
@@ -72,7 +72,7 @@ def test_what_it_claims_in_vain_still_fails(held, tmp_path, capsys):
 def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
     """MuJoCo drives it as analysis says, and what its log claims is found to hold."""
     where = str(tmp_path / "logs")
-    assert bump(["--vehicle", str(held), "--controller", "I", "--logs", where, "--duration", "1"]) == 0
+    assert bump(["--vehicle", str(held), "--controller", "I", "--logs", where, "--duration", "1", "-v"]) == 0
     assert WITHOUT in prose(capsys.readouterr().out)
     assert inspect([str(next((tmp_path / "logs").glob("*.mcap")))]) == 0
     text = prose(capsys.readouterr().out)
@@ -92,7 +92,7 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
     """A design for the ideal loop, on a computer that loses it: its claims hold, and the last line names it."""
     path = tmp_path / "lost.toml"
     path.write_text(f"{paper.text}\n[implementation]\nsample_period = 0.15\ndelay = 5\n")
-    assert synth(["--vehicle", str(path), "--controller", "I", "--controller", "passive"]) == 0
+    assert synth(["--vehicle", str(path), "--controller", "I", "--controller", "passive", "-v"]) == 0
     assert prose(capsys.readouterr().out).endswith("every claim holds, of 2 controllers; UNSTABLE as the computer runs it: I")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.laws.combinations import COMMANDS, DEMANDS, KEYS, KINDS, QUADRATIC, goes, refusal
+from models.laws.combinations import KINDS, QUADRATIC, goes, refusal
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
@@ -24,6 +24,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.trade_off.front import entry_of
 from tests.commands import attacks, refused
+from tests.pages import site
 from tests.rewriting import contents, written
 from tests.shared import designed
 
@@ -92,7 +93,7 @@ def test_saved_and_checked(tmp_path, capsys):
     path, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     path.write_text(with_designs("quarter_car").text)
     chosen = [part for name in ("full", "h2") for part in ("--controller", name)]
-    assert main(["--vehicle", str(path), *chosen, "--save", str(saved)]) == 0
+    assert main(["--vehicle", str(path), *chosen, "--save", str(saved), "-v"]) == 0
     printed = capsys.readouterr().out
     assert "of 4 states" in printed
     vehicle = read_vehicle(saved)
@@ -123,10 +124,9 @@ def test_forces_are_taken_out_of_accelerations(designer):
 
 
 def test_pages_example():
-    """The controllers of models/README.md can be added to the vehicle that ships, and are stable."""
-    page = (ROOT / "models" / "README.md").read_text(encoding="utf-8")
-    block = page.split("```toml\n[controllers.best]")[1].split("```")[0]
-    vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.best]{block}")
+    """The controllers of the page on laws with states can be added to the vehicle that ships, and are stable."""
+    block, *_ = site("Controllers with states").blocks("toml")
+    vehicle = parse_vehicle(f"{read_vehicle('quarter_car').text}\n{block}")
     for name in ("best", "lqg", "leaky"):
         assert Designer(vehicle).design(name).certificate.stable
 
@@ -140,7 +140,7 @@ def test_what_is_saved_of_noise_is_checked(kind, tmp_path, capsys):
     loud = tmp_path / "loud.toml"
     loud.write_text(f"{read_vehicle('quarter_car').text}\n{said}")
     saved = tmp_path / "saved.toml"
-    assert main(["--vehicle", str(loud), "--controller", "best", "--save", str(saved)]) == 0
+    assert main(["--vehicle", str(loud), "--controller", "best", "--save", str(saved), "-v"]) == 0
     words = " ".join(capsys.readouterr().out.split())
     assert ("intensity one, and what is measured has its noise" in words) == ("lqg" in kind)
     assert ("intensity one, and the noise in what is measured as w counts it" in words) == ("h2" in kind)
@@ -256,21 +256,3 @@ def test_the_table_says_what_commands_do(paper, part):
         with pytest.raises(InputError, match=f"'mine': .* with --{command}: {re.escape(why)}; leave --{command} out"):
             ask("mine")
     assert goes("front", entry.parts) == (part in ("gain", "steps", "noise", "lag", "loads", "goals"))
-
-
-def readme_tables() -> list[str]:
-    """Returns both tables of `models/README.md`, a row for each part: against keys, and against options."""
-    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
-    lines = []
-    for columns in (KEYS, COMMANDS):
-        heading = ["", *({**DEMANDS, **COMMANDS}[column] for column in columns)]
-        lines += [[], heading, ["---"] * len(heading)] if lines else [heading, ["---"] * len(heading)]
-        for row, name in rows.items():
-            cells = ["" if row == column else "-" if refusal(row, column) else "yes" for column in columns]
-            lines.append([name, *cells])
-    return [f"| {' | '.join(line)} |".replace("|  |", "| |") if line else "" for line in lines]
-
-
-def test_the_readme_has_the_tables():
-    """The tables of `models/README.md` are those of the code."""
-    assert "\n".join(readme_tables()) in (ROOT / "models" / "README.md").read_text(encoding="utf-8")

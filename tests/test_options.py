@@ -315,6 +315,6 @@ def test_a_road_class_in_small_letters_is_that_class(capsys):
     """`--class c` is `--class C`."""
     outputs = []
     for letter in "cC":
-        main_of("sim.drive")(["--controller", "passive", "--class", letter, "--duration", "1", "--no-logs"])
+        main_of("sim.drive")(["--controller", "passive", "--class", letter, "--duration", "1", "--no-logs", "-v"])
         outputs.append(capsys.readouterr().out)
     assert outputs[0] == outputs[1]

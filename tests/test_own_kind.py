@@ -27,7 +27,7 @@ ROAD = '<body name="road" mocap="true">'
 
 @pytest.fixture
 def folder(tmp_path):
-    """The hopper of models/README.md."""
+    """The hopper of its page."""
     return hopper(tmp_path).parent
 
 
@@ -40,7 +40,7 @@ def refusal(folder: Path) -> str:
 
 
 def test_it_works(folder):
-    """As models/README.md has them, they do."""
+    """As the page has them, they do."""
     assert main(["--vehicle", str(folder / "hopper.toml"), "--controller", "passive", "--duration", "1", "--no-logs"]) == 0
 
 

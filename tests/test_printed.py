@@ -84,6 +84,9 @@ def test_lines_fit_and_the_answer_is_last(line, car, cars, tmp_path, monkeypatch
     assert too_wide(out) == []
     last = prose(out[out.rindex("\n\n") :])
     assert re.search(rf"(^|\s)({ANSWERS[name]})", last)
+    if car == "full_car" and name in ("synth", "sim.bump", "sim.drive"):
+        answer = out.splitlines()[-24:]  # what a terminal shows
+        assert any(line.split()[:2] in (["controller", "bound"], ["ride", "travel"]) for line in answer)
     if "all" in arguments:
         names = read_vehicle(cars[car]).controller_names
         assert [word for word in last.split() if word in names] == list(names)
@@ -99,7 +102,7 @@ def test_report_and_log(tmp_path, monkeypatch, capsys):
     assert too_wide(out) == []
     assert out.startswith("report\n  report.html\nleft out: state_printed, I_printed, II_printed; ")
     assert ANSWERS["sim.report"] in out
-    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2"]) == 0
+    assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "-v"]) == 0
     capsys.readouterr()
     (log,) = tmp_path.glob("logs/*.mcap")
     assert main_of("sim.inspect")([str(log), "--csv", "signals.csv"]) == 0
@@ -127,12 +130,15 @@ def test_campaign(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])
 def test_help_fits(name, monkeypatch, capsys):
-    """`--help` fits, too; a line of its examples is to be copied, and may be longer."""
+    """`--help` fits, its examples, too, which go on after a backslash."""
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main_of(name)(["--help"])
-    printed = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  python -m ")]
-    assert [line for line in printed if len(line) > WIDTH] == []
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
+    examples = re.findall(r"^  (python -m (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
+    assert examples
+    assert all(shlex.split(each.replace("\\\n", ""))[2].startswith(("sim.", "synth")) for each in examples)
 
 
 def test_sentences_keep_their_words():

@@ -24,7 +24,7 @@ from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests.analysed import predict_forced, simulate
 from tests.commands import environment, main_of, prose
-from tests.pages import sections
+from tests.pages import site
 
 GAIN = """
 def step(sample, state):
@@ -182,13 +182,13 @@ def test_linear_controllers_are_the_same_beside_it(tmp_path):
 
 
 def test_documented_law_is_driven(tmp_path, capsys):
-    """The law of models/README.md, as it stands there, is driven and recorded, and agrees."""
-    (page,) = [one for one in sections("models/README.md") if one.heading == "A law in Python"]
+    """The law of its page, as it stands there, is driven and recorded, and agrees."""
+    page = site("A law in Python")
     (entry,), (text,) = page.blocks("toml"), page.blocks("python")
     (tmp_path / "skyhook.py").write_text(text, encoding="utf-8")
     car = tmp_path / "car.toml"
     car.write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + "\n" + entry, encoding="utf-8")
-    assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--no-logs"]) == 0
+    assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert "law in Python skyhook.py:step, told the road 0.5 s ahead" in said
     assert "no linear claim: a law in Python" in said
@@ -327,7 +327,7 @@ def test_a_loop_of_links(tmp_path, one_way):
 def test_a_run_that_ends_at_once_agrees_with_nothing(tmp_path, capsys):
     """If there is no vehicle any more after one step, no comparison was made, and none is claimed to have come out well."""
     path = vehicle_of(tmp_path, "def step(sample, state):\n    return [1e300], state\n")
-    assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1"]) == 1
+    assert main_of("sim.bump")(["--vehicle", str(path), "--controller", "mine", "--no-logs", "--duration", "0.1", "-v"]) == 1
     out = prose(capsys.readouterr().out)
     assert "NOTHING COMPARED: it ended at once (divergence)" in out
     assert "agrees" not in out.replace("DOES NOT AGREE", "")

@@ -23,7 +23,7 @@ def test_add_a_road_and_a_command(tmp_path):
         if recipe.heading == heading
         for block in recipe.blocks("python")
     )
-    for folder in ("models", "synth", "sim", "tests", ".github"):
+    for folder in ("models", "synth", "sim", "tests", "docs", ".github"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, tmp_path)
@@ -55,7 +55,7 @@ def test_add_a_road_and_a_command(tmp_path):
         return done.stdout
 
     driven = run("sim.drive", "--road", "ramp:height=0.05", "--duration", "2", "--controller", "I", "--logs", "logs")
-    assert "type ramp, height 0.05" in driven
+    assert "ramp, height 0.05 m" in driven
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "the log still proves what it claims" in run("sim.inspect", str(log))
     assert "Hz   damping" in run("sim.modes", "--controller", "I")

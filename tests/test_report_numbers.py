@@ -28,13 +28,13 @@ from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.vehicle.designer import Designer
 from tests import shared
-from tests.pages import section
+from tests.pages import site
 from tests.reading import PageRead
 from tests.test_report import QUICK
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
 
-REALITY, *_ = section("models/README.md", "Limits").blocks("toml")
+REALITY, *_ = site("Limits").blocks("toml")
 NAMES = ("passive", "state", "I", "II")
 STEP = ("--timestep", "0.0025")  # that of `QUICK`
 COARSE = ("--timestep", "0.005")  # where a page is not held against others

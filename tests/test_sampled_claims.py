@@ -36,7 +36,7 @@ def test_json_and_table(built, capsys):
     """The table prints JSON's numbers, between the levels that prove them; an actual road reaches it."""
     code, found = said(capsys, "--vehicle", str(built))
     assert code == 0
-    synth(["--vehicle", str(built)])
+    synth(["--vehicle", str(built), "-v"])
     text = capsys.readouterr().out
     assert max(len(line) for line in text.splitlines() if str(built) not in line) <= 80
     rows = dict(re.findall(r"^(\w+) +\S+ +\S+ +(\S+) +\S+ +\S+ +\S+$", text, re.MULTILINE))
@@ -59,7 +59,7 @@ def test_nothing_without_a_computer(capsys):
     _, found = said(capsys, "--controller", "I")
     assert "sampled_norm" not in found["controllers"][0]
     assert "sampled_norm" not in found["controllers"][0]["certificate"]
-    synth(["--controller", "I"])
+    synth(["--controller", "I", "-v"])
     assert "sampled" not in capsys.readouterr().out.partition("\n\n")[2]  # behind the file, whose folder may have any name
 
 
@@ -71,7 +71,7 @@ def test_norms_of_other_goals_are_not_compared(built, asked, capsys):
         f"{built.read_text()}noise = {{ sprung_velocity = 0.005 }}\n[limits]\nactuator_bandwidth = 60.0\n"
         f"[controllers.plain]\n{plain}[controllers.asked]\n{plain}{asked} = true\n"
     )
-    synth(["--vehicle", str(built), "--controller", "plain", "--controller", "asked"])
+    synth(["--vehicle", str(built), "--controller", "plain", "--controller", "asked", "-v"])
     text = prose(capsys.readouterr().out)
     norms = [re.split(r", with|it is less", part)[0] for part in text.split("sampled norm ")[1:3]]
     plain_norm, asked_norm = (float(re.split("[, :]", norm)[0]) for norm in norms)
@@ -87,7 +87,7 @@ def test_unstable_as_built(built, capsys):
     _, found = said(capsys, "--vehicle", str(built), "--controller", "II")
     assert found["controllers"][0]["sampled_norm"] is None
     assert "sampled_norm" not in found["controllers"][0]["certificate"]
-    synth(["--vehicle", str(built), "--controller", "II"])
+    synth(["--vehicle", str(built), "--controller", "II", "-v"])
     text = capsys.readouterr().out
     assert "sampled norm infinite: UNSTABLE with a sample every 300 ms" in prose(text)
     assert re.search(r"^II +\S+ +\S+ +UNSTABLE ", text, re.MULTILINE)
@@ -118,7 +118,7 @@ def test_saved_and_checked(built, tmp_path, capsys, change):
 
 def test_inspected(built, tmp_path, capsys):
     """A log claims the norm as built; inspection finds it again, and refuses another."""
-    bump(["--vehicle", str(built), "--controller", "I", "--logs", str(tmp_path), "--duration", "0.5"])
+    bump(["--vehicle", str(built), "--controller", "I", "--logs", str(tmp_path), "--duration", "0.5", "-v"])
     capsys.readouterr()
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log)]) == 0

@@ -190,7 +190,7 @@ def test_what_is_printed_saved_and_driven(tmp_path, capsys):
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert row["design"] == "sampled"
     assert row["sampled_norm"] <= 7.8613
-    assert main_of("synth")(options) == 0
+    assert main_of("synth")([*options, "-v"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert f"{row['sampled_norm']:.7g}" in printed
     assert "by descent on the sampled norm, for they come to 7.861089, and descent from them to 7.857" in printed

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from tests import pages
 from tests.test_architecture import FILES, ROOT
 
 # Words that begin a sentence without a subject.
 FRAGMENTS = frozenset(("What", "Whether", "Of", "Those", "It", "That", "Where", "How"))
 RIDDLES = re.compile(r"\b(is none|there is none|None where|what is the case|that is asked for)\b")  # absence, and validity
-PAGES = [ROOT / "README.md", *sorted(ROOT.glob("*/README.md"))]
-LONG, LONGEST = 25, 35  # words of a sentence: few have more than the first, none of a README more than the second
+PAGES = [ROOT / name for name in pages.PAGES]
+LONG, LONGEST = 25, 35  # words of a sentence: few have more than the first, none of a page more than the second
 MOST_FRAGMENTS = {"models": 0.03, "synth": 0.03, "sim": 0.03}  # of a package's docstrings
 MOST_LONG = 0.025  # of all sentences; most that remain hold a formula or a source
 
@@ -57,7 +58,7 @@ def test_docstrings_begin_with_what_something_is_or_does(package):
 
 
 def test_sentences_are_short():
-    """Few sentences of docstrings and READMEs have more than 25 words, and none of a README more than 35."""
+    """Few sentences of docstrings and pages have more than 25 words, and none of a page more than 35."""
     of_code = [each for path in FILES for text in docstrings(path) for each in sentences(text)]
     of_pages = [each for path in PAGES for each in sentences(path.read_text(encoding="utf-8"))]
     assert [each for each in of_pages if words(each) > LONGEST] == []

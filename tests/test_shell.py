@@ -98,7 +98,7 @@ def test_what_is_printed_runs(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
     text = (HERE / "quarter_car.toml").read_text(encoding="utf-8").partition("[controllers.I_printed]")[0]
     Path(name).write_text(text.replace("13100.0", "30000.0"), encoding="utf-8")
-    assert main([f"--vehicle={name}", "--controller", "II"]) == 0
+    assert main([f"--vehicle={name}", "--controller", "II", "-v"]) == 0
     offered = re.search(r"^  python -m (synth .*)$", capsys.readouterr().out, re.MULTILINE)
     assert offered is not None
     shell = ["/bin/bash", "-c", f"{shlex.quote(sys.executable)} -m {offered[1]} --json"]

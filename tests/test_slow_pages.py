@@ -1,4 +1,4 @@
-"""The sections of the READMEs whose commands take seconds to minutes: as `test_pages.py` has the others, after the suite."""
+"""The sections of the pages whose commands take seconds to minutes: as `test_pages.py` has the others, after the suite."""
 
 import pytest
 

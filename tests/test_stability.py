@@ -89,7 +89,7 @@ def undamped(tmp_path, request):
 @pytest.mark.parametrize("undamped", ["0.0", "1e-13"], indirect=True)
 def test_every_command_calls_it_marginal(undamped, tmp_path, capsys):
     """A car without damping has no norm and is not stable: in the table, in a run, in its log, in JSON, and for margins."""
-    assert synth(["--vehicle", undamped, "--controller", "passive"]) == 1
+    assert synth(["--vehicle", undamped, "--controller", "passive", "-v"]) == 1
     out = capsys.readouterr().out
     assert re.search("^passive +MARGINAL$", out, re.MULTILINE)
     assert "marginal: a pole at 0+65.4j rad/s, to rounding, which does not decay" in out
@@ -97,7 +97,7 @@ def test_every_command_calls_it_marginal(undamped, tmp_path, capsys):
     (row,) = json.loads(capsys.readouterr().out)["controllers"]
     assert (row["stability"], row["norm"], row["peak_frequency"]) == (MARGINAL, None, None)
 
-    bump(["--vehicle", undamped, "--controller", "passive", "--duration", "0.5", "--logs", str(tmp_path)])
+    bump(["--vehicle", undamped, "--controller", "passive", "--duration", "0.5", "--logs", str(tmp_path), "-v"])
     out = capsys.readouterr().out
     assert "marginal: a pole at 0+65.4j rad/s" in out
     assert "marginal: to rounding, something in the sampled loop neither grows nor decays" in out
@@ -110,7 +110,9 @@ def test_every_command_calls_it_marginal(undamped, tmp_path, capsys):
     run = json.loads(capsys.readouterr().out)["runs"][0]["controller"]
     assert (run["stability"], run["norm"]) == (MARGINAL, None)
 
-    drive(["--vehicle", undamped, "--controller", "passive", "--class", "A", "--speed", "10", "--duration", "3", "--no-logs"])
+    drive(
+        ["--vehicle", undamped, "--controller", "passive", "--class", "A", "--speed", "10", "--duration", "3", "--no-logs", "-v"]
+    )
     assert "expected" not in capsys.readouterr().out  # a loop without a variance
     with pytest.raises(InputError, match="does not decay"):
         sweep(["--vehicle", undamped, "--controller", "passive"])

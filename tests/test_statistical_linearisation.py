@@ -190,7 +190,7 @@ def test_it_says_so(tmp_path, capsys):
     """The text names slopes and mean deflections, as JSON has them."""
     (tmp_path / "mine.toml").write_text(curved_text("half_car", **AXLES))
     asked = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--class", "C", "--duration", "0.5"]
-    assert main([*asked, "--no-logs"]) == 0
+    assert main([*asked, "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert main([*asked, "--no-logs", "--json"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]

@@ -207,7 +207,7 @@ def test_a_log_proves_its_stops(tmp_path, capsys, kind, text, options):
     """A run into unlike progressive stops, or into an axle's own, is logged and says so, and the log proves it again."""
     file = tmp_path / "car.toml"
     file.write_text(read_vehicle(kind).text + UNLIKE + text)
-    assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), *options]) == 0
+    assert main(["--vehicle", str(file), "--controller", "passive", "--logs", str(tmp_path), *options, "-v"]) == 0
     assert "bump stop: a suspension is at the end of its stroke first at" in prose(capsys.readouterr().out)
     (log,) = tmp_path.glob("*.mcap")
     assert inspect([str(log)]) == 0

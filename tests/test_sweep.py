@@ -13,7 +13,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response, worst_sinusoid
 from sim.studies.frequency.figure import drawn_line
 from sim.studies.frequency.identification import identify
-from sim.studies.frequency.sweep import failures, sweep
+from sim.studies.frequency.sweep import failures, short_lines, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
 from synth.vehicle.designer import Designer
@@ -30,6 +30,21 @@ STEP = 2e-3  # s; half the work of the command's own
 def some(paper, designer):
     """Configurations of Fig. 3, identified."""
     return sweep(paper, [designer.design(name) for name in SOME], 1e-4, STEP, 12.5)
+
+
+def test_several_are_a_table(some):
+    """Of several controllers the norms stand in a table, with MuJoCo's share of each, and whoever fails is named there."""
+    printed = short_lines(some)
+    for name, one in zip(SOME, some, strict=True):
+        (cells,) = [line.split() for line in printed if line.split()[:1] == [name]]
+        assert cells[1] == f"{one.extremes.worst.gain:.7g}"
+        assert float(cells[3]) == pytest.approx(
+            100 * one.gains["worst sinusoid"] / one.extremes.worst.gain, abs=5e-5
+        )  # 4 decimals
+        assert float(cells[5]) == pytest.approx(one.lines.error(one.lines.sampled).max(), rel=0.05)  # 2 digits
+    assert "DOES NOT AGREE" not in " ".join(printed)
+    worse = dataclasses.replace(some[0], lines=dataclasses.replace(some[0].lines, measured=1.01 * some[0].lines.measured))
+    assert f"  {SOME[0]} DOES NOT AGREE: a line of " in " ".join(short_lines([worse, some[1]]))
 
 
 def test_lines(some):

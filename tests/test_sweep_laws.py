@@ -112,7 +112,7 @@ def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
     """A force that goes its own way is energy outside; words and numbers say the same, and claim no norm."""
     path = vehicle_of(tmp_path, SQUARE)
     options = ["--vehicle", str(path), "--controller", "I", "--controller", "mine", "--timestep", f"{COARSE}"]
-    assert main([*options, "--logs", str(tmp_path / "logs")]) == 0
+    assert main([*options, "--logs", str(tmp_path / "logs"), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     (log,) = (tmp_path / "logs").glob("*.mcap")
     recorded = read_log(log)

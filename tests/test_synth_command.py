@@ -19,6 +19,7 @@ from synth.__main__ import main
 from synth.analysis.invariant_point import invariant_limit, is_pole
 from synth.command.cross_check import cross_check
 from synth.command.design_table import _limit
+from synth.command.table import semi_active_lines
 from synth.controller.problem import generalized_plant
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import bound_beyond_control
@@ -38,7 +39,7 @@ def test_what_is_flat_is_the_gain_in_the_table(tmp_path, capsys, options):
     ((*gains,),) = shown[0] if shown else Designer(read_vehicle(car)).design("state").gain.tolist()
     moves = found["flat"]["gain_down_up"]
     assert [move[0] for move in moves.values()] == gains  # with one force a state's largest gain is its gain
-    main(["--vehicle", car, *options])
+    main(["--vehicle", car, *options, "-v"])
     printed = re.findall(r"^  (\w+) +(\S+) +from (\S+) +to (\S+)$", capsys.readouterr().out, re.MULTILINE)
     assert [name for name, *_ in printed] == list(moves)
     for name, gain, low, high in printed:
@@ -90,13 +91,13 @@ def test_whose_gamma_is_flat(capsys, tmp_path):
     file.write_text(
         read_vehicle("quarter_car").text + "[implementation]\nsample_period = 0.01\nsampled = true\n", encoding="utf-8"
     )
-    assert main(["--controller", "state", "--vehicle", str(file)]) == 0
+    assert main(["--controller", "state", "--vehicle", str(file), "-v"]) == 0
     assert "flat: for 0.01 % more of the ideal loop's gamma, which a sampled design is not for," in prose(capsys.readouterr().out)
 
 
 def test_text_names_the_flat_optimum_and_the_limit(capsys):
     """The flat optimum, which the paper did not see, is in the text."""
-    assert main(["--controller", "state"]) == 0
+    assert main(["--controller", "state", "-v"]) == 0
     text = prose(capsys.readouterr().out)
     assert "flat: for 0.01 % more of gamma the state feedback's largest gain on each state, by itself, may be" in text
     assert "limit: at 63.757 rad/s no control force changes z's response to the road, 7.836458 (invariant point)" in text
@@ -128,7 +129,7 @@ def test_the_case_is_said(capsys, tmp_path):
         assert row["notes"] == ["without control w reaches z in no way; none is applied"]
         assert row["norm"] == 0
         assert not any(map(any, row["gain"]))
-    assert main(["--vehicle", str(file), "--controller", "I"]) == 0
+    assert main(["--vehicle", str(file), "--controller", "I", "-v"]) == 0
     assert "\n  without control w reaches z in no way; none is applied\n" in capsys.readouterr().out
 
 
@@ -156,11 +157,21 @@ def test_text_says_where_there_is_no_limit(capsys, tmp_path):
     weights = text.split("[performance]")[1].split("[")[0]
     file = tmp_path / "car.toml"
     file.write_text(text.replace(weights, "\nsuspension_deflection = 1.0\n\n"))
-    main(["--vehicle", str(file), "--controller", "passive"])
+    main(["--vehicle", str(file), "--controller", "passive", "-v"])
     said = "limit: none; at every frequency control forces can change all of z's response to the road"
     assert said in prose(capsys.readouterr().out)
     _, found = table(capsys, "--vehicle", str(file), "--controller", "passive")
     assert found["invariant_limit"] is None
+
+
+def test_laws_that_are_left_out_are_named():
+    """Laws without a linear claim stand in one line, by all their names; without any there is no line."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    (line,) = semi_active_lines(vehicle)
+    named = line.partition(": ")[2].partition(";")[0].split(", ")
+    assert [*vehicle.linear_names, *named] == sorted(vehicle.controller_names, key=lambda name: name in named)
+    assert len(named) >= 7
+    assert semi_active_lines(read_vehicle("quarter_car")) == []
 
 
 def test_remark_4(capsys):
@@ -184,7 +195,7 @@ def test_refine_is_bounded_and_says_what_it_traded(capsys):
 @pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(("half_car", "full_car"))])
 def test_the_table_says_what_refine_would_gain(capsys, vehicle):
     """The promise of the table is kept by the command that it names: each norm falls by at least as much; none for state."""
-    assert main(["--vehicle", vehicle]) == 0
+    assert main(["--vehicle", vehicle, "-v"]) == 0
     text = capsys.readouterr().out
     promised = {name: float(share) for name, share in re.findall(r"(\w+) by ([\d.e+-]+) % or more", prose(text))}
     code, before = table(capsys, "--vehicle", vehicle)
@@ -286,9 +297,9 @@ def test_which_loop_is_said(capsys, tmp_path, section):
     file = tmp_path / "car.toml"
     file.write_text(read_vehicle("quarter_car").text + "\n" + section)
     said = "bound, norm and poles are of the ideal loop, continuous and without [limits] and [implementation]"
-    main(["--vehicle", str(file), "--controller", "I"])
+    main(["--vehicle", str(file), "--controller", "I", "-v"])
     assert (said in prose(capsys.readouterr().out)) == bool(section)
-    bump(["--vehicle", str(file), "--controller", "I", "--no-logs", "--duration", "0.2"])
+    bump(["--vehicle", str(file), "--controller", "I", "--no-logs", "--duration", "0.2", "-v"])
     assert (said in prose(capsys.readouterr().out)) == bool(section)
 
 
@@ -296,7 +307,7 @@ def test_which_loop_is_said(capsys, tmp_path, section):
 def test_what_is_disturbed_is_said(name, capsys):
     """A twist that counts beside the road's velocity is said of the car that does not forget it, with what it counts for."""
     vehicle = read_vehicle(name)
-    main(["--vehicle", name, "--controller", "passive"])
+    main(["--vehicle", name, "--controller", "passive", "-v"])
     said = f"the height of its twist, of which 1 m counts as {vehicle.linear_model.twist_rate:.4g} m/s"
     more = generalized_plant(vehicle).Bw.shape[1] - len(vehicle.kind.wheels)
     assert (said in prose(capsys.readouterr().out)) == (more > 0) == (name == "full_car")
@@ -413,7 +424,7 @@ def test_malformed_certificate(tmp_path, certificate, message):
 def test_a_refuted_inequality_is_not_stated(tmp_path, capsys):
     """For a certificate whose bound was edited, --check states no inequality that does not hold, and no nan."""
     file, forged = tmp_path / "own.toml", tmp_path / "forged.toml"
-    assert main(["--controller", "II", "--save", str(file)]) == 0
+    assert main(["--controller", "II", "--save", str(file), "-v"]) == 0
     text = file.read_text()
     (bound,) = [line for line in text.splitlines() if line.startswith("bound = ")]
     for factor in (0.5, 0.9999):

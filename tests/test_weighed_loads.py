@@ -105,7 +105,7 @@ def test_what_is_printed_and_saved(tmp_path, capsys):
     """The table says what the norm is of; a saved design keeps that and is checked; python-control has its norm."""
     file, saved = tmp_path / "car.toml", tmp_path / "saved.toml"
     file.write_text(read_vehicle("quarter_car").text + CARRIED)
-    assert main(["--vehicle", str(file), "--controller", "carried", "--save", str(saved)]) == 0
+    assert main(["--vehicle", str(file), "--controller", "carried", "--save", str(saved), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert "norm and bounds count loads, too: 1000 N of heave_load each weigh as much as 1 m/s of road velocity" in printed
     assert main(["--check", str(saved)]) == 0

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
-from models.common.printed import show, wrapped
+from models.common.printed import WIDTH, command, show, wrapped
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
 
@@ -54,7 +54,7 @@ class Parser(argparse.ArgumentParser):
     by_verb = False  # True for `roadproof VERB`: errors then name the command like this
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
-        page = f"{prog.partition('.')[0]}/README.md"
+        page = f"docs/how-to/{prog.rpartition('.')[2]}.md" if prog != "sim" else "docs/which-command.md"
         super().__init__(
             prog=f"python -m {prog}",
             description=_page(description),
@@ -135,6 +135,19 @@ class Parser(argparse.ArgumentParser):
 
         nargs = "+" if many else None
         self.add_argument(option, type=count, nargs=nargs, default=unset, metavar="N", help=f"{meaning} (default: {default})")
+
+    def add_printed(self, what: str, brief: str = "") -> None:
+        """Adds `--verbose`, `--json` and, with a help text, `--brief`, of which one may be given.
+
+        Args:
+            what: details that `--verbose` prints.
+            brief: help of `--brief`; empty for a command without it.
+        """
+        printed = self.add_mutually_exclusive_group()
+        printed.add_argument("-v", "--verbose", action="store_true", help=f"print {what}, too")
+        if brief:
+            printed.add_argument("--brief", action="store_true", help=brief)
+        printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
     def add_logs(self, what: str) -> None:
         """Adds --logs, for a command that records only on request."""
@@ -305,9 +318,14 @@ def _check_encoding(arguments: Sequence[str]) -> None:
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with its lines wrapped, except indented examples, which users copy."""
-    lines = [[line] if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
+    """Returns a text of `--help` with its lines wrapped; an example, which is indented, goes on after a backslash."""
+    lines = [_example(line) if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
+
+
+def _example(line: str) -> list[str]:
+    """Returns an example in lines that fit, to be copied as a whole."""
+    return [line] if len(line) <= WIDTH else command(re.split(r" (?=--)", line.strip()))
 
 
 def _text(text: str) -> str:

@@ -206,7 +206,7 @@ def _of_type(value: Any, allowed: str) -> str:
     return f"a {type(value).__name__}, not {allowed}"
 
 
-GIVE = "give the equations of the kind, as models/README.md shows them"
+GIVE = "give the equations of the kind, as docs/how-to/your-own-kind.md shows them"
 
 
 def read_kind(folder: Path, name: str) -> VehicleKind:
@@ -225,7 +225,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     kind = vars(module).get("KIND")
     if not isinstance(kind, VehicleKind):
         has = f"its KIND is a {type(kind).__name__}" if "KIND" in vars(module) else "it has no KIND"
-        raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as models/README.md shows")
+        raise InputError(f"{what}: {has}; end it with KIND = VehicleKind(...), as docs/how-to/your-own-kind.md shows")
     if kind.name != name:
         raise InputError(f"{what}: its KIND is called {kind.name!r}; call it {name!r}, as its files are")
     if wrong := _run(path, "its KIND", lambda: wrong_parts(kind)):

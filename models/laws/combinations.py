@@ -1,7 +1,7 @@
 """The table of what goes together in a controller's section, and with a command that is given its name.
 
 Two parts of a section, or a part and a command, go together unless `REFUSED` has a reason why not. Every message of a refused
-combination is made of this table, and so is that of `models/README.md`.
+combination is made of this table, and so is the table of the site.
 """
 
 from collections.abc import Collection, Mapping
@@ -36,7 +36,7 @@ DEMANDS = {  # beside a kind
     "force": "`control_force`",
 }
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the README's first table
+KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the site's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
 STATIC, FULL = "static", "full"  # values of `order`; a design is of the first where a section names none
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square

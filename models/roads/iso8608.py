@@ -146,6 +146,12 @@ class Iso8608(Road):
             "factor": self.factor,
         }
 
+    @property
+    def words(self) -> str:
+        """Class or IRI, seed and speed: what tells it from other random roads."""
+        which = f"class {self.road_class}" if self.iri is None else f"IRI {self.iri:g} m/km"
+        return f"random, {which}, seed {self.seed}, speed {self.speed:g} m/s"
+
     def scaled(self, factor: float) -> "Iso8608":
         """Returns the road higher or lower."""
         return replace(self, factor=self.factor * factor)

@@ -96,8 +96,12 @@ class Road(ABC):
     @property
     def words(self) -> str:
         """The description on a line for people, without long lists."""
-        short = {key: value for key, value in self.describe().items() if not isinstance(value, list)}
-        return ", ".join(f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in short.items())
+        kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list)]
+        number = [
+            f"{key} {value:g} {UNITS.get(key, '')}".rstrip() if isinstance(value, float) else f"{key} {value}"
+            for key, value in short
+        ]
+        return ", ".join([str(kind[1]), *number])
 
     def cost(self, samples: int) -> float:
         """Returns the effort for so many samples, over the largest of any run: roads from logs are not computed at any price."""
@@ -127,6 +131,7 @@ class Road(ABC):
             )
 
 
+UNITS = {"height": "m", "depth": "m", "length": "m", "edge": "m", "amplitude": "m", "speed": "m/s", "duration": "s"}
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
 UNITS = dict.fromkeys(("height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
     "speed": "m/s",

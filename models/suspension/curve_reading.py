@@ -121,6 +121,11 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     return curves
 
 
+def curve_keys(over: Argument) -> tuple[str, ...]:
+    """Returns the keys of a curve over this argument."""
+    return over.name, "force", "file", "fit_error", *(FRICTION if over is VELOCITY else ())
+
+
 def curve_of(entry: Any, over: Argument) -> ForceCurve:
     """Returns a curve from its table.
 
@@ -132,10 +137,9 @@ def curve_of(entry: Any, over: Argument) -> ForceCurve:
         raise InputError(f"{quoted(entry)} is no curve; give {what}")
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
-    friction = FRICTION if over is VELOCITY else ()
     for key in entry:
-        if key not in (over.name, "force", "fit_error", *friction):
-            raise InputError(f"unknown key {key!r}; known: {listing((over.name, 'force', 'file', 'fit_error', *friction))}")
+        if key not in curve_keys(over):
+            raise InputError(f"unknown key {key!r}; known: {listing(curve_keys(over))}")
     for key in (over.name, "force"):
         if key not in entry:
             raise InputError(f"{key} is missing; give {what}")

@@ -18,6 +18,7 @@ LIMITS = (
     Parameter("actuator_bandwidth", "rad/s", "corner frequency of every actuator, a first-order lag"),
 )
 
+IMPLEMENTATION_KEYS = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
 LONGEST_PERIOD = 1.0  # s, of a sampled controller
 MOST_DELAY = 50  # sample periods; each is a state of the sampled loop
 MOST_SEED = 100_000
@@ -224,10 +225,9 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...],
     Raises:
         InputError: a key or signal is unknown, or a value is not allowed.
     """
-    keys = ("sample_period", "delay", "noise", "quantisation", "seed", "sampled")
     for name in section:
-        if name not in keys:
-            raise InputError(f"[implementation] unknown key {name!r}; known: {listing(keys)}")
+        if name not in IMPLEMENTATION_KEYS:
+            raise InputError(f"[implementation] unknown key {name!r}; known: {listing(IMPLEMENTATION_KEYS)}")
     values_by_key: dict[str, Any] = {}
     if "sample_period" in section:
         period = Parameter("sample_period", "s", "of the controller", largest=LONGEST_PERIOD).check(section["sample_period"])

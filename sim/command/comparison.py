@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
+from models.common.printed import wrapped
 from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.runs.report import controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, claims, controller_lines, energy_lines, run_lines, verdict_lines
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
 
@@ -185,6 +186,20 @@ def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> 
 def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[str]]:
     """Returns the lines of each run: its controller, its table beside the passive vehicle, its verdict."""
     return [_compared_lines(run, None if run is passive else passive) for run in runs]
+
+
+def short_lines(runs: Sequence[Run]) -> list[str]:
+    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable."""
+    lines, without = [], {NO_CLAIM: [], NO_CLAIM_OF_SWITCHING: []}
+    for run in runs:
+        if (claim := claims(run.controller)) in without:
+            without[claim].append(run.controller.name)
+        else:
+            lines += wrapped(claim, f"{run.controller.name}: ", 4)
+        told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
+        lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
+    lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
+    return [*lines, "-v adds gains, every signal and how the verdict is reached"]
 
 
 def standings_of(

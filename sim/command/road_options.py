@@ -62,7 +62,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """`--duration`, with a default [s], `--timestep`, `--logs`, `--no-logs`, `--open`, `--serve`, `--brief` and `--json`."""
+    """Adds `--duration` with its default [s], `--timestep`, those of logs and viewers, `--verbose`, `--brief` and `--json`."""
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     logs = parser.add_mutually_exclusive_group()
@@ -73,9 +73,10 @@ def add_run_options(parser: Parser, duration: float) -> None:
         "--open", action="store_true", help="open the recording in Rerun's window, which stays when the command ends"
     )
     view.add_argument("--serve", action="store_true", help="serve the recording to a browser on this machine, until Ctrl-C")
-    printed = parser.add_mutually_exclusive_group()
-    printed.add_argument("--brief", action="store_true", help="print only which controller is best at what, and the verdicts")
-    printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_printed(
+        "gains, every signal and all sentences behind the verdict",
+        "print only which controller is best at what, and the verdicts",
+    )
 
 
 def add_loads(parser: Parser, what: str) -> None:

@@ -37,7 +37,7 @@ def parser() -> Parser:
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     parser.add_logs("every controller on its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_printed("every signal, invariant and road of each controller, as of a single one")
     return parser
 
 

@@ -148,6 +148,19 @@ def controller_lines(vehicle: Vehicle, controller: Driver) -> list[str]:
     return [*heading, *(f"  {sentence}" for sentence in _found(vehicle, controller))]
 
 
+def claims(controller: Driver) -> str:
+    """Returns norm and bound of a controller in a line, or why it has none."""
+    if isinstance(controller, SemiActive):
+        return NO_CLAIM_OF_SWITCHING
+    if not isinstance(controller, Controller):
+        return NO_CLAIM
+    certificate, norm = controller.certificate, controller.certificate.norm
+    if not certificate.stable:
+        return certificate.own.words
+    where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
+    return f"norm {norm.value:.7g}{where}{f', bound {certificate.bound:.7g}' if certificate.bound is not None else ''}"
+
+
 def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
     """Returns sentences on a controller beside its gain."""
     if isinstance(controller, SemiActive):

@@ -16,7 +16,17 @@ from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.invariant_point import is_pole
 from synth.analysis.lower_bound import LowerBound
-from synth.command.table import Row, detail_lines, refine_lines, ride_lines, row_object, table_lines, verdict_lines
+from synth.command.table import (
+    Row,
+    detail_lines,
+    refine_lines,
+    ride_lines,
+    row_object,
+    semi_active_lines,
+    short_lines,
+    table_lines,
+    verdict_lines,
+)
 from synth.controller.controller import InterruptedDesign
 from synth.controller.problem import measurements
 from synth.controller.report import (
@@ -35,6 +45,8 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
+DETAILED = frozenset(("check", "cross_check", "fragility", "prove", "refine", "zero_l"))  # options that ask for details
+MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
 
@@ -115,16 +127,17 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             print(json.dumps(result, allow_nan=False))
         else:
             lines = titled(vehicle.kind.name, vehicle.source)
+            full = options.verbose or bool(options.given & DETAILED)
             for row in rows:
-                lines += ["", *detail_lines(row, vehicle)]
+                lines += ["", *detail_lines(row, vehicle)] if full else short_lines(row)
             at_pole = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
-            lines += ["", _limit(limit, at_pole)]
-            if moved:
+            lines += [*([""] if full else []), _limit(limit, at_pole)]
+            if moved and full:
                 of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
                 share = f"{100 * FLAT:g} % more of {of}"
                 lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
                 lines += table([(state, *_range(*values)) for state, values in moved.items()])
-            lines += refine_lines(rows, options.vehicle)
+            lines += refine_lines(rows, options.vehicle, full)
             if saved:
                 lines += ["", "saved", Whole(f"  {options.save}")]
             if options.picture:
@@ -132,7 +145,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
             given = ", every force given" if vehicle.dampers else ""
             rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given)
-            say([*lines, "", *table_lines(rows), *about, *rides, "", *verdict_lines(rows)])
+            unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
+            more = [] if full else [MORE]
+            say([*lines, "", *table_lines(rows), *about, *rides, *unnamed, *more, "", *verdict_lines(rows)])
     if parts.cut:
         raise KeyboardInterrupt
     return 1 if any(row.failures for row in rows) else 0

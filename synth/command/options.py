@@ -113,5 +113,5 @@ def _parser() -> Parser:
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write every design of --front")
     parser.add_count("--point", "the designs of --front that --save writes", "all", 1, MOST_POINTS, many=True)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    parser.add_printed("poles, proofs, notes and gains of every controller, and which gains are not unique")
     return parser

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from models.common.printed import cells, command, finite, json_object, option, percent, table, titles, wrapped
+from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound
@@ -22,6 +22,7 @@ from synth.controller.report import (
     growth_lines,
     growth_object,
     heading_lines,
+    law_lines,
     norm_lines,
     norm_object,
     norm_record,
@@ -183,22 +184,44 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
+def short_lines(row: Row) -> list[str]:
+    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it, and what fails."""
+    if row.controller is None:
+        return [f"{row.name} NOT DESIGNED: {failure}" for failure in row.failures]
+    promises, gain = row.controller.specifications, law_lines(row.controller.law, f"{row.name}: gain ", "")
+    if promises:
+        kept = sum(promise.holds for promise in promises[1:])
+        lines = wrapped(f"{promises[0].text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
+    else:
+        lines = gain if row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+    return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
+
+
+def semi_active_lines(vehicle: Vehicle) -> list[str]:
+    """Returns a line that names the laws of which there is no linear claim; empty without any."""
+    names = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
+    return [f"no linear claim, so not in this table: {', '.join(names)}; sim.drive and sim.campaign run them"] if names else []
+
+
 def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
     """A witness as JSON has it."""
     return {**asdict(witness), "apart": witness.apart, "above": witness.above}
 
 
-def refine_lines(rows: Sequence[Row], vehicle: str) -> list[str]:
-    """Returns the norms that `--refine` lowers by more than the table's last digit, and the command; empty if none.
+def refine_lines(rows: Sequence[Row], vehicle: str, whole: bool) -> list[str]:
+    """Returns the norms that `--refine` lowers by more than the table's last digit; empty if none.
 
     Args:
         vehicle: as `--vehicle` was given.
+        whole: True for the command below it.
     """
     worth = [row for row in rows if row.worth]
     if not worth:
         return []
     shares = ", ".join(f"{row.name} by {_at_least(row.worth)} or more" for row in worth)
     named = [option("--controller", row.name) for row in worth]
+    if not whole:
+        return [f"refine: --refine lowers the norm of {shares}"]
     return [
         f"refine: --refine lowers the norm of {shares}:",
         *command(["python -m synth", option("--vehicle", vehicle), *named, "--refine"]),

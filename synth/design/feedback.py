@@ -104,8 +104,8 @@ def design_feedback(
     """Returns a controller of any plant, with what is proved of it, the method that found it, and why that one.
 
     Without more words it is a static gain of the least norm: by the two steps, or by descent where they lead to none. The words
-    are those of a controller's section in a vehicle file, and go together as there (`models/README.md`). A plant by itself has no
-    names: its measurements are y1, y2, ..., its forces u1, u2, ..., the rows of z are z1, z2, ...
+    are those of a controller's section in a vehicle file, and go together as there. A plant by itself has no names: its
+    measurements are y1, y2, ..., its forces u1, u2, ..., the rows of z are z1, z2, ...
 
     Args:
         plant: n states, m inputs; continuous, or discrete by its dt.

@@ -219,6 +219,23 @@ def sweep_lines(one: Sweep | DescribingFunction) -> list[str]:
     return lines
 
 
+def short_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
+    """Returns a table of the norms, found in physics and in analysis, and how to see the rest."""
+    rows: list[tuple[str, ...]] = [("", "held-road", "", "MuJoCo", "worst line", "continuous")]
+    rows.append(("", "norm", "at rad/s", "reaches", "off sampled", "norm"))
+    for one in sweeps:
+        if isinstance(one, DescribingFunction):
+            rows.append((one.controller.name, *("-",) * 5))
+            continue
+        norm, share = one.extremes.worst, one.gains["worst sinusoid"] / one.extremes.worst.gain
+        off = max(one.lines.error(one.lines.sampled))
+        numbers = (f"{norm.gain:.7g}", f"{norm.omega:.5g}", f"{100 * share:.4f} %", f"{off:.1e}", f"{_norm(one):.7g}")
+        rows.append((one.controller.name, *numbers))
+    told = [(one, failures(one)) for one in sweeps if not (isinstance(one, Sweep) and one.ended)]
+    failed = [f"  {one.controller.name} DOES NOT AGREE: {text}" for one, texts in told for text in texts]
+    return [*table(rows), *failed, "  -v adds every signal, invariants, other roads and EUSAMA's least load"]
+
+
 def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
     """The verdict on every sweep, a line each."""
     width = max(len(one.controller.name) for one in sweeps)

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles
+from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
@@ -192,10 +192,7 @@ def beside(vehicle: Vehicle) -> list[str]:
 
 def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughness: Sequence[Roughness]) -> list[str]:
     """Returns the metrics of a run and its road as a table, with notes below."""
-    measured, notes = metrics.metrics, []
-    if run.broke_off is not None:
-        why, at = run.broke_off
-        notes.append(f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless")
+    measured, notes = metrics.metrics, broken_lines(run)
     if metrics.settled is not None:
         notes.append(
             f"when measuring begins, the variance of {metrics.settled.signal} is {percent(metrics.settled.share)} of its final "
@@ -238,6 +235,24 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
             rows.append(source := metric.source)
         rows.append(_row(metric.what, measured[metric.name], shown))
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
+
+
+def broken_lines(run: Run) -> list[str]:
+    """Returns a sentence on a run that broke off; empty for others."""
+    if run.broke_off is None:
+        return []
+    why, at = run.broke_off
+    return [f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless"]
+
+
+def angle_lines(controller: str, metrics: RunMetrics) -> list[str]:
+    """Returns the body's largest angles under loads in MuJoCo, and where the linear loop rests; empty without loads."""
+    angles = {name: one for name, one in metrics.metrics.items() if one.unit == "deg" and one.mujoco is not None}
+    if metrics.static is None or not angles:
+        return []
+    said = ", ".join(f"{name} {one.mujoco:.3g}" for name, one in angles.items())
+    rests = ", ".join(f"{name} {value:.3g}" for name, value in metrics.static.items())
+    return wrapped(f"{said} deg{f'; at rest {rests} deg' if rests else ''}", f"{controller}: ", 4)
 
 
 def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:

@@ -58,7 +58,7 @@ def about_lines(costs: Sequence[Cost], lag: str = "") -> list[str]:
     """Returns the explanation of the columns; `lag` is that of the actuators in words, empty without."""
     designs = any(_has_designs(one) for one in costs)
     more = "; designed: anew, for the loop of that rate" if designs else ""
-    loses = "loses: by how much the norm lies above that in continuous time"
+    loses = "loses: by how much the norm lies above that in continuous time, with a minus below it, which is a gain"
     plain = any(one.controller.hardware.bandwidth is None for one in costs)
     table_is = "; the design table of `python -m synth` has norms without that lag" if lag and plain else ""
     return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}{table_is}", hang=2)]

@@ -1,0 +1,351 @@
+"""Pages of the site that are made from the code, as Markdown: the reference, the gallery and the notebook.
+
+Nothing here lists what the code lists. Commands come from their parsers, and keys from the tables of their readers. Signals,
+roads and metrics come from the models, public names from `__all__`, and pictures from the pages that draw them.
+"""
+
+import argparse
+import ast
+import contextlib
+import importlib
+import inspect
+import io
+import json
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import models
+import sim
+import synth
+from models.common.command import Parser
+from models.kinds import signals
+from models.laws import semi_active
+from models.laws.combinations import COMMANDS as OPTIONS
+from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
+from models.laws.goals import BOUND_KINDS, Goals
+from models.roads.iso8608 import Iso8608
+from models.roads.load import LOADS
+from models.roads.obstacles import OBSTACLES
+from models.roads.profile import Profile
+from models.roads.rig import Rig
+from models.suspension import STOP_KEYS, damper
+from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
+from models.vehicle import filter as weights
+from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
+from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits
+from models.vehicle.vehicle import kind, kinds, read_vehicle
+from sim.__main__ import COMMANDS
+from sim.campaign.file import KEYS as CAMPAIGN_KEYS
+from sim.campaign.file import Campaign
+from sim.recording.run_log import RESULTS
+from sim.studies.ride import metrics
+
+HERE = Path(__file__).parent
+PACKAGES = (models, synth, sim)
+
+
+def pages() -> dict[str, str]:
+    """Returns the Markdown of every generated page but the log's, by path below `docs/` without suffix."""
+    return {
+        "gallery": gallery(),
+        "tutorials/notebook": notebook(HERE / "tutorials" / "notebook.ipynb"),
+        "reference/commands": commands(),
+        "reference/vehicle-file": vehicle_file(),
+        "reference/what-goes-together": together(),
+        "reference/signals": signal_tables(),
+        "reference/roads": roads(),
+        "reference/metrics": metric_tables(),
+        **{f"reference/{package.__name__}": names(package) for package in PACKAGES},
+    }
+
+
+def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Returns a Markdown table."""
+    lines = [heading, ["---"] * len(heading), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines) + "\n"
+
+
+def attributes(owner: type) -> dict[str, str]:
+    """Returns what a class's docstring says of its attributes, by name."""
+    text = (inspect.getdoc(owner) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    entries = re.split(r"^    (?=\w[\w, ]*: )", text, flags=re.M)
+    found = [entry.partition(": ") for entry in entries if entry.strip()]
+    return {name: " ".join(said.split()) for some, _, said in found for name in some.split(", ")}
+
+
+# Commands, from their parsers
+
+
+class _MadeError(Exception):
+    """Signal that a command has made its parser."""
+
+
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """Returns the parser of a command, which does not run."""
+    made: list[argparse.ArgumentParser] = []
+
+    def stop(parser: Parser, *_: object) -> None:
+        made.append(parser)
+        raise _MadeError
+
+    module = importlib.import_module(command)
+    main = getattr(module, "main", None) or importlib.import_module(f"{command}.__main__").main
+    with mock.patch.object(Parser, "parse_args", stop), contextlib.suppress(_MadeError):
+        main([])
+    return made[0]
+
+
+def commands() -> str:
+    """Returns the page of all commands and their options."""
+    text = "# Commands\n\nEach is `python -m NAME`, or `roadproof` with the last part of its name.\n"
+    for name, question, _ in COMMANDS:
+        parser = parser_of(name)
+        page = f"../how-to/{name.rpartition('.')[2]}.md"
+        rows = []
+        for action in parser._actions:
+            value = action.metavar if action.nargs != 0 and isinstance(action.metavar, str) else ""
+            options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
+            rows.append((options or f"`{value or action.dest}`", cell((action.help or "").replace("%%", "%"))))
+        usage = " ".join((parser.description or "").split())
+        text += f"\n## {name}\n\nAnswers: [{question}]({page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
+    return text
+
+
+def cell(text: str) -> str:
+    """Returns a text as Markdown shows it literally."""
+    return re.sub(r"([\[\]*_<>`])", r"\\\1", " ".join(text.split()))
+
+
+# Vehicle files, from the tables of their readers
+
+
+def shown_in(key: str) -> str:
+    """Returns links to the pages on which a key of a vehicle file stands as code."""
+    there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
+    found = [path for path in sorted((HERE / "how-to").glob("*.md")) if there.search(path.read_text(encoding="utf-8"))]
+    return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
+
+
+def key_sections() -> dict[str, list[tuple[str, str, str]]]:
+    """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
+    own, entry, goals = attributes(Implementation), attributes(ControllerEntry), attributes(Goals)
+    limits, stops = {one.name: one for one in LIMITS}, attributes(Limits)
+    laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
+    found = {
+        f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
+        for name in kinds()
+    }
+    found["[performance]"] = [("road", "", "filter from the disturbance w to the road's velocity under every wheel")]
+    found["[performance]"] += [(key, "", "of a signal's weight with a filter") for key in weights.KEYS]
+    found["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
+    found["bounds of a controller"] = [
+        (key, "", f"example: `{example}`" + (f"; beside it {', '.join(more)}" if more else ""))
+        for key, (more, example) in BOUND_KINDS.items()
+    ]
+    found["semi-active laws"] = [
+        (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
+        for key in semi_active.KEYS
+    ]
+    found["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
+    found["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
+    found["[implementation]"] = [
+        (key, "", own.get(key, "designs are for the sampled loop, where a section says nothing else"))
+        for key in IMPLEMENTATION_KEYS
+    ]
+    found["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
+    found["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
+    found["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
+    return found
+
+
+def default(parameter: Any) -> str:
+    """Returns the default of a parameter in words; empty if a vehicle file must give it."""
+    if parameter.optional:
+        return "; may be left out"
+    return f"; {parameter.usual:g} unless given" if parameter.usual is not None else ""
+
+
+def vehicle_file() -> str:
+    """Returns the page of all keys of a vehicle file, and of a campaign file."""
+    text = "# Keys of a vehicle file\n\nValues are in SI units. The right column has the pages that use a key.\n"
+    for section, keys in key_sections().items():
+        rows = [
+            (f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys
+        ]
+        text += f"\n## {section}\n\n{table(('key', 'unit', 'meaning', 'used in'), rows)}"
+    return text
+
+
+def together() -> str:
+    """Returns the page of what goes together in a controller's section."""
+    rows = {**KINDS, **{part: name for part, name in DEMANDS.items() if part != "force"}}
+    text = (
+        f"# What goes together\n\nThe first {len(KINDS)} rows are laws and designs; a section has one of them. The other rows "
+        'are keys that may stand beside it: "yes" means that the two go together. Several keys in one section must all go '
+        "together. "
+        '"Goals" are all keys of [goals](../how-to/goals.md). `control_force` is one among the measurements, of forces that act '
+        "at once. The options are those of `python -m synth`; `--rates` gives every linear controller's norms, and designs anew "
+        "as said here. What does not go together is refused with the reason. LQG takes `noise` by itself.\n"
+    )
+    for columns in (KEYS, tuple(OPTIONS)):
+        marks = [
+            (name, *("" if row == column else "-" if refusal(row, column) else "yes" for column in columns))
+            for row, name in rows.items()
+        ]
+        text += f"\n{table(('', *({**DEMANDS, **OPTIONS}[column] for column in columns)), marks)}"
+    return text
+
+
+# Signals, roads, metrics
+
+
+def signal_tables() -> str:
+    """Returns the page of all signals: in general, and the names of each kind of vehicle."""
+    known = [value for value in vars(signals).values() if isinstance(value, signals.Signal)]
+    rows = [(f"`{one.name}`", one.symbol, one.unit, one.meaning) for one in known]
+    text = f"# Signals\n\n{table(('name', 'symbol', 'unit', 'meaning'), rows)}"
+    text += "\nOn several wheels a signal carries the wheel's name. A law's states follow as `controller_1` and so on.\n"
+    for name in kinds():
+        listed = ", ".join(f"`{one.name}`" for one in kind(name).signals)
+        text += (
+            f"\n## {name}\n\n{listed}.\n\nControllers may measure: "
+            + ", ".join(f"`{one}`" for one in read_vehicle(name).linear_model.measurable)
+            + ".\n"
+        )
+    return text
+
+
+def numbers(owner: type) -> str:
+    """Returns the table of a road's or load's numbers, with their defaults."""
+    said = attributes(owner)
+    fields = [one for one in inspect.signature(owner).parameters.values() if one.name in said]
+    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(said[one.name])) for one in fields]
+    return table(("number", "default", "meaning"), rows) if rows else ""
+
+
+def first(owner: Any) -> str:
+    """Returns the first paragraph of a docstring."""
+    return " ".join((inspect.getdoc(owner) or "").partition("\n\n")[0].split())
+
+
+def roads() -> str:
+    """Returns the page of roads and loads."""
+    text = (
+        "# Roads and loads\n\nA road is named as in `--road pothole:depth=0.06:length=1.5`, a load as in `--load brake:g=0.5`.\n"
+    )
+    for what, table_of in (("Road", {"iso8608": Iso8608, **OBSTACLES, "rig": Rig, "from a file": Profile}), ("Load", LOADS)):
+        for name, owner in table_of.items():
+            text += f"\n## {what} {name}\n\n{first(owner)}\n\n{numbers(owner)}"
+    return text
+
+
+def metric_tables() -> str:
+    """Returns the page of metrics: how they are defined, and their names for the quarter-car under loads."""
+    about, _, formulas = (inspect.getdoc(metrics) or "").partition("\n\n")
+    rows = [
+        (f"`{one.name}`", one.unit, f"`{one.source}`", one.what) for one in metrics.metrics_of(read_vehicle("quarter_car"), True)
+    ]
+    others = [f"`{one.name}`" for one in metrics.metrics_of(read_vehicle("full_car"), True)]
+    return (
+        f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Of a quarter-car\n\n"
+        f"{table(('name', 'unit', 'signal', 'statistic'), rows)}\n## Of a full car\n\n{', '.join(others)}.\n"
+    )
+
+
+# Logs, from one that is written now
+
+
+def log_page() -> str:
+    """Returns the page of a log's channels, claims and attachments: those of a run that is recorded here."""
+    from mcap.reader import make_reader
+
+    from sim.bump import main
+
+    with tempfile.TemporaryDirectory() as folder:
+        with contextlib.redirect_stdout(io.StringIO()):
+            main(["--vehicle", "quarter_car_semi_active", "--controller", "I", "--duration", "0.1", "--logs", folder, "--brief"])
+        (path,) = Path(folder).glob("*.mcap")
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            assert summary is not None
+            claims = {one.name: one.metadata for one in reader.iter_metadata()}
+            attached = [(f"`{one.name}`", one.media_type) for one in reader.iter_attachments()]
+    rows = []
+    for channel in sorted(summary.channels.values(), key=lambda one: one.topic):
+        rows.append(
+            (f"`{channel.topic}`", summary.schemas[channel.schema_id].name, ", ".join(f"`{each}`" for each in channel.metadata))
+        )
+    text = "# Log channels\n\nThe channels of a run of `quarter_car_semi_active`; other vehicles have their own signals.\n"
+    text += f"\n{table(('topic', 'schema', 'units are given of'), rows)}"
+    for name, values in claims.items():
+        text += f"\n## Metadata {name}\n\n{', '.join(f'`{key}`' for key in values)}.\n"
+    text += f"\n## Attachments\n\n{table(('name', 'type'), attached)}\n## Keys of result.json\n\n"
+    return text + table(("command", "keys"), [(name, ", ".join(f"`{key}`" for key in keys)) for name, keys in RESULTS.items()])
+
+
+# Public names
+
+
+def names(package: Any) -> str:
+    """Returns the page of a package's public names, for autodoc."""
+    title = f"Public names of {package.__name__}"
+    lines = [f"# {title}", "", first(package), "", "```{eval-rst}"]
+    for name in package.__all__:
+        value = getattr(package, name)
+        directive = "autoclass" if inspect.isclass(value) else "autofunction" if callable(value) else "automodule"
+        if inspect.ismodule(value) or callable(value):
+            lines += [f".. {directive}:: {value.__name__ if inspect.ismodule(value) else f'{package.__name__}.{name}'}", ""]
+        else:
+            lines += [f".. py:data:: {package.__name__}.{name}", "", f"   {value!r}", ""]
+    return "\n".join([*lines, "```", ""])
+
+
+# Pictures and the notebook
+
+
+def drawn() -> list[tuple[str, str, str, Path]]:
+    """Returns every picture that a command on a page draws: its file, what it shows, the command, the page."""
+    found = []
+    for path in sorted((HERE / "how-to").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        shown = dict((name, alt) for alt, name in re.findall(r"!\[([^\]]*)\]\([^)]*/([^/)]+)\)", text))
+        for line in re.findall(r"^python -m .*--picture \S+.*$", text, re.M):
+            (name,) = re.findall(r"--picture (\S+)", line)
+            if name in shown:
+                found.append((name, shown[name], line, path))
+    return found
+
+
+def gallery() -> str:
+    """Returns the page of pictures, with the command that draws each."""
+    text = "# Gallery of pictures\n\nEach picture comes out of the command below it, which a test runs.\n"
+    for name, alt, line, path in drawn():
+        text += (
+            f"\n![{alt}](../.github/pictures/{name})\n\n{alt}. [How to read it](how-to/{path.name}).\n\n```text\n{line}\n```\n"
+        )
+    return text
+
+
+def cells(path: Path) -> list[Mapping[str, Any]]:
+    """Returns the cells of a notebook."""
+    return json.loads(path.read_text(encoding="utf-8"))["cells"]
+
+
+def notebook(path: Path) -> str:
+    """Returns a notebook as a page, with the text that its cells printed."""
+    text = ""
+    for one in cells(path):
+        source = "".join(one["source"])
+        if one["cell_type"] == "markdown":
+            text += f"{source}\n\n"
+            continue
+        ast.parse(source)
+        text += f"```python\n{source}\n```\n\n"
+        said = "".join("".join(output.get("text", [])) for output in one["outputs"])
+        text += f"```text\n{said.rstrip()}\n```\n\n" if said else ""
+    return text

@@ -1,0 +1,101 @@
+"""The site: its pages are found, its reference has every command and every key, and its notebook runs; Sphinx is not needed."""
+
+import argparse
+import contextlib
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from docs import generate
+from models.vehicle.controllers import CONTROLLER_KEYS
+from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS
+from models.vehicle.vehicle import SECTIONS
+from sim.__main__ import COMMANDS
+from tests.pages import GENERATED, PICTURES, ROOT, SITE, page
+
+DOCS = ROOT / "docs"
+NOTEBOOK = DOCS / "tutorials" / "notebook.ipynb"
+
+
+@pytest.fixture(scope="module")
+def made():
+    """The generated pages, by path below `docs/`."""
+    return generate.pages()
+
+
+def test_every_page_is_in_a_table_of_contents(made):
+    """No page is lost: each is an entry of one table of contents, and each entry is a page."""
+    entries = []
+    for name in SITE:
+        for block in re.findall(r"^```\{toctree\}\n(.*?)^```", page(name), re.M | re.S):
+            folder = (ROOT / name).parent
+            entries += [(folder / line).relative_to(DOCS).as_posix() for line in block.splitlines() if re.match(r"\w", line)]
+    there = {Path(name).relative_to("docs").with_suffix("").as_posix() for name in SITE}
+    assert sorted(entries) == sorted((there | {*made, "reference/logs"}) - {"index"})
+    assert all(f"docs/{name}.md".startswith(GENERATED) for name in (*made, "reference/logs"))
+
+
+def test_every_command_and_option_has_an_entry(made):
+    """The page of commands has each command's every option, as its parser knows them."""
+    text = made["reference/commands"]
+    for name, question, _ in COMMANDS:
+        part = text.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+        assert question in part
+        options = [each for action in generate.parser_of(name)._actions for each in action.option_strings]
+        assert {"--help", "--json"} <= {*options}
+        assert all(re.search(rf"`{option}[ `]", part) for option in options)
+
+
+def test_every_key_has_an_entry_and_a_page(made):
+    """The page of keys has every section and every key, with a page that uses the key or a sentence on it."""
+    text = made["reference/vehicle-file"]
+    sections = generate.key_sections()
+    assert all(any(name in heading for heading in sections) for name in SECTIONS[1:])
+    assert {*CONTROLLER_KEYS} == {key for key, *_ in sections["[controllers.NAME]"]}
+    assert {*IMPLEMENTATION_KEYS} == {key for key, *_ in sections["[implementation]"]}
+    bare = [key for keys in sections.values() for key, _, meaning in keys if not meaning and not generate.shown_in(key)]
+    assert bare == []
+    assert all(f"| `{key}` |" in text for keys in sections.values() for key, *_ in keys)
+
+
+def test_tables_have_whole_rows(made):
+    """Every row of a generated table has as many cells as its heading."""
+    for name, text in made.items():
+        for block in re.findall(r"(?:^\|.*\n)+", text, re.M):
+            widths = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
+            assert len(widths) == 1, name
+
+
+def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
+    """Each picture that a command on a page draws stands in the gallery, above that command."""
+    drawn = generate.drawn()
+    assert len(drawn) >= 5
+    for name, alt, line, _ in drawn:
+        assert (PICTURES / name).exists()
+        assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
+
+
+def test_the_notebook_runs(tmp_path, monkeypatch, made):
+    """Its cells run one after the other, print what is stored below each, and stand on the page."""
+    pytest.importorskip("pandas", reason="needs the extra [report]")
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, object] = {}
+    for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        assert source in made["tutorials/notebook"]
+        if cell["cell_type"] == "code":
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                exec(compile(source, "notebook", "exec"), names)
+            assert printed.getvalue() == "".join("".join(output["text"]) for output in cell["outputs"])
+    assert (tmp_path / "bump.png").stat().st_size > 10_000
+
+
+def test_a_parser_is_taken_without_a_run():
+    """A command whose parser is asked for does nothing else."""
+    assert isinstance(generate.parser_of("sim.campaign"), argparse.ArgumentParser)
