@@ -17,6 +17,7 @@ from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
+from synth.controller.export import cortex_m4
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
 from tests.commands import attacks, prose
@@ -213,3 +214,26 @@ def test_nothing_is_overwritten(exported):
         main(["--controller", "I", "--export", str(exported)])
     with pytest.raises(InputError, match="--numbers is of the code"):
         main(["--controller", "I", "--numbers", "float"])
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("numbers", ["double", "float"])
+def test_another_processor_has_the_same_bits(numbers):
+    """A Cortex-M4 without floating-point unit, simulated, gives every output to the last bit."""
+    for package in cortex_m4.PACKAGES:
+        pytest.importorskip(package, reason="needs the extra [export]")
+    law = random_law(np.random.default_rng(1), read_vehicle("half_car"), numbers)
+    rows, step = list(random_inputs(law, 20, 5)), PythonStep(law)
+    found = cortex_m4.run(law, rows)
+    assert found.outputs == [[float(value) for value in step(row)] for row in rows]
+    assert 100 < found.least <= found.most < 100_000
+    assert 0 < found.stack < 2000
+
+
+def test_without_the_extra_it_is_asked_for(exported, monkeypatch):
+    """Without the extra one line names it; without a folder there is nothing to run."""
+    monkeypatch.setattr(cortex_m4, "PACKAGES", ("no_such_package",))
+    with pytest.raises(InputError, match=r"the extra \[export\]"):
+        main(["--check", str(exported), "--cortex-m4"])
+    with pytest.raises(InputError, match="--cortex-m4 runs exported code"):
+        main(["--controller", "I", "--cortex-m4"])

@@ -15,12 +15,13 @@ from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.command.save import SUFFIX, saved_text
 from synth.controller.controller import Controller
-from synth.controller.export.c_law import c_name, exported_law
+from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
-from synth.controller.export.folder import CERTIFICATE, MANIFEST, VEHICLE, files, with_tables
+from synth.controller.export.folder import CERTIFICATE, MANIFEST, SEED, VEHICLE, files, with_tables
 from synth.vehicle.designer import Designer
 
 MOST = 10_000_000  # bytes of a file of the folder
+FEW = 50  # samples on a simulated processor
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
@@ -137,6 +138,10 @@ def check_folder(folder: Path, options: Namespace) -> int:
     claims = _claims(vehicle, name)
     ran, same = _back_to_back(folder, prefix) if not failures else ("the code was not run", True)
     failures += [] if same else [ran]
+    if options.cortex_m4:
+        elsewhere, same = _on_cortex_m4(exact or law)
+        ran = f"{ran}; {elsewhere}"
+        failures += [] if same else [elsewhere]
     verdict = f"NOT AS EXPORTED: {'; '.join(failures)}" if failures else "nothing is changed"
     verdict += "" if isinstance(claims, str) else f"; ITS CLAIMS FAIL: {'; '.join(claims)}"
     failures += [] if isinstance(claims, str) else claims
@@ -153,6 +158,17 @@ def check_folder(folder: Path, options: Namespace) -> int:
             ]
         )
     return 1 if failures else 0
+
+
+def _on_cortex_m4(law: ExportedLaw) -> tuple[str, bool]:
+    """Returns what a simulated Cortex-M4 makes of random samples, and False if it is not what this machine makes of them."""
+    from synth.controller.export.cortex_m4 import run
+
+    samples, step = list(random_inputs(law, FEW, SEED)), PythonStep(law)
+    found = run(law, samples)
+    differ = sum([float(value) for value in step(row)] != given for row, given in zip(samples, found.outputs, strict=True))
+    counts = f"{found.least} to {found.most} instructions a step, {found.stack} bytes of stack, {found.size} of code and tables"
+    return f"Cortex-M4: {FEW} samples, {differ} differ; {counts}", differ == 0
 
 
 def _manifest(folder: Path, there: set[str]) -> list[str]:

@@ -56,6 +56,8 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     others = {"zero_l", "refine", "save", "check", "cross_check", "prove", "rates", "fragility", "front", "picture"}
     if options.export is not None and options.given & others:
         raise InputError("--export writes one controller; it goes with --controller, --vehicle, --numbers and --json only")
+    if options.cortex_m4 and not (options.check is not None and options.check.is_dir()):
+        raise InputError("--cortex-m4 runs exported code; give its folder with --check, or leave it out")
     if options.export is None and "numbers" in options.given:
         raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
     for name in ("csv", "point"):
@@ -95,6 +97,11 @@ def _parser() -> Parser:
         type=Path,
         metavar="FILE",
         help="verify the gains of a vehicle file and their certificates, or a folder of --export, file by file",
+    )
+    parser.add_argument(
+        "--cortex-m4",
+        action="store_true",
+        help="with --check of a folder: also run the code on a simulated Cortex-M4; needs the extra [export], takes a minute",
     )
     parser.add_argument(
         "--export", type=Path, metavar="DIR", help="write one controller as C99 with tests, certificate and manifest"
