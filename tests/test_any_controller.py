@@ -27,6 +27,14 @@ measured = ["suspension_deflection", "sprung_velocity"]
 minimise = { band = [4.0, 8.0] }
 bounds = [{ norm = 8.5 }, { decay = 0.5 }]
 
+[controllers.second]
+measured = ["sprung_velocity"]
+order = 2
+
+[controllers.pid]
+measured = ["suspension_deflection"]
+pid = { kp = -2000.0, ki = -500.0, kd = -200.0, filter = 0.02 }
+
 [controllers.python]
 measured = ["sprung_velocity"]
 law = "python.py:step"
@@ -51,6 +59,12 @@ order = "full"
 noise = true
 sampled = true
 
+[controllers.sampled_pid]
+measured = ["suspension_deflection"]
+structure = "pid"
+pid = { filter = 0.02 }
+sampled = true
+
 [controllers.noisy]
 measured = ["suspension_deflection", "sprung_velocity"]
 order = "full"
@@ -65,8 +79,8 @@ C = [[100.0]]
 D = [[8000.0, -1500.0]]
 """
 CONTROLLERS = [
-    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "python")),
-    *(("built", name) for name in ("sampled", "sampled_full", "noisy", "discrete")),
+    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "second", "pid", "python")),
+    *(("built", name) for name in ("sampled", "sampled_full", "sampled_pid", "noisy", "discrete")),
     ("quarter_car_accelerometer", "accelerometer"),
     ("quarter_car_semi_active", "skyhook"),
 ]
@@ -74,7 +88,7 @@ SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
 LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
 CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
-ALIKE = ("lqg", "told_its_force", "goals", "noisy")  # to commands that take long: states, or a gain, as others have
+ALIKE = ("lqg", "told_its_force", "goals", "second", "sampled_pid", "noisy")  # to commands that take long: states, or a gain, as others have
 NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
 
 

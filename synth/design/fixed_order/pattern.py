@@ -6,7 +6,7 @@ gains on what fixed filters make of the measurements: y, its integral, and its f
 some entries of a gain that are free and zeros elsewhere.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,8 @@ class StructuredGain:
 
     def gain(self, law: LinearLaw) -> Array:
         """Returns the gain of a law, without what the structure does not have."""
-        assert self.filters is None, "a gain on filters follows from no law"
+        if self.filters is not None:
+            return np.where(self.free, _on(self.filters, law), 0.0)
         return np.where(self.free, np.block([[law.D, law.C], [law.B, law.A]]), 0.0)
 
 
@@ -90,11 +91,8 @@ def _on_filters(
 ) -> StructuredGain:
     """The plant with the filters of PI or PID behind its measurements; a discrete plant has them as a computer runs them."""
     m, (q, n) = len(rows), Cy.shape
-    one = pid_filter(structure.kind, structure.filter)
-    one = one if plant.dt is None else one.sampled(plant.dt)
-    parts = len(one.D)
-    filters = side_by_side(one, m)
-    filters = LinearLaw(filters.A, filters.B @ rows, filters.C, filters.D @ rows, filters.sample_period)
+    filters = _filters(structure, rows, plant.dt)
+    parts = len(filters.D) // m
     k, (d, r) = filters.states, plant.Dw.shape
     noise = np.zeros((q, r)) if Dyw is None else Dyw
     felt = np.zeros((q, m)) if through is None else through
@@ -111,6 +109,28 @@ def _on_filters(
     measured = np.hstack([filters.D @ Cy, filters.C])
     heard = None if Dyw is None else filters.D @ noise
     return StructuredGain(larger, measured, heard, None if through is None else filters.D @ felt, free, filters, (m, q))
+
+
+def gains_on_filters(structure: LawStructure, law: LinearLaw) -> Array:
+    """Returns kp, ki and, of PID, kd of a law of such a structure, a row for each force."""
+    rows = np.array(structure.rows, dtype=float)
+    filters = _filters(structure, rows, law.sample_period)
+    parts = len(filters.D) // len(rows)
+    gain = _on(filters, law)
+    return np.array([gain[i, parts * i : parts * (i + 1)] for i in range(len(rows))])
+
+
+def _on(filters: LinearLaw, law: LinearLaw) -> Array:
+    """The gain on what filters give that makes a law of their states; their outputs are independent of one another."""
+    made = np.hstack([filters.C, filters.D])
+    return np.linalg.lstsq(made.T, np.hstack([law.C, law.D]).T, rcond=None)[0].T
+
+
+def _filters(structure: LawStructure, rows: Array, period: float | None) -> LinearLaw:
+    """The filters of PI or PID of all forces, from all measurements; of a discrete plant as a computer runs them."""
+    one = pid_filter(structure.kind, structure.filter)
+    all_of = side_by_side(one if period is None else one.sampled(period), len(rows))
+    return replace(all_of, B=all_of.B @ rows, D=all_of.D @ rows)
 
 
 class LawUnits:

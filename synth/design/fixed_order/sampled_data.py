@@ -11,7 +11,7 @@ import numpy as np
 from models.common.printed import percent
 from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
-from synth.analysis.lower_bound import LowerBound, SampledBound
+from synth.analysis.lower_bound import SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.fixed_order.fixed_order import fixed_order_design, gains_text
@@ -50,11 +50,10 @@ def sampled_fixed_order(
         if plant is None:
             level *= NEAR
             continue
-        below = LowerBound(goal / level)
         try:
-            known: list[LinearLaw] = [] if law is None else [law]
+            known: list[LinearLaw] = [] if law is None or structure.kind else [law]
             found = fixed_order_design(
-                plant, problem.rows, problem.Dyw(level), structure, below, names, stable=stable, known=known
+                plant, problem.rows, problem.Dyw(level), structure, None, names, stable=stable, known=known
             ).law
             reached = sampled_norm(problem.loop(law_gain(found)), level).value
         except InfeasibleError:
