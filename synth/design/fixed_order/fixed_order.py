@@ -2,7 +2,7 @@
 
 A law of k states is one of k + 1 states, too, so orders are gone through from a static gain up. Each starts from
 
-- the full-order law, reduced (`reduction.py`), and laws near it that are slower;
+- laws of full order, reduced (`reduction.py`), those next to the least norm and slower ones;
 - the static gain, and the law of one state less, with a state appended that reads and does not act yet;
 - samples of every size, where none of these is stable.
 
@@ -30,14 +30,15 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures
 from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
 from synth.design.fixed_order.reduction import reductions
-from synth.design.full_order.full_order import DEADBEAT, full_order_design
-from synth.design.full_order.riccati import WITHIN
+from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
+from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.static import MOST, Candidate, GainSearch
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.augmented import on_larger_plant
+from synth.plant.discrete import Mapped, mapped
 from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
@@ -45,7 +46,9 @@ from synth.plant.units import speed
 LIMITS = (100.0, 10.0, 3.0)  # on a gain's entries, in units in which 1 moves poles as fast as the plant's: the first not too fast
 POLES = (0.1, 1.0, 10.0)  # of an appended state, times the plant's speed
 READS = 0.1  # what it reads, in these units
-SLOWER = 3  # further laws of full order that are reduced
+SHARES = (1e-1, 1e-2, 1e-3)  # of noise and cost, with which laws of full order are made,
+MARGINS = (1e-2, 1e-1, 1.0)  # and how far above the least gamma, relative
+ENTERED = 4  # starts of a kind that go down
 FEW = 2  # stabilising starts of a static gain, where a law may have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
 SEED = 20261126
@@ -194,7 +197,7 @@ class _Search:
             return self.of_filters(structure, ())
         if not structure.order:
             return self.ended(structure, [], "")
-        reduced = self.full_laws(states)
+        reduced = self.full_laws(states, structure.order == len(self.plant.A))
         one = replace(structure, order=0)
         found: Start | None = None
         with contextlib.suppress(DesignError, np.linalg.LinAlgError):
@@ -203,8 +206,9 @@ class _Search:
             if found is not None and self.reaches(found[0]):
                 break
             one = replace(structure, order=order)
-            starts = [] if found is None else [(law, "a state appended to a law of fewer") for law in self.appended(one, found[0])]
-            starts += [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
+            starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
+            if found is not None:
+                starts += [(law, "a state appended to a law of fewer") for law in self.appended(one, found[0])]
             with contextlib.suppress(DesignError, np.linalg.LinAlgError):
                 last = order == structure.order
                 found = self.ended(one, starts, "", whole=last, sought=MOST if last and found is None else 0)
@@ -239,17 +243,31 @@ class _Search:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
         return law, "many starts, as long as a growing gain is worth it; its loop keeps a tenth of the decay of its start"
 
-    def full_laws(self, states: Sequence[str]) -> list[LinearLaw]:
-        """Returns laws of full order, the best first, and slower ones; empty where there is none, or forces act on readings."""
+    def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
+        """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.
+
+        Args:
+            best: True for the design of full order itself, too.
+        """
         if self.through is not None:
             return []
+        laws, where, gamma = list[LinearLaw](), mapped(self.plant, self.Cy, self.Dyw), LARGEST
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            full = full_order_design(
-                self.plant, self.Cy, self.Dyw, self.below, states, stable=self.stable, as_run=self.as_run
-            )
-            slower = [each.law for each in full.trade[:: max(1, len(full.trade) // SLOWER)]] if self.plant.dt is None else []
-            return [full.law, *slower[:SLOWER]]
-        return []
+            riccati = RiccatiSearch(where.plant, where.Cy, where.Dyw, self.below.gamma)
+            for share in SHARES:
+                gamma = riccati.smallest(share, gamma)
+                if gamma < LARGEST:
+                    some = [riccati.traded(share, gamma * (1 + margin)) for margin in MARGINS]
+                    laws += [self.own(each.law, where) for each in some if each is not None]
+        if best:
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                given = self.plant, self.Cy, self.Dyw, self.below, states
+                laws.append(full_order_design(*given, stable=self.stable, as_run=self.as_run).law)
+        return laws
+
+    def own(self, law: LinearLaw, where: Mapped) -> LinearLaw:
+        """Returns the law of the plant whose image on a mapped plant is given."""
+        return law if self.plant.dt is None else discrete_law(law, where, self.plant.dt)
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
         """Returns laws of a structure from one of full order: reduced, for each force by itself where it has a law of its own."""
@@ -332,9 +350,10 @@ class _Search:
         slowest: tuple[float, Start] | None = None
         for limit in LIMITS:
             search = self.of(posed, states, limit)
-            candidates = [
-                each for law, name in starts for each in search.admitted(search.landscape.point(posed.gain(law)), name)
-            ]
+            points = [(search.landscape.point(posed.gain(law)), name) for law, name in starts]
+            stable = sorted((each for point in points for each in search.admitted(*point)), key=lambda each: each.norm)
+            names = dict.fromkeys(name for _, name in starts)
+            candidates = [each for name in names for each in [one for one in stable if one.origin == name][:ENTERED]]
             candidates = candidates or (search.starts(sought) if sought else [])
             if not candidates:
                 continue
