@@ -6,7 +6,7 @@ import pytest
 
 from models.kinds.kind import HERE
 from sim.__main__ import COMMANDS
-from tests.commands import main_of, refused
+from tests.commands import attacks, main_of, refused
 from tests.drives import MAP
 
 CAR = """
@@ -27,9 +27,13 @@ measured = ["suspension_deflection", "sprung_velocity"]
 minimise = { band = [4.0, 8.0] }
 bounds = [{ norm = 8.5 }, { decay = 0.5 }]
 
-[controllers.second]
+[controllers.first]
 measured = ["sprung_velocity"]
-order = 2
+order = 1
+
+[controllers.pi]
+measured = ["suspension_deflection"]
+structure = "pi"
 
 [controllers.pid]
 measured = ["suspension_deflection"]
@@ -59,12 +63,6 @@ order = "full"
 noise = true
 sampled = true
 
-[controllers.sampled_pid]
-measured = ["suspension_deflection"]
-structure = "pid"
-pid = { filter = 0.02 }
-sampled = true
-
 [controllers.noisy]
 measured = ["suspension_deflection", "sprung_velocity"]
 order = "full"
@@ -79,16 +77,17 @@ C = [[100.0]]
 D = [[8000.0, -1500.0]]
 """
 CONTROLLERS = [
-    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "second", "pid", "python")),
-    *(("built", name) for name in ("sampled", "sampled_full", "sampled_pid", "noisy", "discrete")),
+    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "pid", "python")),
+    *(("built", name) for name in ("sampled", "sampled_full", "noisy", "discrete")),
     ("quarter_car_accelerometer", "accelerometer"),
     ("quarter_car_semi_active", "skyhook"),
 ]
+DESIGNED = [("car", name) for name in ("first", "pi")]  # each time for a second, to laws with states as others are
 SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
 LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
 CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
-ALIKE = ("lqg", "told_its_force", "goals", "second", "sampled_pid", "noisy")  # to commands that take long: states, or a gain, as others have
+ALIKE = ("lqg", "told_its_force", "goals", "noisy")  # to commands that take long: states, or a gain, as others have
 NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
 
 
@@ -124,6 +123,8 @@ def test_no_command_is_forgotten():
     ("command", "vehicle", "name"),
     [
         *((each, *one) for each in QUICK for one in CONTROLLERS),
+        *(("synth", *one) for one in DESIGNED),
+        *(pytest.param(each, *one, marks=pytest.mark.attack) for each in (*QUICK, *LONG) for one in DESIGNED if each != "synth"),
         *(pytest.param(each, *one, marks=pytest.mark.attack) for each in LONG for one in CONTROLLERS if one[1] not in ALIKE),
     ],
 )
@@ -134,7 +135,7 @@ def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicl
     takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command]])
 
 
-@pytest.mark.parametrize(("vehicle", "name"), CONTROLLERS)
+@pytest.mark.parametrize(("vehicle", "name"), [*CONTROLLERS, *attacks(DESIGNED)])
 def test_a_campaign_takes_it(vehicles, tmp_path, vehicle, name):
     """So does a campaign, whose folder holds when it is verified."""
     pytest.importorskip("pyarrow", reason="needs the extra [campaign]")

@@ -1,5 +1,6 @@
 """Laws of a given order or structure: what they reach, that nothing else reaches less, and that they are what they are called."""
 
+import functools
 import json
 from collections.abc import Callable
 from typing import Any
@@ -12,8 +13,10 @@ from models.common.errors import InputError
 from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.design.descent.landscape import Landscape
 from synth.design.feedback import design_feedback
-from synth.design.fixed_order.fixed_order import fixed_order_design
+from synth.design.fixed_order.fixed_order import FixedOrderDesign, fixed_order_design
+from synth.design.fixed_order.pattern import structured_gain
 from synth.design.fixed_order.reduction import bilinear, reductions
 from synth.design.full_order.full_order import full_order_design
 from synth.plant.generalized import GeneralizedPlant
@@ -25,9 +28,9 @@ Posed = tuple[GeneralizedPlant, np.ndarray, np.ndarray]
 GRID = np.concatenate([[0.0], np.geomspace(1e-2, 1e2, 300)])  # rad/s
 
 
-def posed(seed: int, m: int = 1) -> Posed:
+def posed(seed: int, m: int = 1, n: int = 3) -> Posed:
     """A random stable plant of three states with noise, where a static gain is far from what a law of full order reaches."""
-    rng, n = np.random.default_rng(seed), 3
+    rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
     A -= (np.linalg.eigvals(A).real.max() + 0.05) * np.eye(n)
     B, Bw = rng.standard_normal((n, m)), np.hstack([rng.standard_normal((n, 1)), np.zeros((n, m))])
@@ -60,21 +63,26 @@ def of_numbers(x: np.ndarray) -> LinearLaw:
     return LinearLaw(x[None, :1], np.ones((1, 1)), x[None, 1:2], x[None, 2:])
 
 
-@pytest.mark.parametrize("seed", [3, *attacks(range(10, 20))])
+@functools.cache
+def found_for(seed: int, order: int) -> FixedOrderDesign:
+    """The law of an order for `posed`."""
+    return fixed_order_design(*posed(seed), LawStructure(order))
+
+
+@pytest.mark.parametrize("seed", [6, *attacks(range(10, 20))])
 def test_no_other_law_of_its_order_is_better(seed):
     """Simplexes on a grid's maximum, from many starts and from the law itself, find no law of one state that is better."""
     plant, Cy, Dyw = posed(seed)
-    found = fixed_order_design(plant, Cy, Dyw, LawStructure(1))
+    found = found_for(seed, 1)
     assert found.certificate.failures == ()
     assert found.law.states <= 1
+    assert found.certificate.norm.value <= found_for(seed, 0).certificate.norm.value * (1 + 1e-9)  # a gain is such a law, too
     rng, on_grid = np.random.default_rng(seed), largest_gain(plant, Cy, Dyw)
-    starts = [np.array([-(10 ** rng.uniform(-1, 1)), *rng.standard_normal(2)]) for _ in range(6)]
+    starts = [np.array([-(10 ** rng.uniform(-1, 1)), *rng.standard_normal(2)]) for _ in range(4)]
     if found.law.states:
         starts.append(np.array([found.law.A[0, 0], found.law.B[0, 0] * found.law.C[0, 0], found.law.D[0, 0]]))
     ends = [
-        optimize.minimize(
-            lambda x: min(on_grid(of_numbers(x)), 1e6), start, method="Nelder-Mead", options={"maxfev": 250}
-        ).fun
+        optimize.minimize(lambda x: min(on_grid(of_numbers(x)), 1e6), start, method="Nelder-Mead", options={"maxfev": 200}).fun
         for start in starts
     ]
     # A search ends within 0.1 % of the lower bound, or where descent gains 0.03 %; a grid misses less of a peak's height.
@@ -82,13 +90,14 @@ def test_no_other_law_of_its_order_is_better(seed):
     assert on_grid(found.law) == pytest.approx(found.certificate.norm.value, rel=1e-3)  # likewise
 
 
+@pytest.mark.attack
 def test_more_states_are_no_worse():
-    """From a static gain to full order norms fall, to what the search leaves, and the last is that of full order."""
-    plant, Cy, Dyw = posed(3)
-    norms = [fixed_order_design(plant, Cy, Dyw, LawStructure(k)).certificate.norm.value for k in range(4)]
-    assert norms[0] > 1.05 * norms[3]  # or it says nothing
-    assert all(later <= earlier * (1 + 1e-3) for earlier, later in zip(norms, norms[1:], strict=False))
-    assert norms[3] <= full_order_design(plant, Cy, Dyw).certificate.norm.value * (1 + 1e-3)
+    """Norms fall with the order; one state less than the plant's comes next to what no controller beats, and says so of more."""
+    norms = [found_for(10, order).certificate.norm.value for order in range(3)]
+    assert norms[0] > 1.3 * norms[1] > 1.3 * 1.2 * norms[2]  # 2.477, 1.628 and 1.259: measured
+    gap = found_for(10, 2).certificate.gap
+    assert gap is not None
+    assert 0 <= gap <= 1e-3  # where the search ends
 
 
 def test_reductions_are_of_the_order_and_near_the_law():
@@ -105,9 +114,30 @@ def test_reductions_are_of_the_order_and_near_the_law():
     np.testing.assert_allclose(again.response(1.0), law.response(1.0), rtol=1e-9)
 
 
+def test_a_gain_is_a_law_and_back():
+    """A block diagonal law of two states for each of two forces survives the way to a gain and back, and no other entry does."""
+    plant, Cy, Dyw = posed(2, m=2)
+    rng, rows, own = np.random.default_rng(0), np.eye(2, dtype=bool), np.kron(np.eye(2), np.ones((2, 2)))
+    full = [0.1 * rng.standard_normal(shape) for shape in ((4, 4), (4, 2), (2, 4), (2, 2))]
+    full[0] -= np.eye(4)
+    some = [matrix * mask for matrix, mask in zip(full, (own, own[:, ::2], own[::2], rows), strict=True)]
+    larger = structured_gain(LawStructure(2, ((True, False), (False, True))), plant, Cy, Dyw, None)
+    back = larger.law(larger.gain(LinearLaw(full[0], full[1], full[2], full[3])))
+    for name, expected in zip("ABCD", some, strict=True):
+        np.testing.assert_array_equal(getattr(back, name), expected)
+    x = (landscape := Landscape(larger.plant, larger.Cy, larger.Dyw, None, larger.free)).point(larger.gain(back))
+    np.testing.assert_allclose(landscape.gain(x), larger.gain(back), rtol=1e-14)  # a product and a quotient
+    height, at = landscape.norm(x)
+    steps = [np.eye(len(x))[i] * 1e-6 for i in range(len(x))]
+    slopes = [(landscape.norm(x + step)[0] - landscape.norm(x - step)[0]) / 2e-6 for step in steps]
+    assert np.isfinite(height)
+    np.testing.assert_allclose(landscape.slope(x, at), slopes, rtol=1e-4, atol=1e-6 * height)  # differences of 1e-6
+
+
+@pytest.mark.attack
 def test_each_force_has_a_law_of_its_own():
     """With rows of a structure and an order the law is block diagonal, exactly, and better than a static gain so built."""
-    plant, Cy, Dyw = posed(5, m=2)
+    plant, Cy, Dyw = posed(2, m=2, n=2)
     static = fixed_order_design(plant, Cy, Dyw, LawStructure(0, ((True, False), (False, True)))).certificate.norm.value
     found = design_feedback(plant, Cy, Dyw, order=1, structure=np.eye(2))
     law = found.law
@@ -119,16 +149,15 @@ def test_each_force_has_a_law_of_its_own():
 
 def test_stable_and_discrete():
     """`stable` goes with an order, and a discrete plant has a discrete law, both certified."""
-    plant, Cy, Dyw = posed(3)
+    plant, Cy, Dyw = posed(9, n=2)
     calm = fixed_order_design(plant, Cy, Dyw, LawStructure(1), stable=True)
     assert calm.law.growth == 0
     assert calm.certificate.failures == ()
-    step = linalg.expm(0.1 * np.block([[plant.A, plant.B, plant.Bw], [np.zeros((3, 6))]]))
-    held = GeneralizedPlant(step[:3, :3], step[:3, 3:4], step[:3, 4:], plant.C, plant.D, plant.Dw, dt=0.1)
+    step = linalg.expm(0.1 * np.block([[plant.A, plant.B, plant.Bw], [np.zeros((3, 5))]]))
+    held = GeneralizedPlant(step[:2, :2], step[:2, 2:3], step[:2, 3:], plant.C, plant.D, plant.Dw, dt=0.1)
     found = design_feedback(held, Cy, Dyw, order=1)
     assert found.law.sample_period == 0.1
     assert found.certificate.failures == ()
-    assert found.certificate.norm.value < design_feedback(held, Cy, Dyw).certificate.norm.value * (1 + 1e-9)
 
 
 def quarter_car(section: str, more: str = "") -> Designer:
@@ -159,7 +188,7 @@ def test_a_pid_law_is_its_formula():
             assert law.response(omega)[0, 0] == pytest.approx(expected, rel=1e-12)  # a handful of operations
 
 
-@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize("sampled", [False, *attacks([True])])
 def test_a_designed_pid_is_the_one_that_its_gains_make(sampled):
     """A designed PID says its gains; given as numbers they make its loop, as a computer runs it too, and --save keeps it."""
     more = "[implementation]\nsample_period = 0.01" if sampled else ""

@@ -116,7 +116,7 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     K = _block(kp, ki, kd)
     C, D = K @ law.C, K @ law.D
     kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
-    return LinearLaw(law.A[np.ix_(kept, kept)], (law.B @ rows)[kept], C[:, kept], D @ rows)
+    return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
 
 
 def _block(kp: Array, ki: Array, kd: Array) -> Array:

@@ -235,13 +235,13 @@ def _controller(
         )
     hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
     hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
-    structure = None
+    structure = pid = None
     if structured or "pid" in entry or is_order(entry.get("order")):
         from models.laws.law_structure import read_law_structure, read_pid
 
         structure = read_law_structure(where, entry, measured, corners)
+        pid = read_pid(where, entry, measured, corners) if "pid" in entry and not structured else None
         design = design if structure is None else "pid" if structure.kind else "order"
-    pid = read_pid(where, entry, measured, corners) if "pid" in entry and not structured else None
     law = None if python else pid or _law(where, entry, model, measured)
     stable, clipped = _stable(where, entry), bool(dampers) or limits.actuator_force is not None
     anti_windup = _anti_windup(where, entry, law, clipped)

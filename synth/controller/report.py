@@ -232,8 +232,8 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
 
 
 IDLE_INTEGRAL = (
-    "its integral is a pole at 0 that stays in the loop: no constant force changes what it measures for long, or it moves no force; "
-    "so there is no finite norm"
+    "its integral is a pole at 0 that stays in the loop, as no constant force changes what it measures for long, or it moves no "
+    "force; so there is no finite norm"
 )
 
 

@@ -291,9 +291,7 @@ class _Asked:
     def structure(self, section: Mapping[str, Any]) -> LawStructure | None:
         """The structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
         (q, _), m = self.Cy.shape, self.plant.B.shape[1]
-        return read_law_structure(
-            WHERE, section, [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)}
-        )
+        return read_law_structure(WHERE, section, [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)})
 
     def structured(self, structure: LawStructure, stable: bool) -> FeedbackDesign:
         """A law of a given order or structure, by descent."""
@@ -316,9 +314,7 @@ class _Asked:
         how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
         return FeedbackDesign(found.law, certificate, how, f'design = "{name}"', found.remark, found.h2_norm, "H2 norm")
 
-    def sampled(
-        self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None
-    ) -> FeedbackDesign:
+    def sampled(self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None) -> FeedbackDesign:
         """A gain or a law for the loop that a computer closes."""
         check_continuous(self.plant)
         if self.Dyw is not None:

@@ -274,7 +274,9 @@ class Designer:
         hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
-        designed = named_design(entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run)
+        designed = named_design(
+            entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run
+        )
         law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
         certificate = replace(designed.certificate, below=lower_bound)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
@@ -286,11 +288,11 @@ class Designer:
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
         states, through = self.shared(entry.hardware).states, posed.feedthrough
-        found = fixed_order_design(
-            posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable
-        )
+        found = fixed_order_design(posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable)
         law = replace(found.law, anti_windup=entry.anti_windup)
-        return Controller(entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware)
+        return Controller(
+            entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware
+        )
 
     @at_the_door
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":

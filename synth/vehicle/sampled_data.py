@@ -54,7 +54,7 @@ def sampled_design(
 def full_order_sampled_design(
     vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, bound: SampledBound | None
 ) -> Controller:
-    """Designs a discrete law of full order, or of a structure, for the sampled loop; arguments and errors as for `sampled_design`.
+    """Designs a discrete law of full order or of a structure for the sampled loop; arguments as for `sampled_design`.
 
     Args:
         bound: lower bound of the sampled loop; None if none is proved.

@@ -1,7 +1,8 @@
 """The norm as a landscape over the gains: its height, its slope, and the planes that support it from below.
 
 A gain K is a point x of N numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. N is m q, or the
-number of entries that a structure leaves: all others are zero. Over the gains the H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie
+number of entries that a structure leaves: all others are zero. Over the gains the H-infinity norm is continuous, but it has an
+edge wherever two frequencies or two singular values peak alike, and minima lie
 on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 

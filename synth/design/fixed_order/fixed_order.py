@@ -20,7 +20,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import percent
 from models.laws.combinations import PID
 from models.laws.law_structure import GAINS, LawStructure
 from models.laws.linear import LinearLaw
@@ -53,6 +52,7 @@ FEW = 2  # stabilising starts of a static gain, where a law may have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure was found whose loop is stable; measure more signals, or allow more states"
+ONE_STATE = LawStructure(1)
 Start = tuple[LinearLaw, str]
 
 
@@ -83,7 +83,7 @@ def fixed_order_design(
     plant: GeneralizedPlant,
     Cy: Array,
     Dyw: Array | None = None,
-    structure: LawStructure = LawStructure(1),
+    structure: LawStructure = ONE_STATE,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
     through: Array | None = None,
@@ -238,7 +238,9 @@ class _Search:
             tolerance=GainErrors(np.zeros(shape[1]), np.zeros(shape[0])),
             structure=posed.free,
         )
-        law, certificate = self.beyond_rounding(posed.law(multi_objective_design(problem, [posed.gain(law) for law in known]).gain))
+        law, certificate = self.beyond_rounding(
+            posed.law(multi_objective_design(problem, [posed.gain(law) for law in known]).gain)
+        )
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
         return law, "many starts, as long as a growing gain is worth it; its loop keeps a tenth of the decay of its start"
@@ -277,7 +279,12 @@ class _Search:
         m, q = full.D.shape
         rows = np.array(structure.rows, dtype=float)
         each = [
-            [*reduce(replace(full.only(np.arange(m) == i), B=full.B * rows[i], D=full.D * np.outer(np.arange(m) == i, rows[i])), structure.order)]
+            [
+                *reduce(
+                    replace(full.only(np.arange(m) == i), B=full.B * rows[i], D=full.D * np.outer(np.arange(m) == i, rows[i])),
+                    structure.order,
+                )
+            ]
             for i in range(m)
         ]
         return [_beside(laws) for laws in zip(*each, strict=False)]
@@ -375,7 +382,7 @@ class _Search:
         return slowest[1]
 
     def beyond_rounding(self, law: LinearLaw) -> tuple[LinearLaw, Certificate]:
-        """Returns a law whose certificate holds, and that: where a pole of no effect stays at 0, the law's poles move left a little."""
+        """Returns a law and its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""
         certificate = self.certified(law)
         for shift in SHIFTS * bool(law.states and np.any(certificate.stability.on_axis)):
             rate, dt = shift * self.fastest, self.plant.dt

@@ -1,8 +1,8 @@
 """Laws of fewer states that answer nearly as a law does: several reductions, of which a descent goes on from the best.
 
 - Balanced truncation (Moore 1981) of the law's stable part, whose unstable part is kept.
-- Truncation balanced within the closed loop: by what w makes of the law's states, and what z sees of these (Enns 1984, with the loop
-  as weights). It asks nothing of the law's own stability.
+- Truncation balanced within the closed loop: by what w makes of the law's states, and what z sees of these (Enns 1984, with the
+  loop as weights). It asks nothing of the law's own stability.
 - Both with the states that are left out at rest instead of zero (singular perturbation; Liu, Anderson 1989).
 
 None promises a stable loop: whoever takes one looks at its loop.

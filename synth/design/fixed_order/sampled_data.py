@@ -1,6 +1,6 @@
 """A law of a given order or structure for the loop that a computer closes: by descent on the discrete plants of falling levels.
 
-As in `full_order/sampled_data.py`, of every level of the loop's L2 gain there is a discrete plant, and the norm of the loop is exact.
+As in `full_order/sampled_data.py`, every level of the loop's L2 gain has a discrete plant, and the norm of the loop is exact.
 The first law is sought at a level near the lower bound. Further descents start from it, at the level that it has.
 """
 
