@@ -217,7 +217,7 @@ actuator_force = 1e4
 
 def with_parts(text: str, parts: Collection[str]) -> str:
     """Returns a vehicle file with a controller that has these parts."""
-    signals = ["suspension_deflection", "sprung_velocity"][: 1 if "pid" in parts else 2] + ["control_force"] * ("force" in parts)
+    signals = ["suspension_deflection", "sprung_velocity"][1 if "pid" in parts else 0 :] + ["control_force"] * ("force" in parts)
     measured = "" if {"lqr", "semi_active"} & {*parts} else f"measured = {json.dumps(signals)}\n"
     lines = "\n".join(SECTIONS[part] for part in parts)
     lines = lines.replace("1e3]]", "1e3, 0.0]]").replace("[[1.0, 1.0]]", "[[1.0, 1.0, 0.0]]") if "force" in parts else lines

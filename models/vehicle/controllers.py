@@ -233,8 +233,6 @@ def _controller(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
-    hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
-    hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
     structure = pid = None
     if structured or "pid" in entry or is_order(entry.get("order")):
         from models.laws.law_structure import read_law_structure, read_pid
@@ -242,6 +240,9 @@ def _controller(
         structure = read_law_structure(where, entry, measured, corners)
         pid = read_pid(where, entry, measured, corners) if "pid" in entry and not structured else None
         design = design if structure is None else "pid" if structure.kind else "order"
+    takes_out = "" if structure is not None and structure.rows is not None else design  # others read forces as all else
+    hardware = _hardware(where, entry, measured, takes_out, model.inputs, limits, implementation)
+    hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
     law = None if python else pid or _law(where, entry, model, measured)
     stable, clipped = _stable(where, entry), bool(dampers) or limits.actuator_force is not None
     anti_windup = _anti_windup(where, entry, law, clipped)

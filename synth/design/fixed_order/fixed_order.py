@@ -276,8 +276,7 @@ class _Search:
         reduce = partial(reductions, self.plant, self.Cy, self.Dyw)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
-        m, q = full.D.shape
-        rows = np.array(structure.rows, dtype=float)
+        m, rows = len(full.D), np.array(structure.rows, dtype=float)
         each = [
             [
                 *reduce(

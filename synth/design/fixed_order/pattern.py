@@ -28,7 +28,7 @@ class StructuredGain:
         plant: n + k states.
         Cy, Dyw, through: its measurements, y = C_y x + Dyw w + `through` u.
         free: True for entries of the gain that may be other than zero, shape (m + k, q + k), or (m, q') of filters.
-        filters: of the measurements, where the gain is on what these give; None where it is [D, C; B, A].
+        filters: of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
         shape: of the law's D, (m, q).
     """
 
