@@ -6,7 +6,7 @@ import pytest
 
 from models.kinds.kind import HERE
 from sim.__main__ import COMMANDS
-from tests.commands import main_of, refused
+from tests.commands import attacks, main_of, refused
 from tests.drives import MAP
 
 CAR = """
@@ -26,6 +26,18 @@ gain = [[-4000.0, 0.1]]
 measured = ["suspension_deflection", "sprung_velocity"]
 minimise = { band = [4.0, 8.0] }
 bounds = [{ norm = 8.5 }, { decay = 0.5 }]
+
+[controllers.first]
+measured = ["sprung_velocity"]
+order = 1
+
+[controllers.pi]
+measured = ["suspension_deflection"]
+structure = "pi"
+
+[controllers.pid]
+measured = ["suspension_deflection"]
+pid = { kp = -2000.0, ki = -500.0, kd = -200.0, filter = 0.02 }
 
 [controllers.python]
 measured = ["sprung_velocity"]
@@ -65,11 +77,12 @@ C = [[100.0]]
 D = [[8000.0, -1500.0]]
 """
 CONTROLLERS = [
-    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "python")),
+    *(("car", name) for name in ("best", "lqg", "told_its_force", "goals", "pid", "python")),
     *(("built", name) for name in ("sampled", "sampled_full", "noisy", "discrete")),
     ("quarter_car_accelerometer", "accelerometer"),
     ("quarter_car_semi_active", "skyhook"),
 ]
+DESIGNED = [("car", name) for name in ("first", "pi")]  # each time for a second, to laws with states as others are
 SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
 LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
@@ -110,6 +123,8 @@ def test_no_command_is_forgotten():
     ("command", "vehicle", "name"),
     [
         *((each, *one) for each in QUICK for one in CONTROLLERS),
+        *(("synth", *one) for one in DESIGNED),
+        *(pytest.param(each, *one, marks=pytest.mark.attack) for each in (*QUICK, *LONG) for one in DESIGNED if each != "synth"),
         *(pytest.param(each, *one, marks=pytest.mark.attack) for each in LONG for one in CONTROLLERS if one[1] not in ALIKE),
     ],
 )
@@ -120,7 +135,7 @@ def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicl
     takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command]])
 
 
-@pytest.mark.parametrize(("vehicle", "name"), CONTROLLERS)
+@pytest.mark.parametrize(("vehicle", "name"), [*CONTROLLERS, *attacks(DESIGNED)])
 def test_a_campaign_takes_it(vehicles, tmp_path, vehicle, name):
     """So does a campaign, whose folder holds when it is verified."""
     pytest.importorskip("pyarrow", reason="needs the extra [campaign]")

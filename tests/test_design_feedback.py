@@ -34,6 +34,8 @@ OSCILLATOR, STIFFER = (
 WORDS: dict[str, dict[str, Any]] = {
     "steps": {"order": "static"},
     "full": {"order": "full"},
+    "order": {"order": 1},
+    "pid": {"structure": "pid", "pid": {"filter": 0.1}},
     "lqr": {"design": "lqr"},
     "lqg": {"design": "lqg"},
     "h2": {"design": "h2"},
@@ -52,7 +54,7 @@ PAIRS = [pair for pair in combinations(WORDS, 2) if not WORDS[pair[0]].keys() & 
 def reasons_against(pair: tuple[str, str]) -> set[str]:
     """The reasons of the table against two words: each may stand for more parts than one."""
     parts = {*pair} | ({"goals"} if {*pair} & {"tolerance", "family"} else set())
-    parts |= {"steps"} if not parts & {"steps", "full", "lqr", "lqg", "h2", "goals"} else set()
+    parts |= {"steps"} if not parts & {"steps", "full", "order", "pid", "lqr", "lqg", "h2", "goals"} else set()
     return {refusal(*two) for two in combinations(sorted(parts), 2)} - {""}
 
 
@@ -81,7 +83,8 @@ QUICK = (("steps", "sampled"), ("full", "noise"), ("noise", "goals"), ("goals", 
 )
 def test_words_go_together_as_in_a_vehicle_file(pair):
     """Where the table has two parts together, the door has a certified design."""
-    found = design_feedback(OSCILLATOR, CY, **WORDS[pair[0]], **WORDS[pair[1]])
+    measured = [[1, 0]] if "pid" in pair else CY  # whose integral is not that of a velocity
+    found = design_feedback(OSCILLATOR, measured, **WORDS[pair[0]], **WORDS[pair[1]])
     assert found.certificate.failures == ()
     assert found.method
     assert found.why
@@ -187,6 +190,10 @@ def test_words_that_need_others_or_are_none():
         ({"bounds": peak}, "bounds have a peak over a road, which no plant by itself has"),
         ({"minimise": {"signals": {"z9": 1.0}}}, "unknown signal 'z9'; this vehicle has z1, z2"),
         ({"structure": [[1, 1]]}, "structure = .* is not allowed; give"),
+        ({"order": 3}, "order = 3 is more than the 2 states of the plant; give at most 2"),
+        ({"order": -1}, "order = -1 is not known; known: full, static, or a number of states from 0"),
+        ({"structure": "pid"}, "needs the time constant of the derivative's low-pass"),
+        ({"pid": {"kp": 1.0}}, 'goes with structure = "pid", which is designed'),
         ({"family": [of_lists([[-1]], [[1]], [[1]], [[1]], [[0]])]}, "Cy has shape"),
         ({"tolerance": {"y2": 0.1}}, "tolerance names 'y2'; give what is measured, a force or force: force, u1, y1"),
     ):

@@ -187,6 +187,8 @@ SECTIONS = {
     "states": "A = [[-1.0]]\nB = [[1.0, 1.0]]\nC = [[1.0]]\nD = [[1.0, 1.0]]",
     "steps": "",
     "full": 'order = "full"',
+    "order": "order = 2",
+    "pid": 'structure = "pid"\npid = { filter = 0.01 }',
     "lqr": 'design = "lqr"',
     "lqg": 'design = "lqg"',
     "h2": 'design = "h2"',
@@ -215,7 +217,7 @@ actuator_force = 1e4
 
 def with_parts(text: str, parts: Collection[str]) -> str:
     """Returns a vehicle file with a controller that has these parts."""
-    signals = ["suspension_deflection", "sprung_velocity", *["control_force"] * ("force" in parts)]
+    signals = ["suspension_deflection", "sprung_velocity"][1 if "pid" in parts else 0 :] + ["control_force"] * ("force" in parts)
     measured = "" if {"lqr", "semi_active"} & {*parts} else f"measured = {json.dumps(signals)}\n"
     lines = "\n".join(SECTIONS[part] for part in parts)
     lines = lines.replace("1e3]]", "1e3, 0.0]]").replace("[[1.0, 1.0]]", "[[1.0, 1.0, 0.0]]") if "force" in parts else lines
@@ -227,7 +229,7 @@ def test_the_table_is_what_is_done(paper, one):
     """Two parts of a section are read where the table has them together, else refused in a line that names both and says why."""
     for other in SECTIONS.keys() - {one}:
         pair = {one, other}
-        if {*QUADRATIC} >= pair or ("steps" in pair and {*KINDS} >= pair):
+        if {*QUADRATIC} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
             continue  # no section has both
         if "force" in pair and pair & {"lqr", "semi_active", "lag"}:
             continue  # these name no measurements, or have the force as a state

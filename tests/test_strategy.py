@@ -15,7 +15,7 @@ from synth.design.descent.landscape import Landscape
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import CLOSER, lowest, survey
 from synth.design.descent.symmetry import Symmetry
-from synth.design.static import WORTH, Candidate, _Search, static_output_feedback
+from synth.design.static import WORTH, Candidate, GainSearch, static_output_feedback
 from synth.design.two_step import two_step_design
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
@@ -87,10 +87,10 @@ def test_narrow_valley():
     assert design.certificate.norm.value <= min(norms)
 
 
-def integrator_with_leak() -> tuple[_Search, Callable[[float], Candidate]]:
+def integrator_with_leak() -> tuple[GainSearch, Callable[[float], Candidate]]:
     """The search for x' = -x + u + w, y = z = x, whose norm is 1 / (1 - k), and its candidate at k."""
     one = np.eye(1)
-    search = _Search(GeneralizedPlant(-one, one, one, one, 0 * one, 0 * one), one, LARGEST, 0.0)
+    search = GainSearch(GeneralizedPlant(-one, one, one, one, 0 * one, 0 * one), one, LARGEST, 0.0)
     return search, lambda k: Candidate(np.array([k]), 1 / (1 - k), str(k))
 
 

@@ -10,13 +10,15 @@ from typing import Any
 
 from models.common.errors import InputError, quoted
 from models.laws import GOAL_KEYS
-from models.laws.linear import MATRICES
+from models.laws.linear import MATRICES, MOST_STATES
 
 KINDS = {  # of controllers: a section is one of them
     "gain": "`gain`",
-    "states": "`A`, `B`, `C`, `D`",
+    "states": "`A`, `B`, `C`, `D`; `pid`",
     "steps": "the two steps",
     "full": '`order = "full"`',
+    "order": "`order = 2`",
+    "pid": '`structure = "pid"`',
     "lqr": '`design = "lqr"`',
     "lqg": '`design = "lqg"`',
     "h2": '`design = "h2"`',
@@ -38,19 +40,21 @@ DEMANDS = {  # beside a kind
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
 KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the site's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
-STATIC, FULL = "static", "full"  # values of `order`; a design is of the first where a section names none
+STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
+PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
 
 _OF_STATE = "it is of the state itself, which no sensor reads"
-_DESIGNED = "full lqr lqg h2"
+_DESIGNED = "full order pid lqr lqg h2"
 _GOALS = "goals tolerance family"
 _NO_CLAIM = "it is run as it is, and there is no linear claim of it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
         "stable",
         f"gain states steps lqr lqg h2 {_GOALS}",
-        'it is a law designed with order = "full" that is made stable by itself',
+        "it is a law designed with an order that is made stable by itself",
     ),
+    ("stable", "pid", "its integral is a pole at 0, which is not stable by itself"),
     ("anti_windup", f"gain steps lqr {_GOALS}", "a static gain has no states that wind up"),
     ("noise", "lqr", _OF_STATE),
     ("noise", "lqg", "it takes the noise of its sensors by itself"),
@@ -61,6 +65,7 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("loads", "lqr lqg h2", "the mean square is of the road alone"),
     ("loads", _GOALS, "goals are of the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
+    ("force", "pid", "it answers one measured signal for each force"),
     ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
     ("force", "lqr", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
@@ -84,6 +89,11 @@ def refusal(one: str, other: str) -> str:
     return ONE_KIND if one != other and {one, other} <= KINDS.keys() else REFUSED.get(frozenset((one, other)), "")
 
 
+def is_order(value: object) -> bool:
+    """Returns True for a number of states that a law may have."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_STATES
+
+
 def goes(what: str, parts: Collection[str]) -> bool:
     """Returns True if a part or a command goes with all parts of a section."""
     return not any(refusal(what, part) for part in parts)
@@ -92,15 +102,21 @@ def goes(what: str, parts: Collection[str]) -> bool:
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
     """Returns the parts of a section, each as the section has it written. Values are not checked."""
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
-    if matrices := [key for key in (*MATRICES, "sample_period") if key in section]:
+    filtered = isinstance(structure := section.get("structure"), str) and structure in PATTERNS
+    if matrices := [key for key in (*MATRICES, "sample_period", *["pid"] * (not filtered)) if key in section]:
         parts["states"] = matrices[0]
     for key in ("order", "design"):
         if key in section and isinstance(section[key], str):
             parts["steps" if section[key] == STATIC else section[key]] = f'{key} = "{section[key]}"'
+    if is_order(section.get("order")):
+        parts["order" if section["order"] else "steps"] = f"order = {section['order']}"
+    if filtered:
+        parts["pid"] = f'structure = "{structure}"'
     if not parts and not any(key in section for key in GOAL_KEYS):
         parts["steps"] = "no law, order or design"
     parts |= {key: f"{key} = true" for key in FLAGS if section.get(key) is True}
-    if goals := [key for key in GOAL_KEYS if key in section]:
+    of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain
+    if goals := [key for key in GOAL_KEYS if key in section and not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
     parts |= {key: key for key in ("anti_windup", "tolerance", "family", "loads") if key in section}
     measured = section.get("measured")

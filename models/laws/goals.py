@@ -242,7 +242,7 @@ def read_goals(where: str, entry: Mapping[str, Any], measured: Sequence[str], ou
         _tolerance(where, entry.get("tolerance", {}), measured, tuple(corners)),
         family,
         over,
-        _structure(where, entry.get("structure"), measured, corners),
+        read_structure(where, entry.get("structure"), measured, corners),
     )
 
 
@@ -367,9 +367,18 @@ def _family(where: str, value: Any, parameters: Collection[str]) -> tuple[Mappin
     return tuple({name: float(factor) for name, factor in member.items()} for member in value)
 
 
-def _structure(
+def read_structure(
     where: str, value: Any, measured: Sequence[str], corners: Mapping[str, str]
 ) -> tuple[tuple[bool, ...], ...] | None:
+    """Reads which measurement may act on which force, True where one may, a row per force; None if `value` is.
+
+    Args:
+        value: "corner", or rows of 0 and 1.
+        corners: suffix of the names at a force's suspension, by force.
+
+    Raises:
+        InputError: it is neither, or it leaves a signal or a force out.
+    """
     if value is None:
         return None
     if value == CORNER:

@@ -15,8 +15,8 @@ from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
 from models.kinds.linear_model import LinearModel
 from models.laws import GOAL_KEYS
-from models.laws.combinations import FULL, QUADRATIC, STATIC, check_together, goes, section_parts
-from models.laws.linear import MATRICES, LinearLaw, static_law
+from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, goes, is_order, section_parts
+from models.laws.linear import MATRICES, MOST_STATES, LinearLaw, static_law
 from models.laws.python_law import Programmed, PythonLaw, read_law
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
@@ -25,9 +25,10 @@ from models.vehicle.sections import goals_of, loads_of, read_sampled
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
+    from models.laws.law_structure import LawStructure
 
 CONTROLLER_KEYS = (
-    *("measured", "gain", *MATRICES, "sample_period", "file", "law", "preview", "semi_active", "certificate"),  # the law
+    *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "law", "preview", "semi_active", "certificate"),  # the law
     "anti_windup",
     *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
@@ -63,7 +64,8 @@ class ControllerEntry:
         measured: signals it measures, q of them.
         law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
         certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
-        design: method: "full" for the full-order H-infinity controller, or one of `QUADRATIC`; empty for the paper's two steps.
+        design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
+            `QUADRATIC`; empty for the paper's two steps.
         python: the law in Python that the file names instead, without any claim; None for all others.
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
         sampled: True if it is designed for the sampled loop.
@@ -71,6 +73,7 @@ class ControllerEntry:
         semi_active: its law for adjustable dampers, without any claim; None for all others.
         stable: True if its law of full order is to be stable by itself.
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
+        structure: of the law that is designed; None for no restriction, or for a static gain.
     """
 
     name: str
@@ -85,6 +88,7 @@ class ControllerEntry:
     semi_active: SemiActiveLaw | None = None
     stable: bool = False
     anti_windup: float | None = None
+    structure: "LawStructure | None" = None
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -106,6 +110,8 @@ class ControllerEntry:
             parts["law"] = "law"
         elif self.semi_active is not None:
             parts["semi_active"] = "semi_active"
+        elif self.structure is not None:
+            parts[self.design] = self.structure.text
         elif self.design:
             parts[self.design] = f'order = "{FULL}"' if self.design == FULL else f'design = "{self.design}"'
         elif self.goals is None:
@@ -161,8 +167,9 @@ def read_controllers(
         if name in controllers:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
         check_name(f"[controllers.{name}]", name, RESERVED)
-        controller = _controller(name, entry, model, limits, implementation, folder, dampers or {})
-        controller = replace(controller, goals=goals_of(f"[controllers.{name}]", entry, controller.measured, model.outputs, kind))
+        controller = _controller(name, entry, model, limits, implementation, folder, dampers or {}, kind.corners)
+        asked = entry if controller.structure is None else {key: entry[key] for key in entry if key != "structure"}
+        controller = replace(controller, goals=goals_of(f"[controllers.{name}]", asked, controller.measured, model.outputs, kind))
         usual = sampled and goes("sampled", controller.parts)
         for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)
@@ -177,6 +184,7 @@ def _controller(
     implementation: Implementation,
     folder: Path | None,
     dampers: Mapping[str, str],
+    corners: Mapping[str, str],
 ) -> ControllerEntry:
     where = f"[controllers.{name}]"
     if not isinstance(entry, dict):
@@ -195,7 +203,8 @@ def _controller(
             )
     if "file" in entry:
         raise InputError(f"{where} its file is read beside a vehicle file, and this is text from elsewhere; give its matrices")
-    given = any(key in entry for key in ("gain", *MATRICES))
+    structured = entry.get("structure") in PATTERNS
+    given = any(key in entry for key in ("gain", *MATRICES, *["pid"] * (not structured)))
     if "certificate" in entry and not (isinstance(entry["certificate"], dict) and given):
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
@@ -224,14 +233,23 @@ def _controller(
             f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
             'out, or give design = "lqg"'
         )
-    hardware = _hardware(where, entry, measured, design, model.inputs, limits, implementation)
+    structure = pid = None
+    if structured or "pid" in entry or is_order(entry.get("order")):
+        from models.laws.law_structure import read_law_structure, read_pid
+
+        structure = read_law_structure(where, entry, measured, corners)
+        pid = read_pid(where, entry, measured, corners) if "pid" in entry and not structured else None
+        design = design if structure is None else "pid" if structure.kind else "order"
+    takes_out = "" if structure is not None and structure.rows is not None else design  # others read forces as all else
+    hardware = _hardware(where, entry, measured, takes_out, model.inputs, limits, implementation)
     hardware = replace(hardware, loads=loads_of(where, entry, model.loads))
-    law = None if python else _law(where, entry, model, measured)
+    law = None if python else pid or _law(where, entry, model, measured)
     stable, clipped = _stable(where, entry), bool(dampers) or limits.actuator_force is not None
     anti_windup = _anti_windup(where, entry, law, clipped)
     law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
     claims = entry.get("certificate")
-    return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, stable=stable, anti_windup=anti_windup)
+    rest = {"stable": stable, "anti_windup": anti_windup, "structure": structure}
+    return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
 
 
 def _hardware(
@@ -270,8 +288,9 @@ def _hardware(
 def _design(where: str, entry: Mapping[str, Any]) -> str:
     """Returns the method of design, see `ControllerEntry`."""
     for key, allowed in {"order": (STATIC, FULL), "design": QUADRATIC}.items():
-        if key in entry and entry[key] not in allowed:
-            raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}")
+        if key in entry and entry[key] not in allowed and not (key == "order" and is_order(entry[key])):
+            states = f", or a number of states from 0 to {MOST_STATES}" if key == "order" else ""
+            raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}{states}")
     return FULL if entry.get("order") == FULL else entry.get("design", "")
 
 

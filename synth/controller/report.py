@@ -17,6 +17,7 @@ from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
+from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
 from synth.controller.problem import road_twist_inputs
 
@@ -230,12 +231,30 @@ def ideal_lines(vehicle: Vehicle, controllers: Sequence[Controller]) -> list[str
     return texts
 
 
+IDLE_INTEGRAL = (
+    "its integral is a pole at 0 that stays in the loop, as no constant force changes what it measures for long, or it moves no "
+    "force; so there is no finite norm"
+)
+
+
+def _has_idle_integral(controller: Controller) -> bool:
+    """Returns True if a pole at 0 of a law is one of the loop that it closes."""
+    law, where = controller.law, controller.certificate.stability
+    at_rest = 0.0 if law.sample_period is None else 1.0
+    held = bool(np.any(np.abs(np.linalg.eigvals(law.A) - at_rest) <= HELD * (1 + np.abs(law.A).max(initial=0.0))))
+    return held and where.verdict == MARGINAL and bool(np.any(where.rates[where.on_axis] <= HELD * (1 + where.rates.max())))
+
+
+HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
+
+
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     """Returns notes on a law that is unstable by itself, and on its anti-windup; empty of a stable one without."""
     growth, rate = controller.law.growth, controller.law.anti_windup
     clipped = rate is None and (vehicle.dampers or vehicle.limits.actuator_force is not None)
     winds = " and winds up where forces are clipped; anti_windup bounds its states" if clipped else ""
     notes = [f"this law is unstable by itself (+{growth:.4g} 1/s){winds}"] if growth else []
+    notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
         follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"
         notes.append(f"anti-windup: {follows if controller.law.states else 'none, as this law has no states'}")

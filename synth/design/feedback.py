@@ -16,9 +16,10 @@ from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
 from models.common.printed import Shown
-from models.laws.combinations import FULL, QUADRATIC, STATIC, check_together, section_parts
+from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
-from models.laws.linear import LinearLaw, gain_text, states_text, static_law
+from models.laws.law_structure import LawStructure, read_law_structure
+from models.laws.linear import MOST_STATES, LinearLaw, gain_text, states_text, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
@@ -86,7 +87,7 @@ def design_feedback(
     Cy: Array | None = None,
     Dyw: Array | None = None,
     *,
-    order: str | None = None,
+    order: str | int | None = None,
     design: str | None = None,
     stable: bool = False,
     noise: Sequence[float] = (),
@@ -96,7 +97,8 @@ def design_feedback(
     bounds: Sequence[Mapping[str, Any]] = (),
     tolerance: Mapping[str, float] | None = None,
     family: Sequence[GeneralizedPlant] = (),
-    structure: Array | None = None,
+    structure: Array | str | None = None,
+    pid: Mapping[str, float] | None = None,
     largest_gain: Bound | None = None,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
@@ -111,9 +113,9 @@ def design_feedback(
         plant: n states, m inputs; continuous, or discrete by its dt.
         Cy: what is measured, y = C_y x + Dyw w, shape (q, n); every state where it is not given.
         Dyw: shape (q, r); zero where it is not given.
-        order: "static", the default, or "full" for a law of as many states as the plant.
+        order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
         design: "lqr", "lqg" or "h2", the best in the mean in place of the least norm.
-        stable: True for a law of full order that is stable by itself.
+        stable: True for a law with an order that is stable by itself.
         noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
             `lqg_design`.
         sample_period: of the computer that closes the loop of a continuous plant and holds the forces [s].
@@ -122,7 +124,9 @@ def design_feedback(
         bounds: as in [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
         family: further plants that the same gain is for; the largest norm of all counts.
-        structure: ones where a measurement may act on a force, else zeros, shape (m, q).
+        structure: ones where a measurement may act on a force, else zeros, shape (m, q); with a number of states each force has
+            a law of its own with so many. Or "pi" or "pid", a law of that kind from each measurement to a force.
+        pid: for "pid" the time constant of the derivative's low-pass [s], as in {"filter": 0.01}.
         largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
         lower_bound: what no controller from these measurements beats, if known, for the certificate.
         states: names of the states, for messages.
@@ -144,24 +148,33 @@ def design_feedback(
         2
     """
     for name, value, allowed in (("order", order, (STATIC, FULL)), ("design", design, QUADRATIC)):
-        if value is not None and value not in allowed:
-            raise InputError(f"{WHERE} {name} = {quoted(value)} is not known; known: {listing(allowed)}")
+        if value is not None and value not in allowed and not (name == "order" and is_order(value)):
+            states = f", or a number of states from 0 to {MOST_STATES}" if name == "order" else ""
+            raise InputError(f"{WHERE} {name} = {quoted(value)} is not known; known: {listing(allowed)}{states}")
     goals = {"minimise": minimise, "tolerance": tolerance, "structure": structure}
     goals = {name: _plain(value) for name, value in goals.items() if value is not None}
     goals |= {"bounds": _plain(bounds)} if len(bounds) else {}
+    of_law = (is_order(order) and order) or goals.get("structure") in PATTERNS
+    own = {"structure": goals.pop("structure")} if of_law and "structure" in goals else {}
+    own |= {"pid": _plain(pid)} if pid is not None else {}
     heard = "Dyw" if Dyw is not None else "noise" if len(noise) and design != "lqg" else ""
-    check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals, family))
+    check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family))
     asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
         raise InputError(f"{WHERE} delay = {delay:g} samples, and there is no sample_period; give it, in seconds")
-    by_descent_alone = order != FULL and design is None and sample_period is None and not goals and not len(family)
+    if pid is not None and own.get("structure") not in PATTERNS:
+        raise InputError(f'{WHERE} pid = {quoted(_plain(pid))} goes with structure = "pid", which is designed; give both')
+    by_descent_alone = order != FULL and not of_law and design is None and sample_period is None and not goals and not len(family)
     if largest_gain is not None and not by_descent_alone:
         raise InputError(
             f"{WHERE} largest_gain goes with a static gain of the least norm alone; leave it out, or give goals "
             'bounds = [{"gain": ...}]'
         )
+    law_structure = asked.structure({"order": order} | own) if of_law else None
     if sample_period is not None:
-        return asked.sampled(float(sample_period), float(delay), order == FULL, stable)
+        return asked.sampled(float(sample_period), float(delay), order == FULL, stable, law_structure)
+    if law_structure is not None:
+        return asked.structured(law_structure, stable)
     if goals or len(family):
         return asked.for_goals(goals, family)
     if design is not None:
@@ -172,7 +185,7 @@ def design_feedback(
 
 
 def _parts(
-    order: str | None,
+    order: str | int | None,
     design: str | None,
     stable: bool,
     heard: str,
@@ -183,7 +196,7 @@ def _parts(
     """Returns the parts of the table that are asked for, each as it is written."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design}
-    section = {name: value for name, value in named.items() if value} | flags | dict(goals)
+    section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
     parts = section_parts(section | ({"family": family} if len(family) else {}), ())
     written = {"noise": heard, "sampled": "sample_period", "stable": "stable = True"}
     return {part: written.get(part, text) for part, text in parts.items()}
@@ -275,6 +288,20 @@ class _Asked:
             return static_law(gain.gain), gain.certificate, DESCENT if gain.instead else TWO_STEPS
         return None
 
+    def structure(self, section: Mapping[str, Any]) -> LawStructure | None:
+        """The structure of a law, of measurements y1, y2, ... and forces u1, u2, ..., in the words of a section."""
+        (q, _), m = self.Cy.shape, self.plant.B.shape[1]
+        return read_law_structure(WHERE, section, [f"y{i + 1}" for i in range(q)], {f"u{i + 1}": "" for i in range(m)})
+
+    def structured(self, structure: LawStructure, stable: bool) -> FeedbackDesign:
+        """A law of a given order or structure, by descent."""
+        from synth.design.fixed_order.fixed_order import fixed_order_design
+
+        plant, Dyw = self.loud
+        found = fixed_order_design(plant, self.Cy, Dyw, structure, self.lower_bound, self.states, stable=stable)
+        why = f"from {found.origin}, for {structure.text}"
+        return FeedbackDesign(found.law, found.certificate, DESCENT, why, found.remark, found.certificate.norm.value)
+
     def quadratic(self, name: str) -> FeedbackDesign:
         """The law of the least mean square."""
         from synth.design.full_order.quadratic import quadratic_design
@@ -287,7 +314,7 @@ class _Asked:
         how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
         return FeedbackDesign(found.law, certificate, how, f'design = "{name}"', found.remark, found.h2_norm, "H2 norm")
 
-    def sampled(self, period: float, delay: float, full: bool, stable: bool) -> FeedbackDesign:
+    def sampled(self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None) -> FeedbackDesign:
         """A gain or a law for the loop that a computer closes."""
         check_continuous(self.plant)
         if self.Dyw is not None:
@@ -309,6 +336,13 @@ class _Asked:
 
             found = sampled_full_order(problem, find_sampled_bound(problem, near), near, self.states, stable)
             law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
+        elif structure is not None:
+            from synth.design.fixed_order.sampled_data import sampled_fixed_order
+            from synth.lmi.sampled_bound import find_sampled_bound
+
+            found = sampled_fixed_order(problem, find_sampled_bound(problem, near), near, self.states, stable, structure)
+            law, norm, remark = found.law, found.norm, found.remark
+            method, why = "descent on the sampled norm", f"for {structure.text}"
         else:
             from synth.design.sampled_data import held_design
 

@@ -16,7 +16,7 @@ decides it, the smallest on the way to no control is taken. The same plant gives
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def descended(
     Dyw: Array | None = None,
 ) -> StaticDesign:
     """Designs a static gain by descents, given the result of the two steps or the reason of their failure."""
-    search = _Search(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
+    search = GainSearch(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
@@ -164,16 +164,41 @@ def descended(
     return StaticDesign(K, certificate, steps, without, best.origin, starts)
 
 
-class _Search:
-    """The search for one plant."""
+class Alike(Protocol):
+    """The gains that make the loop of a gain, too."""
+
+    def smallest(self, x: Array) -> Array:
+        """Returns the point with the smallest entries that is alike to a point, or the point itself, shape (N,)."""
+        ...
+
+
+class GainSearch:
+    """The search for one plant, and for one structure of its gain."""
 
     def __init__(
-        self, plant: GeneralizedPlant, Cy: Array, largest_gain: float, beaten_by_none: float, Dyw: Array | None = None
+        self,
+        plant: GeneralizedPlant,
+        Cy: Array,
+        largest_gain: float,
+        beaten_by_none: float,
+        Dyw: Array | None = None,
+        through: Array | None = None,
+        structure: Array | None = None,
+        alike: Callable[[Landscape], Alike] = Symmetry,
+        enough: float = REACHED,
     ) -> None:
-        self.plant, self.Cy, self.Dyw, self.beaten_by_none = plant, Cy, Dyw, beaten_by_none
-        self.landscape = Landscape(plant, Cy, Dyw)
+        """Args:
+        largest_gain: bound on |K_ij|, in the units given.
+        beaten_by_none: lower bound for controllers of this kind; 0 for none.
+        Dyw, through, structure: as for `Landscape`.
+        alike: returns the gains that make the same loop.
+        enough: relative; this close to what no controller beats, the search ends.
+        """
+        self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
+        self.through = None if through is None or not np.any(through) else through
+        self.landscape = Landscape(plant, Cy, Dyw, self.through, structure)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
-        self.symmetry = Symmetry(self.landscape)
+        self.symmetry = alike(self.landscape)
         self.nothing = ZERO * (
             float(np.linalg.norm(self.landscape.Dw, 2))
             + size(self.landscape.C) * size(self.landscape.Bw) / size(self.landscape.A)
@@ -187,8 +212,8 @@ class _Search:
             return []
         return self.admitted(self.landscape.point(gain), "the two steps, refined")
 
-    def starts(self) -> list[Candidate]:
-        """Stable points of many sizes."""
+    def starts(self, most: int = MOST) -> list[Candidate]:
+        """Stable points of many sizes; where nothing else is found, of so many stabilising starts at most."""
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
         candidates += [
@@ -202,9 +227,9 @@ class _Search:
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
                 candidates += self.admitted(x, "a stabilising start")
-            if candidates or numbers.stop >= MOST:
+            if candidates or numbers.stop >= most:
                 return candidates
-            numbers = range(numbers.stop, MOST)
+            numbers = range(numbers.stop, most)
 
     def admitted(self, x: Array, origin: str) -> list[Candidate]:
         """A candidate, if the point is stable within the limit."""
@@ -234,22 +259,29 @@ class _Search:
 
     def own_norm(self, K: Array) -> float:
         """The norm of a gain's loop by two routes; infinite where it is not stable."""
-        plant, G = on_larger_plant(self.plant, self.Cy, static_law(K), self.Dyw)
+        law = static_law(K) if self.through is None else static_law(K).fed_back(self.through)
+        plant, G = on_larger_plant(self.plant, self.Cy, law, self.Dyw)
         loop = plant.closed_loop(G)
         return hinf_norm(loop).value if is_stable(loop.A, loop.dt) else np.inf
 
-    def best(self, candidates: list[Candidate]) -> Candidate:
-        """The winner of all heats, and of the descents from its surroundings."""
+    def raced(self, candidates: list[Candidate]) -> Candidate:
+        """The winner of all heats."""
         n = len(self.plant.A)
-        large = n > LARGE
-        if large:
+        if n > LARGE:
             candidates = sorted(candidates, key=lambda each: each.norm)[: max(1, int(ENTERED * (LARGE / n) ** 3))]
         heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
         for descent, rounds, keep in heats:
             candidates = self.heat(candidates, descent, rounds, keep)
             if self.reached(candidates[0]):
-                return candidates[0]
-        best, idle = self.followed(candidates[0]), 0
+                break
+        return candidates[0]
+
+    def best(self, candidates: list[Candidate]) -> Candidate:
+        """The winner of all heats, and of the descents from its surroundings."""
+        large, winner = len(self.plant.A) > LARGE, self.raced(candidates)
+        if self.reached(winner):
+            return winner
+        best, idle = self.followed(winner), 0
         if large:
             return best
         enough = 1 if self.reached(best, CLOSE) else IDLE
@@ -306,9 +338,9 @@ class _Search:
             moved = self.admitted(descent(candidate.x, rounds), candidate.origin)
         return min([candidate, *moved], key=lambda each: each.norm)
 
-    def reached(self, candidate: Candidate, to: float = REACHED) -> bool:
-        """Returns True if a candidate is this close to the lower bound, or to zero."""
-        return candidate.norm <= max(self.beaten_by_none * (1 + to), self.nothing)
+    def reached(self, candidate: Candidate, to: float = 0.0) -> bool:
+        """Returns True if a candidate is this close to the lower bound, or close enough, or next to zero."""
+        return candidate.norm <= max(self.beaten_by_none * (1 + max(to, self.enough)), self.nothing)
 
     def edges(self, x: Array, rounds: int) -> Array:
         """A descent that knows edges and curvature."""

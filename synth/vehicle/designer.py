@@ -27,6 +27,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 
 if TYPE_CHECKING:
+    from models.laws.law_structure import LawStructure
     from synth.vehicle.refined import RefinedController
 
 
@@ -268,13 +269,30 @@ class Designer:
         from synth.design.full_order.by_name import named_design
         from synth.vehicle.quadratic import white_noise
 
+        if entry.structure is not None and entry.structure.rows is not None:
+            return self._structured(entry, entry.structure, posed, lower_bound)
         hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
-        designed = named_design(entry.design, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run)
+        designed = named_design(
+            entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run
+        )
         law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
         certificate = replace(designed.certificate, below=lower_bound)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
+
+    def _structured(
+        self, entry: ControllerEntry, structure: "LawStructure", posed: Problem, lower_bound: LowerBound
+    ) -> Controller:
+        """A controller whose law on the readings themselves has a structure, of each force by itself."""
+        from synth.design.fixed_order.fixed_order import fixed_order_design
+
+        states, through = self.shared(entry.hardware).states, posed.feedthrough
+        found = fixed_order_design(posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable)
+        law = replace(found.law, anti_windup=entry.anti_windup)
+        return Controller(
+            entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware
+        )
 
     @at_the_door
     def refine(self, name: str, zero_l: bool = False) -> "RefinedController":

@@ -14,6 +14,7 @@ from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import held_problem
 from synth.controller.problem import Problem, plant_states
+from synth.design.fixed_order.sampled_data import sampled_fixed_order
 from synth.design.full_order.sampled_data import sampled_full_order
 from synth.design.sampled_data import held_design, refined_further
 from synth.plant.numerics import DesignError
@@ -53,13 +54,14 @@ def sampled_design(
 def full_order_sampled_design(
     vehicle: Vehicle, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, bound: SampledBound | None
 ) -> Controller:
-    """Designs a discrete law of full order for the sampled loop; arguments and errors as for `sampled_design`.
+    """Designs a discrete law of full order or of a structure for the sampled loop; arguments as for `sampled_design`.
 
     Args:
         bound: lower bound of the sampled loop; None if none is proved.
     """
     states = plant_states(vehicle, vehicle.limits.actuator_bandwidth)
-    design = sampled_full_order(held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable)
+    given = held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable
+    design = sampled_full_order(*given) if entry.structure is None else sampled_fixed_order(*given, entry.structure)
     law = replace(design.law, anti_windup=entry.anti_windup)
     said = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
     return _controller(entry, posed, lower_bound, law, said)

@@ -23,7 +23,7 @@ SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """M, shape (m q, m q): with x + M t for the point, t has these coordinates.
+    """M, shape (N, N): with x + M t for the point, t has these coordinates.
 
     Args:
         x: a stable point.
@@ -38,6 +38,7 @@ def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
     measured = _root(y @ (reached / scale) @ y.T)
     forced = _root(u.T @ (seen / other) @ u)
     M = np.kron(forced, measured) / landscape.scale.ravel()[:, None]
+    M = M if landscape.free is None else _within(M, landscape.free)
     return M / np.linalg.norm(M, 2)
 
 
@@ -60,13 +61,22 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
     """
     try:
         M = balanced_coordinates(landscape, x)
-        inverse = np.linalg.inv(M)
+        within = _within(M, free)
     except np.linalg.LinAlgError:
         return np.eye(len(x))[:, free]
     if len(free) == len(x):
         return M
-    metric = (inverse.T @ inverse)[free][:, free]
-    sizes, vectors = np.linalg.eigh(metric)
     restricted = np.zeros((len(x), len(free)))
-    restricted[free] = vectors / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ vectors.T
+    restricted[free] = within
     return restricted
+
+
+def _within(M: Array, free: Array) -> Array:
+    """The coordinates of the free entries alone, of the same metric, shape (N, N).
+
+    Raises:
+        LinAlgError: M is singular.
+    """
+    inverse = np.linalg.inv(M)
+    sizes, vectors = np.linalg.eigh((inverse.T @ inverse)[free][:, free])
+    return vectors / np.sqrt(np.maximum(sizes, 1e-12 * sizes[-1])) @ vectors.T

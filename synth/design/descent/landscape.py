@@ -1,7 +1,8 @@
 """The norm as a landscape over the gains: its height, its slope, and the planes that support it from below.
 
-A gain K is a point x of m q numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. Over the gains
-the H-infinity norm is continuous, but it has an edge wherever two frequencies or two singular values peak alike, and minima lie
+A gain K is a point x of N numbers, K_ij = x_ij scale_ij, with scales that make every entry of K count alike. N is m q, or the
+number of entries that a structure leaves: all others are zero. Over the gains the H-infinity norm is continuous, but it has an
+edge wherever two frequencies or two singular values peak alike, and minima lie
 on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 
@@ -126,12 +127,20 @@ MOST_ALIKE = 3  # singular values of one frequency that are looked at
 class Landscape:
     """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array | None = None, through: Array | None = None) -> None:
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        Cy: Array,
+        Dyw: Array | None = None,
+        through: Array | None = None,
+        structure: Array | None = None,
+    ) -> None:
         """Args:
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
+        structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
         """
         where = mapped(plant, Cy, Dyw)
         plant, Cy, self.Dyw, self.before = where.plant, where.Cy, where.Dyw, where.before
@@ -150,22 +159,31 @@ class Landscape:
         of_forces = np.linalg.norm(self.Dyu * rate / columns, axis=1)  # readings of forces alone
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
+        self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
         self.peaks: list[float] = []
         self.last: tuple[bytes, Loop] | None = None
         self.last_ports: tuple[bytes, Ports] | None = None
         self.straight = Ports(self.B, self.D, self.Cy, self.Dyw, self.Dyu, np.eye(self.shape[0]))
 
     def gain(self, x: Array) -> Array:
-        """K of a point, shape (m, q)."""
-        return x.reshape(self.shape) * self.scale
+        """K of a point, or of many, shape (..., m, q)."""
+        if self.free is not None:
+            some, x = x, np.zeros((*x.shape[:-1], self.scale.size))
+            x[..., self.free] = some
+        return x.reshape(*x.shape[:-1], *self.shape) * self.scale
 
     def point(self, K: Array) -> Array:
-        """The point of a gain, shape (m q,)."""
-        return (K / self.scale).ravel()
+        """The point of a gain, shape (N,)."""
+        return self.of_entries(K / self.scale)
+
+    def of_entries(self, values: Array) -> Array:
+        """The numbers of a point from those of all entries of K, shapes (..., N) and (..., m, q)."""
+        flat = values.reshape(*values.shape[:-2], self.scale.size)
+        return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
         """K of a point, or of many, as it acts where y is without Dyu: (I - K Dyu)^-1 K, (..., m, q); NaN where it cannot."""
-        K = x.reshape(*x.shape[:-1], *self.shape) * self.scale - self.before
+        K = self.gain(x) - self.before
         if not self.through:
             return K
         if x.ndim == 1:
@@ -175,7 +193,7 @@ class Landscape:
         return np.full_like(K, np.nan)
 
     def point_acting(self, K: Array) -> Array:
-        """The point of a gain that acts so, shape (m q,)."""
+        """The point of a gain that acts so, shape (N,)."""
         if self.through:
             K = np.linalg.solve(np.eye(self.shape[0]) + K @ self.Dyu, K)
         return self.point(K + self.before)
@@ -208,7 +226,7 @@ class Landscape:
         return self.last_ports[1]
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
-        """Largest real part of a pole [rad/s], and its slope, shape (m q,); infinite where the loop is not finite itself."""
+        """Largest real part of a pole [rad/s], and its slope, shape (N,); infinite where the loop is not finite itself."""
         A, _ = self.loop(x)
         if not np.isfinite(A).all():
             return np.inf, np.full(x.shape, np.nan)
@@ -217,7 +235,7 @@ class Landscape:
         left, right = left[:, i].conj(), right[:, i]
         ports = self.ports(x)
         slope = np.real(np.outer(left @ ports.B, ports.Cy @ right) / (left @ right))
-        return float(np.real(poles[i])), (slope * self.scale).ravel()
+        return float(np.real(poles[i])), self.of_entries(slope * self.scale)
 
     def _closed(self, x: Array) -> Loop:
         """The loop of a point; the last one is remembered."""
@@ -264,18 +282,18 @@ class Landscape:
         return best, at
 
     def slope(self, x: Array, at: float) -> Array:
-        """Slope of the largest singular value at a frequency, shape (m q,)."""
+        """Slope of the largest singular value at a frequency, shape (N,)."""
         (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         if not np.isfinite(at):
             U, _, Vh = np.linalg.svd(Dw, full_matrices=False)
-            return (np.outer(U[:, 0] @ ports.D, ports.Dyw @ Vh[0]) * self.scale).ravel()
+            return self.of_entries(np.outer(U[:, 0] @ ports.D, ports.Dyw @ Vh[0]) * self.scale)
         shifted = 1j * at * np.eye(len(A)) - A
         reached = np.linalg.solve(shifted, Bw)
         U, _, Vh = np.linalg.svd(C @ reached + Dw, full_matrices=False)
         adjoint, v = U[:, 0].conj(), Vh[0].conj()
         seen = np.linalg.solve(shifted.T, adjoint @ C)
         measured = (ports.Cy @ reached + ports.Dyw) @ v
-        return np.real(np.outer(seen @ ports.B + adjoint @ ports.D, measured) * self.scale).ravel()
+        return self.of_entries(np.real(np.outer(seen @ ports.B + adjoint @ ports.D, measured) * self.scale))
 
     def cuts(self, x: Array, omega: Array, floor: float) -> Cuts:
         """The cuts that touch the singular values >= floor at some frequencies, and those between values that are alike.
@@ -302,7 +320,7 @@ class Landscape:
         return Cuts(omega[where], np.concatenate(u), np.concatenate(v))
 
     def heights(self, x: Array, cuts: Cuts) -> tuple[Array, Array]:
-        """Values of cuts at a point, shape (F,), and slopes, shape (F, m q)."""
+        """Values of cuts at a point, shape (F,), and slopes, shape (F, N)."""
         (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         n = len(A)
         shifted = np.broadcast_to(-A, (len(cuts.omega), n, n)).astype(complex)
@@ -313,10 +331,10 @@ class Landscape:
         values = np.real(np.sum(adjoint * (driven @ C.T + cuts.v @ Dw.T), axis=1))
         measured = driven @ ports.Cy.T + cuts.v @ ports.Dyw.T
         slopes = np.real((seen @ ports.B + adjoint @ ports.D)[:, :, None] * measured[:, None, :])
-        return values, (slopes * self.scale).reshape(len(values), self.scale.size)
+        return values, self.of_entries(slopes * self.scale)
 
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
-        """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (m q, m q).
+        """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (N, N).
 
         A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the
         eigenvalue of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega.
@@ -333,18 +351,19 @@ class Landscape:
         Tu_rate, Tw_rate = -1j * (left @ R @ ports.B), -1j * (ports.Cy @ R @ right)
         # First derivatives of T v and T' u over the entries of x, then over omega.
         seen, driven = (adjoint @ Tu)[:, 0], (Tw @ v)[:, :, 0]
-        along = Tu[:, :, :, None] * driven[:, None, None, :] * self.scale
-        back = (seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale
+        along = self.of_entries(Tu[:, :, :, None] * driven[:, None, None, :] * self.scale)
+        back = self.of_entries((seen[:, None, :, None] * Tw.swapaxes(1, 2)[:, :, None, :]).conj() * self.scale)
         slide = np.concatenate([-1j * (left @ (right @ v)), (-1j * (adjoint @ left @ right)).conj().swapaxes(1, 2)], axis=1)
         first = np.concatenate([along.reshape(-1, d, size), back.reshape(-1, r, size)], axis=1)
         first = np.concatenate([first, slide], axis=2) / np.sqrt(2)
         # Second derivatives of u' T v.
         second = np.zeros((len(omega), size + 1, size + 1))
         twice = np.einsum("fi,fjk,fl->fijkl", seen, Ty, driven) * self.scale[:, :, None, None] * self.scale
-        twice = np.real(twice.reshape(-1, size, size))
+        twice = np.real(twice.reshape(-1, self.scale.size, self.scale.size))
+        twice = twice if self.free is None else twice[:, self.free[:, None], self.free]
         second[:, :size, :size] = twice + twice.swapaxes(1, 2)
         mixed = (adjoint @ Tu_rate)[:, 0, :, None] * driven[:, None, :] + seen[:, :, None] * (Tw_rate @ v)[:, None, :, 0]
-        second[:, :size, -1] = second[:, -1, :size] = np.real(mixed * self.scale).reshape(-1, size)
+        second[:, :size, -1] = second[:, -1, :size] = self.of_entries(np.real(mixed * self.scale))
         second[:, -1, -1] = np.real(-2 * adjoint @ left @ R @ right @ v)[:, 0, 0]
         J = np.zeros((len(omega), d + r, d + r), complex)
         J[:, :d, d:], J[:, d:, :d] = T, T.conj().swapaxes(1, 2)

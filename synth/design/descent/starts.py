@@ -38,15 +38,16 @@ SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """The best stable sample of every decade of size that has one, smallest first, each of shape (m q,).
+    """The best stable sample of every decade of size that has one, smallest first, each of shape (N,).
 
     Args:
-        limit: largest entries, shape (m q,).
+        limit: largest entries, shape (N,).
     """
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
-        points = _directions(generator, count, landscape.shape) * 10.0 ** (decade + generator.random((count, 1)))
+        directions = landscape.of_entries(_directions(generator, count, landscape.shape))
+        points = directions * 10.0 ** (decade + generator.random((count, 1)))
         best = lowest(landscape, points[np.all(np.abs(points) <= limit, axis=1)])
         if best is not None:
             samples.append(best)
@@ -57,8 +58,8 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
     """Returns the best stable sample around a point, with a random factor for every entry; None if no sample is stable.
 
     Args:
-        x: the point, shape (m q,).
-        limit: largest entries, shape (m q,).
+        x: the point, shape (N,).
+        limit: largest entries, shape (N,).
         factor: standard deviation of the logarithms.
     """
     factors = np.exp(factor * np.random.default_rng(seed).standard_normal((_count(landscape), len(x))))
@@ -66,10 +67,10 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
 
 
 def lowest(landscape: Landscape, points: Array) -> Array | None:
-    """Returns the point with the smallest norm among the first stable ones, shape (m q,); None if none is stable.
+    """Returns the point with the smallest norm among the first stable ones, shape (N,); None if none is stable.
 
     Args:
-        points: shape (N, m q).
+        points: shape (count, N).
     """
     stable = points[:0]
     for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
@@ -91,14 +92,14 @@ def _count(landscape: Landscape) -> int:
 
 
 def _directions(generator: np.random.Generator, count: int, shape: tuple[int, int]) -> Array:
-    """Gains whose largest entry is one, shape (count, m q)."""
+    """Gains whose largest entry is one, shape (count, m, q)."""
     m, q = shape
     rows = 10 ** generator.uniform(-SPREAD, SPREAD, (count, m, 1))
     columns = 10 ** generator.uniform(-SPREAD, SPREAD, (count, 1, q))
     entries = generator.standard_normal((count, m, q))
     entries[::2] = generator.standard_normal((len(entries[::2]), m, 1)) * generator.standard_normal((len(entries[::2]), 1, q))
-    gains = (rows * entries * columns).reshape(count, m * q)
-    return gains / np.abs(gains).max(axis=1, keepdims=True)
+    gains = rows * entries * columns
+    return gains / np.abs(gains).max(axis=(1, 2), keepdims=True)
 
 
 COUNTS = (1e-8, 1e-4, 1e-2)  # of z's power: what every state and force counts besides, so that there is a solution
@@ -106,7 +107,7 @@ EVERYWHERE = 1e-6  # of the disturbance's power: what disturbs states that w doe
 
 
 def projected_starts(landscape: Landscape) -> list[Array]:
-    """Returns points closest to the state feedback of a Riccati equation, shape (m q,) each; none if rounding prevents it."""
+    """Returns points closest to the state feedback of a Riccati equation, shape (N,) each; none if rounding prevents it."""
     A, Cy, C, D = landscape.A, landscape.Cy, landscape.C, landscape.D
     n, m = landscape.B.shape
     unit = size(A) / size(landscape.B)  # of the forces, with which they move the states as fast as these move
@@ -141,7 +142,7 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
     """Points where the loop is stable, one or none from each start: from u = 0, which is the first, and random points.
 
     Args:
-        limit: largest entries, shape (m q,).
+        limit: largest entries, shape (N,).
         starts: those to try, by number.
     """
     generator = np.random.default_rng(20261120)
@@ -159,7 +160,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
     """A stable point from one start, or None: another start may lead to one.
 
     Args:
-        limit: largest entries, shape (m q,).
+        limit: largest entries, shape (N,).
         patient: by the second descent alone; otherwise it only takes over where the first ends.
     """
     rate = float(np.abs(np.linalg.eigvals(landscape.A)).max()) or 1.0
@@ -189,4 +190,5 @@ def shifted(landscape: Landscape, shift: float) -> Landscape:
     plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
     moved = Landscape(plant, landscape.Cy)
     moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
+    moved.free = landscape.free
     return moved

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
+from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
+from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import quadratic_design
 from synth.plant.generalized import GeneralizedPlant
@@ -31,6 +33,7 @@ class NamedDesign:
 
 def named_design(
     name: str,
+    structure: LawStructure | None,
     plant: GeneralizedPlant,
     Cy: Array,
     lower_bound: LowerBound,
@@ -43,17 +46,21 @@ def named_design(
     """Designs a controller by one of these methods.
 
     Args:
-        name: "full", "lqr", "lqg" or "h2".
+        name: "full", "lqr", "lqg" or "h2"; "order" with a structure.
+        structure: of the law, for "order".
         Cy: shape (q, n); for "lqr" as many rows as states.
         lower_bound: for controllers from these measurements.
         noise: of each measurement, for "lqg", see `lqg_design`; None without noise.
-        Dyw: shape (q, r), for "full" and "h2"; None for zero.
-        stable: True for a law that is stable by itself, for "full".
+        Dyw: shape (q, r), for "full", "order" and "h2"; None for zero.
+        stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.
 
     Raises:
-        InputError, InfeasibleError, DesignError: as `full_order_design` and `quadratic_design`.
+        InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
     """
+    if structure is not None:
+        found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run)
+        return NamedDesign(found.law, found.certificate, found.remarks)
     if name == "full":
         full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())

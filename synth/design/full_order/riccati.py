@@ -131,9 +131,9 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
     Raises:
         LinAlgError: rounding leaves no such parts.
     """
-    slow, quick = _parted(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
+    slow, quick = parted(law, lambda real, imag: real >= 0 or np.hypot(real, imag) < fast)
     at_once = quick.C @ np.linalg.solve(quick.A, quick.B) if quick.states else np.zeros_like(law.D)
-    growing, decaying = _parted(slow, lambda real, imag: real >= 0)
+    growing, decaying = parted(slow, lambda real, imag: real >= 0)
     kept = _truncated(decaying)
     if growing.states + kept.states == law.states:
         return law
@@ -145,7 +145,7 @@ def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
     )
 
 
-def _parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
+def parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
     """The modes that belong to the first part, and the others, side by side: without D, which belongs to both."""
     none = np.zeros_like(law.D)
     if not law.states:

@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.design.full_order.riccati import SHARES, RiccatiSearch, TradeOffPoint
@@ -50,26 +51,54 @@ def _descended(search: RiccatiSearch, start: TradeOffPoint) -> LinearLaw:
     Raises:
         DesignError: there is no way down.
     """
-    own, k = search.own, start.own.states
-    m, q, r = own.plant.B.shape[1], len(own.Cy), own.Dyw.shape[1]
+    own = search.own
     larger, G = on_larger_plant(own.plant, own.Cy, start.own)
-    light = LIGHTLY * start.norm * own.norm
+    noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))]) if own.Dyw.any() else None
+    gain = descend_stable(larger, G.Cy, noise, G.K, start.own.states, LIGHTLY * start.norm * own.norm)
+    m, q = own.plant.B.shape[1], len(own.Cy)
+    return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
+
+
+def descend_stable(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    Dyw: Array | None,
+    start: Array,
+    states: int,
+    light: float,
+    structure: Array | None = None,
+    through: Array | None = None,
+) -> Array:
+    """Returns the gain [D, C; B, A] at the end of the descent from that of a stable law; it may be unstable by rounding.
+
+    Args:
+        plant: with the law's states.
+        Cy, Dyw, through: of the gain, see `MeasuredPlant`.
+        start: its gain, whose loop is stable, too.
+        states: k, of the law.
+        light: how much the law's own states weigh.
+        structure: True for the entries that may be other than zero; None for all.
+
+    Raises:
+        DesignError: there is no way down.
+    """
+    k, (rows, columns) = states, start.shape
+    m, q = rows - k, columns - k
     alone = GeneralizedPlant(
         A=np.zeros((k, k)),
         B=np.hstack([np.zeros((k, m)), np.eye(k)]),
-        Bw=np.eye(k),
+        Bw=np.eye(k) * (plant.dt or 1.0),
         C=light * np.eye(k),
         D=np.zeros((k, m + k)),
         Dw=np.zeros((k, k)),
+        dt=plant.dt,
     )
-    noise = np.vstack([own.Dyw, np.zeros((k, r))]) if own.Dyw.any() else None
-    states = np.vstack([np.zeros((q, k)), np.eye(k)])
+    of_states = np.vstack([np.zeros((q, k)), np.eye(k)])
     problem = MultiObjectiveProblem(
-        members=(FamilyMember((MeasuredPlant(larger, G.Cy, noise),)), FamilyMember((MeasuredPlant(alone, states),))),
+        members=(FamilyMember((MeasuredPlant(plant, Cy, Dyw, through),)), FamilyMember((MeasuredPlant(alone, of_states),))),
         minimise=NormSpecification(),
-        tolerance=GainErrors(np.zeros(q + k), np.zeros(m + k)),
-        structure=np.ones((m + k, q + k), dtype=bool),
-        gain=LARGER * float(np.abs(G.K).max()),
+        tolerance=GainErrors(np.zeros(columns), np.zeros(rows)),
+        structure=np.ones(start.shape, dtype=bool) if structure is None else structure,
+        gain=LARGER * float(np.abs(start).max()),
     )
-    gain = multi_objective_design(problem, [G.K]).gain
-    return LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
+    return multi_objective_design(problem, [start]).gain

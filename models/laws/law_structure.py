@@ -1,0 +1,188 @@
+"""Structure of a law with states: a given order, one law for each force, or PI and PID; and a PID law of given numbers.
+
+order = 2
+structure = "corner"
+structure = "pid"
+pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }
+
+A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. Its integral is an exact integrator, a pole at 0.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError, listing, number_range, quoted
+from models.laws.combinations import PI, PID, is_order
+from models.laws.goals import CORNER, read_structure
+from models.laws.linear import LARGEST, MATRICES, LinearLaw
+
+GAINS, FILTER = ("kp", "ki", "kd"), "filter"
+SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
+EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
+
+
+@dataclass(frozen=True)
+class LawStructure:
+    """Structure of a law that is designed.
+
+    Attributes:
+        order: number of its states; of each force's own law where there are `rows`. 0 for PI and PID, whose pattern has its own.
+        rows: True if a measurement may act on a force, a row per force; each force then has a law of its own. None: one law.
+        kind: "pi" or "pid"; empty for a law of a given order.
+        filter: time constant of the derivative's low-pass [s]; 0 without a derivative.
+    """
+
+    order: int = 0
+    rows: tuple[tuple[bool, ...], ...] | None = None
+    kind: str = ""
+    filter: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """The structure as a vehicle file has it."""
+        return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
+
+
+def pid_filter(kind: str, filter: float) -> LinearLaw:
+    """Returns the system from y to [y; its integral], and the filtered derivative of a PID law, in continuous time."""
+    if kind == PI:
+        return LinearLaw(np.zeros((1, 1)), np.ones((1, 1)), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
+    rate = 1 / filter
+    return LinearLaw(
+        np.diag([0.0, -rate]),
+        np.array([[1.0], [rate]]),
+        np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -rate]]),
+        np.array([[1.0], [0.0], [rate]]),
+    )
+
+
+def side_by_side(one: LinearLaw, count: int) -> LinearLaw:
+    """Returns as many copies of a system, one for each of as many signals."""
+    return LinearLaw(
+        *(np.kron(np.eye(count), getattr(one, name)) for name in ("A", "B", "C", "D")), sample_period=one.sample_period
+    )
+
+
+def read_law_structure(
+    where: str, entry: Mapping[str, Any], measured: Sequence[str], corners: Mapping[str, str]
+) -> LawStructure | None:
+    """Reads the structure of a law that is designed; None if a section has none.
+
+    Args:
+        corners: suffix of the names at a force's suspension, by force.
+
+    Raises:
+        InputError: the structure is not allowed.
+    """
+    order, structure = entry.get("order"), entry.get("structure")
+    if structure in (PI, PID):
+        kind = PI if structure == PI else PID
+        rows = _one_each(where, f'structure = "{kind}"', measured, corners)
+        return LawStructure(rows=rows, kind=kind, filter=_filter(where, kind, entry))
+    if not is_order(order) or not order:
+        return None
+    return LawStructure(order, read_structure(where, structure, measured, corners))
+
+
+def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corners: Mapping[str, str]) -> LinearLaw:
+    """Reads a PID law of given numbers, without the states that do nothing.
+
+    Raises:
+        InputError: a number is missing or not allowed, or there is not one signal for each force.
+    """
+    table = entry["pid"]
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} pid = {quoted(table)} is no table; give one, as in {EXAMPLE}")
+    if beside := [key for key in (*MATRICES, "sample_period") if key in entry]:
+        raise InputError(f"{where} pid with {beside[0]}: a controller has one law; leave one of them out")
+    rows = np.array(_one_each(where, "pid", measured, corners), dtype=float)
+    _known(where, table, (*GAINS, FILTER))
+    m = len(corners)
+    kp, ki, kd = (_gains(f"{where} pid.{name}", table.get(name, 0.0), m) for name in GAINS)
+    if np.any(kd) and FILTER not in table:
+        raise InputError(
+            f"{where} pid has kd and no filter: a derivative without one answers a step with an infinite force; give its time "
+            "constant in seconds, as in filter = 0.01"
+        )
+    if FILTER in table and not np.any(kd):
+        raise InputError(f"{where} pid has a filter, which is of the derivative alone, and no kd; give kd, or leave filter out")
+    filter = _time(f"{where} pid.filter", table[FILTER]) if FILTER in table else 1.0
+    law = side_by_side(pid_filter(PID, filter), m)
+    K = _block(kp, ki, kd)
+    C, D = K @ law.C, K @ law.D
+    kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
+    return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
+
+
+def _block(kp: Array, ki: Array, kd: Array) -> Array:
+    """The gain on what the filters of all signals give, shape (m, 3 m)."""
+    m = len(kp)
+    K = np.zeros((m, 3 * m))
+    for i, gains in enumerate(zip(kp, ki, kd, strict=True)):
+        K[i, 3 * i : 3 * i + 3] = gains
+    return K
+
+
+def _one_each(where: str, written: str, measured: Sequence[str], corners: Mapping[str, str]) -> tuple[tuple[bool, ...], ...]:
+    """Returns which measurement acts on which force, one on each."""
+    m, q = len(corners), len(measured)
+    if q == m and not any(corners.values()):
+        return tuple(tuple(i == j for j in range(q)) for i in range(m))
+    if q != m:
+        raise InputError(
+            f"{where} {written} answers one measured signal for each force, and measures {q} for {m} force(s); give measured = "
+            f"{m} signal(s)"
+        )
+    return read_structure(where, CORNER, measured, corners) or ()
+
+
+def _filter(where: str, kind: str, entry: Mapping[str, Any]) -> float:
+    """Returns the time constant of the derivative of a law that is designed [s]; 0 for PI."""
+    table = entry.get("pid", {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where} pid = {quoted(table)} is no table; give one, as in pid = {{ filter = 0.01 }}")
+    if given := [name for name in GAINS if name in table]:
+        raise InputError(
+            f'{where} structure = "{kind}" designs the gains, and pid gives {given[0]}; leave structure out for a law of given '
+            "numbers, or give pid its filter alone"
+        )
+    _known(where, table, (FILTER,))
+    if kind == PI:
+        if table:
+            raise InputError(f'{where} structure = "{PI}" has no derivative, and pid gives its filter; leave pid out')
+        return 0.0
+    if FILTER not in table:
+        raise InputError(
+            f'{where} structure = "{PID}" needs the time constant of the derivative\'s low-pass; give it in seconds, as in '
+            "pid = { filter = 0.01 }"
+        )
+    return _time(f"{where} pid.filter", table[FILTER])
+
+
+def _known(where: str, table: Mapping[str, Any], keys: Sequence[str]) -> None:
+    for key in table:
+        if key not in keys:
+            raise InputError(f"{where} pid has an unknown key {quoted(key)}; known: {listing(keys)}")
+
+
+def _gains(what: str, value: Any, m: int) -> Array:
+    """Returns a gain for each force: one number for all, or a list."""
+    several = value if isinstance(value, list) else [value] * m
+    if len(several) != m or not all(_is_number(one) and abs(one) <= LARGEST for one in several):
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give a number, or a list of {m}, one a force")
+    return np.array(several, dtype=float)
+
+
+def _time(what: str, value: Any) -> float:
+    if not _is_number(value) or not SHORTEST <= value <= LONGEST:
+        raise InputError(f"{what} = {quoted(value)} is not allowed; give {number_range(SHORTEST, LONGEST, 's')}")
+    return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,422 @@
+"""Laws of a given order or structure for the least norm, by descent from several starts; the lowest end is taken.
+
+A law of k states is one of k + 1 states, too, so orders are gone through from a static gain up. Each starts from
+
+- laws of full order, reduced (`reduction.py`), those next to the least norm and slower ones;
+- the static gain, and the law of one state less, with a state appended that reads and does not act yet;
+- samples of every size, where none of these is stable.
+
+The search is that of static gains (`design/static.py`), on the plant with the law's states, within the structure of its gain
+(`pattern.py`). An end that needs poles beyond any actuator is sought again within smaller gains. It stops early where an order
+comes to what no controller beats: then the law has fewer states than it may.
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.combinations import PID
+from models.laws.law_structure import GAINS, LawStructure
+from models.laws.linear import LinearLaw
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.certificate import FASTEST, Certificate
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.stability import stabilisability_failures
+from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
+from synth.design.fixed_order.reduction import reductions
+from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
+from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
+from synth.design.full_order.stable import LIGHTLY, descend_stable
+from synth.design.multi_objective.design import multi_objective_design
+from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.static import MOST, Candidate, GainSearch
+from synth.lmi.full_order_bound import find_lower_bound
+from synth.plant.augmented import on_larger_plant
+from synth.plant.discrete import Mapped, mapped
+from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.units import speed
+
+LIMITS = (100.0, 10.0, 3.0)  # on a gain's entries, in units in which 1 moves poles as fast as the plant's: the first not too fast
+POLES = (0.1, 1.0, 10.0)  # of an appended state, times the plant's speed
+READS = 0.1  # what it reads, in these units
+SHARES = (1e-1, 1e-2, 1e-3)  # of noise and cost, with which laws of full order are made,
+MARGINS = (1e-2, 1e-1, 1.0)  # and how far above the least gamma, relative
+ENTERED = 4  # starts of a kind that go down
+FEW = 2  # stabilising starts of a static gain, where a law may have states
+SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
+SEED = 20261126
+NO_LAW = "no law of this structure was found whose loop is stable; measure more signals, or allow more states"
+ONE_STATE = LawStructure(1)
+Start = tuple[LinearLaw, str]
+
+
+@dataclass(frozen=True, eq=False)
+class FixedOrderDesign:
+    """A law of a given order or structure.
+
+    Attributes:
+        law: on y = C_y x + Dyw w + `through` u.
+        certificate: of its loop.
+        origin: the start that led to it, in words.
+        remark: its gains, or why it has fewer states than it may; empty without either.
+    """
+
+    law: LinearLaw
+    certificate: Certificate
+    origin: str
+    remark: str
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Its remark and its origin, in words."""
+        return (*([self.remark] if self.remark else []), f"by descent on the norm from {self.origin}")
+
+
+@numerics()
+def fixed_order_design(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    Dyw: Array | None = None,
+    structure: LawStructure = ONE_STATE,
+    lower_bound: LowerBound | None = None,
+    states: Sequence[str] = (),
+    through: Array | None = None,
+    stable: bool = False,
+    as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
+    known: Sequence[LinearLaw] = (),
+) -> FixedOrderDesign:
+    """Returns the law of the least norm that descents find, of a given order or structure, with its certificate.
+
+    Args:
+        plant: n states, m inputs, continuous or discrete.
+        Cy: shape (q, n).
+        Dyw: shape (q, r); zero where it is not given.
+        structure: of the law.
+        lower_bound: what no controller from these measurements beats, if known.
+        states: names of the states, for messages.
+        through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
+        stable: True for a law that is stable by itself.
+        as_run: returns a law as it is run, as for `full_order_design`.
+        known: laws of this structure to start from alone, in place of all other starts.
+
+    Raises:
+        InputError: a matrix does not fit the plant, or the order is more than the plant's.
+        InfeasibleError: no law of this kind stabilises the plant; the message names the mode.
+        DesignError: no law was found.
+
+    Example:
+        >>> from models.laws.law_structure import LawStructure
+        >>> from synth import GeneralizedPlant
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> found = fixed_order_design(oscillator, [[1, 0]], structure=LawStructure(1))
+        >>> found.law.states, f"{found.certificate.norm.value:.3f}"
+        (1, '0.105')
+    """
+    check_inputs(plant)
+    Cy, noise = measurement_matrices(plant, Cy, Dyw, through)
+    check_posed(plant)
+    n, m = plant.B.shape
+    if structure.order > n:
+        raise InputError(
+            f'order = {structure.order} is more than the {n} states of the plant; give at most {n}, or order = "full"'
+        )
+    felt = None if through is None or not np.any(through) else through
+    search = _Search(plant, Cy, noise if np.any(noise) else None, felt, lower_bound, stable, as_run)
+    search.check_stabilisable(structure, states)
+    best, origin = search.kept(structure, known) if known else search.designed(structure, states)
+    return FixedOrderDesign(best, search.certified(best), origin, _remark(structure, best, m))
+
+
+def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
+    if structure.kind:
+        return f"its gains: {gains_text(structure, law)}"
+    asked = structure.order * (m if structure.rows is not None else 1)
+    if law.states < asked:
+        return f"it has {law.states} states where it may have {asked}: with these it comes to what no controller beats"
+    return ""
+
+
+def gains_text(structure: LawStructure, law: LinearLaw) -> str:
+    """Returns the gains of a law of PI or PID as `pid` of a vehicle file has them, a table for each force."""
+    gain, texts = gains_on_filters(structure, law), []
+    filter = f", filter = {structure.filter:g}" if structure.kind == PID else ""
+    for each in gain:
+        named = ", ".join(f"{name} = {value:.6g}" for name, value in zip(GAINS, each, strict=False))
+        texts.append(f"pid = {{ {named}{filter} }}")
+    return ", ".join(texts)
+
+
+class _Search:
+    """The search for one plant."""
+
+    def __init__(
+        self,
+        plant: GeneralizedPlant,
+        Cy: Array,
+        Dyw: Array | None,
+        through: Array | None,
+        lower_bound: LowerBound | None,
+        stable: bool,
+        as_run: Callable[[LinearLaw], LinearLaw],
+    ) -> None:
+        self.plant, self.Cy, self.Dyw, self.through = plant, Cy, Dyw, through
+        self.below = lower_bound if lower_bound is not None else find_lower_bound(plant, Cy, Dyw=Dyw)
+        self.stable, self.as_run = stable, as_run
+        self.fastest, _ = speed(plant)
+        self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
+
+    def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
+        """Raises an InfeasibleError if a single mode keeps every law from stabilising, that of an integrator too."""
+        if reasons := "; ".join(stabilisability_failures(self.plant, self.Cy, states)):
+            raise InfeasibleError(reasons)
+        if structure.kind:
+            posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
+            if stabilisability_failures(posed.plant, posed.Cy):
+                raise InfeasibleError(
+                    f'structure = "{structure.kind}" has an integral that no force moves: its pole at 0 stays in the loop, as no '
+                    "constant force changes what is measured, and no norm is finite; measure a signal that a constant force "
+                    "changes, as a deflection, or leave the integral out"
+                )
+
+    def certified(self, law: LinearLaw) -> Certificate:
+        """Returns the certificate of a law."""
+        acting = law if self.through is None else law.fed_back(self.through)
+        return certify_tightly(*on_larger_plant(self.plant, self.Cy, acting, self.Dyw), self.below, by_itself=self.plant)
+
+    def designed(self, structure: LawStructure, states: Sequence[str]) -> Start:
+        """Returns the law at the lowest end, and the start that led there."""
+        if structure.kind:
+            return self.of_filters(structure, ())
+        if not structure.order:
+            return self.ended(structure, [], "")
+        reduced = self.full_laws(states, structure.order == len(self.plant.A))
+        one = replace(structure, order=0)
+        found: Start | None = None
+        with contextlib.suppress(DesignError, np.linalg.LinAlgError):
+            found = self.ended(one, [], "a static gain", whole=False, sought=FEW)
+        for order in range(1, structure.order + 1):
+            if found is not None and self.reaches(found[0]):
+                break
+            one = replace(structure, order=order)
+            starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
+            if found is not None:
+                starts += [(law, "a state appended to a law of fewer") for law in self.appended(one, found[0])]
+            with contextlib.suppress(DesignError, np.linalg.LinAlgError):
+                last = order == structure.order
+                found = self.ended(one, starts, "", whole=last, sought=MOST if last and found is None else 0)
+        if found is None:
+            raise DesignError(NO_LAW)
+        return found
+
+    def kept(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
+        """Returns the law at the lowest end of the descents from known laws."""
+        if structure.kind:
+            return self.of_filters(structure, known)
+        return self.ended(structure, [(law, "a known law") for law in known], "", whole=False, sought=0)
+
+    def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
+        """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.
+
+        Without that the integral's gain would often tend to zero: a norm at all frequencies does not ask for it.
+
+        Raises:
+            DesignError: no gain makes the loop stable.
+        """
+        posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
+        shape = posed.free.shape
+        problem = MultiObjectiveProblem(
+            members=(FamilyMember((MeasuredPlant(posed.plant, posed.Cy, posed.Dyw, posed.through),)),),
+            minimise=NormSpecification(),
+            tolerance=GainErrors(np.zeros(shape[1]), np.zeros(shape[0])),
+            structure=posed.free,
+        )
+        law, certificate = self.beyond_rounding(
+            posed.law(multi_objective_design(problem, [posed.gain(law) for law in known]).gain)
+        )
+        if certificate.failures:
+            raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+        return law, "many starts, as long as a growing gain is worth it; its loop keeps a tenth of the decay of its start"
+
+    def full_laws(self, states: Sequence[str], best: bool) -> list[LinearLaw]:
+        """Returns laws of full order, slow ones and faster ones that come nearer to the bound; none where forces act on readings.
+
+        Args:
+            best: True for the design of full order itself, too.
+        """
+        if self.through is not None:
+            return []
+        laws, where, gamma = list[LinearLaw](), mapped(self.plant, self.Cy, self.Dyw), LARGEST
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            riccati = RiccatiSearch(where.plant, where.Cy, where.Dyw, self.below.gamma)
+            for share in SHARES:
+                gamma = riccati.smallest(share, gamma)
+                if gamma < LARGEST:
+                    some = [riccati.traded(share, gamma * (1 + margin)) for margin in MARGINS]
+                    laws += [self.own(each.law, where) for each in some if each is not None]
+        if best:
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                given = self.plant, self.Cy, self.Dyw, self.below, states
+                laws.append(full_order_design(*given, stable=self.stable, as_run=self.as_run).law)
+        return laws
+
+    def own(self, law: LinearLaw, where: Mapped) -> LinearLaw:
+        """Returns the law of the plant whose image on a mapped plant is given."""
+        return law if self.plant.dt is None else discrete_law(law, where, self.plant.dt)
+
+    def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
+        """Returns laws of a structure from one of full order: reduced, for each force by itself where it has a law of its own."""
+        reduce = partial(reductions, self.plant, self.Cy, self.Dyw)
+        if structure.rows is None:
+            return [*reduce(full, structure.order)]
+        m, rows = len(full.D), np.array(structure.rows, dtype=float)
+        each = [
+            [
+                *reduce(
+                    replace(full.only(np.arange(m) == i), B=full.B * rows[i], D=full.D * np.outer(np.arange(m) == i, rows[i])),
+                    structure.order,
+                )
+            ]
+            for i in range(m)
+        ]
+        return [_beside(laws) for laws in zip(*each, strict=False)]
+
+    def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
+        """Returns laws of the same loop with further states, which read what is measured and do not act."""
+        (m, q), rows = law.D.shape, structure.rows
+        count = m if rows is not None else 1
+        generator, dt = np.random.default_rng(SEED), self.plant.dt
+        read = READS * self.fastest * generator.standard_normal((count, q)) / np.maximum(np.linalg.norm(self.Cy, axis=1), 1e-300)
+        read = read * (np.array(rows, dtype=float) if rows is not None else 1.0)
+        found = []
+        for part in POLES:
+            rate = part * self.fastest
+            pole, into = (-rate, read) if dt is None else (np.exp(-rate * dt), dt * read)
+            more = structure.order - law.states // count
+            A, B, C = [], [], []
+            for i in range(count):
+                own = slice(i * (law.states // count), (i + 1) * (law.states // count))
+                size = law.states // count
+                A.append(np.block([[law.A[own, own], np.zeros((size, more))], [np.zeros((more, size)), pole * np.eye(more)]]))
+                B.append(np.vstack([law.B[own], np.repeat(into[i : i + 1], more, axis=0)]))
+                C.append(np.hstack([law.C[:, own], np.zeros((m, more))]))
+            whole = np.zeros((count * structure.order,) * 2)
+            for i, block in enumerate(A):
+                at = slice(i * structure.order, (i + 1) * structure.order)
+                whole[at, at] = block
+            found.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
+        return found
+
+    def reaches(self, law: LinearLaw) -> bool:
+        """Returns True if a law is next to what no controller beats, by the search's own measure."""
+        posed = structured_gain(LawStructure(law.states), self.plant, self.Cy, self.Dyw, self.through)
+        search = self.of(posed, law.states, LIMITS[0])
+        x = search.landscape.point(posed.gain(law))
+        return search.reached(Candidate(x, search.landscape.norm(x)[0], ""))
+
+    def of(self, posed: StructuredGain, states: int, limit: float) -> GainSearch:
+        """The search for a static gain that is a law of so many states."""
+        found = GainSearch(
+            posed.plant,
+            posed.Cy,
+            1.0,
+            self.below.gamma,
+            posed.Dyw,
+            posed.through,
+            posed.free,
+            partial(LawUnits, states=states),
+            WITHIN,
+        )
+        found.limit = np.full(len(found.limit), limit)
+        return found
+
+    def ended(
+        self, structure: LawStructure, starts: Sequence[Start], origin: str, whole: bool = True, sought: int = MOST
+    ) -> Start:
+        """Returns the law at the lowest end, not too fast if may be.
+
+        Args:
+            starts: laws of this structure; where none of them is stable, others are sought.
+            origin: name of the start, where the search finds its own.
+            whole: True for a search to its end, False for heats alone.
+            sought: number of stabilising starts that are tried where no start is stable.
+
+        Raises:
+            DesignError: no start is stable.
+        """
+        posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
+        states = len(posed.plant.A) - len(self.plant.A) if posed.filters is None else 0
+        slowest: tuple[float, Start] | None = None
+        for limit in LIMITS:
+            search = self.of(posed, states, limit)
+            points = [(search.landscape.point(posed.gain(law)), name) for law, name in starts]
+            stable = sorted((each for point in points for each in search.admitted(*point)), key=lambda each: each.norm)
+            names = dict.fromkeys(name for _, name in starts)
+            candidates = [each for name in names for each in [one for one in stable if one.origin == name][:ENTERED]]
+            candidates = candidates or (search.starts(sought) if sought else [])
+            if not candidates:
+                continue
+            best = search.best(candidates) if whole else search.raced(candidates)
+            law = posed.law(search.landscape.gain(best.x))
+            if self.stable:
+                law = self.made_stable(posed, [law, *(posed.law(search.landscape.gain(each.x)) for each in candidates)])
+                if law is None:
+                    continue
+            law, certificate = self.beyond_rounding(law)
+            if certificate.failures:
+                continue
+            fast, end = certificate.speed_up, (law, origin or best.origin)
+            if fast <= self.most:
+                return end
+            slowest = min([slowest, (fast, end)] if slowest else [(fast, end)], key=lambda each: each[0])
+        if slowest is None:
+            raise DesignError(NO_LAW)
+        return slowest[1]
+
+    def beyond_rounding(self, law: LinearLaw) -> tuple[LinearLaw, Certificate]:
+        """Returns a law and its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""
+        certificate = self.certified(law)
+        for shift in SHIFTS * bool(law.states and np.any(certificate.stability.on_axis)):
+            rate, dt = shift * self.fastest, self.plant.dt
+            A = law.A - rate * np.eye(law.states) if dt is None else np.exp(-rate * dt) * law.A
+            moved = replace(law, A=A)
+            there = self.certified(moved)
+            if not there.failures and there.norm.value <= certificate.norm.value * (1 + WITHIN):
+                return moved, there
+        return law, certificate
+
+    def made_stable(self, posed: StructuredGain, laws: Sequence[LinearLaw]) -> LinearLaw | None:
+        """Returns the best law that is stable by itself, by descent from those of these that are; None if none is."""
+        fits = [law for law in laws if not self.as_run(law).growth]
+        if laws[0] in fits[:1]:
+            return laws[0]
+        ends = list[tuple[float, LinearLaw]]()
+        for law in fits[:2]:
+            ends.append((self.certified(law).norm.value, law))
+            with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                light = LIGHTLY * ends[-1][0] * self.fastest
+                given = posed.plant, posed.Cy, posed.Dyw, posed.gain(law), law.states, light, posed.free, posed.through
+                lower = posed.law(descend_stable(*given))
+                if not self.as_run(lower).growth:
+                    ends.append((self.certified(lower).norm.value, lower))
+        return min(ends, key=lambda each: each[0])[1] if ends else None
+
+
+def _beside(laws: Sequence[LinearLaw]) -> LinearLaw:
+    """The sum of laws, each with states of its own."""
+    from scipy import linalg
+
+    return LinearLaw(
+        np.asarray(linalg.block_diag(*(law.A for law in laws))),
+        np.vstack([law.B for law in laws]),
+        np.hstack([law.C for law in laws]),
+        np.sum([law.D for law in laws], axis=0),
+        laws[0].sample_period,
+    )

@@ -1,0 +1,99 @@
+"""Laws of fewer states that answer nearly as a law does: several reductions, of which a descent goes on from the best.
+
+- Balanced truncation (Moore 1981) of the law's stable part, whose unstable part is kept.
+- Truncation balanced within the closed loop: by what w makes of the law's states, and what z sees of these (Enns 1984, with the
+  loop as weights). It asks nothing of the law's own stability.
+- Both with the states that are left out at rest instead of zero (singular perturbation; Liu, Anderson 1989).
+
+None promises a stable loop: whoever takes one looks at its loop.
+"""
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.linear import LinearLaw
+from synth.design.full_order.riccati import parted
+from synth.plant.augmented import on_larger_plant
+from synth.plant.generalized import GeneralizedPlant
+
+
+def reductions(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
+    """Yields laws of k states, on y = C_y x + Dyw w, from one of at least as many; itself if it has no more.
+
+    Args:
+        law: continuous as the plant, or discrete.
+    """
+    if law.states <= k:
+        yield law
+        return
+    with contextlib.suppress(InputError, np.linalg.LinAlgError, ValueError):
+        larger, G = on_larger_plant(plant, Cy, law, Dyw)
+        loop, own = larger.closed_loop(G), slice(len(plant.A), None)
+        reached = _gramian(loop.A, loop.Bw, loop.dt)[own, own]
+        seen = _gramian(loop.A.T, loop.C.T, loop.dt)[own, own]
+        yield from _cut(law, reached, seen, k)
+    with contextlib.suppress(InputError, np.linalg.LinAlgError, ValueError):
+        slow = law.continuous()
+        growing, decaying = parted(slow, lambda real, imag: real >= 0)
+        left = k - growing.states
+        if left >= 0:
+            decaying = LinearLaw(decaying.A, decaying.B, decaying.C, np.zeros_like(law.D))
+            parts = (
+                _cut(decaying, _gramian(decaying.A, decaying.B, None), _gramian(decaying.A.T, decaying.C.T, None), left)
+                if left < decaying.states
+                else iter([decaying])
+            )
+            for part in parts:
+                whole = LinearLaw(
+                    np.asarray(linalg.block_diag(growing.A, part.A)),
+                    np.vstack([growing.B, part.B]),
+                    np.hstack([growing.C, part.C]),
+                    slow.D + part.D,
+                )
+                yield whole if law.sample_period is None else bilinear(whole, law.sample_period)
+
+
+def bilinear(law: LinearLaw, period: float) -> LinearLaw:
+    """Returns the discrete law whose `continuous` is this one (Tustin)."""
+    if not law.states:
+        return LinearLaw(law.A, law.B, law.C, law.D, period)
+    turned, root = np.linalg.inv(np.eye(law.states) - period / 2 * law.A), np.sqrt(period)
+    out = law.C @ turned
+    return LinearLaw(
+        turned @ (np.eye(law.states) + period / 2 * law.A),
+        root * turned @ law.B,
+        root * out,
+        law.D + period / 2 * out @ law.B,
+        period,
+    )
+
+
+def _gramian(A: Array, B: Array, dt: float | None) -> Array:
+    square = B @ B.T
+    found = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
+    return (found + found.T) / 2
+
+
+def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:
+    """The law without its states of small balanced Gramians, these at zero and at rest."""
+    roots = [directions * np.sqrt(np.maximum(sizes, 0.0)) for sizes, directions in map(np.linalg.eigh, (reached, seen))]
+    left, sizes, right = np.linalg.svd(roots[1].T @ roots[0])
+    kept = np.maximum(sizes, 1e-14 * sizes[0] if sizes[0] > 0 else 1.0)
+    into, out = (roots[1] @ left / np.sqrt(kept)).T, roots[0] @ right.T / np.sqrt(kept)
+    A, B, C = into @ law.A @ out, into @ law.B, law.C @ out
+    yield LinearLaw(A[:k, :k], B[:k], C[:, :k], law.D, law.sample_period)
+    rest = (0.0 if law.sample_period is None else 1.0) * np.eye(law.states - k) - A[k:, k:]
+    settled = np.linalg.solve(rest, np.hstack([A[k:, :k], B[k:]]))
+    states, inputs = settled[:, :k], settled[:, k:]
+    yield LinearLaw(
+        A[:k, :k] + A[:k, k:] @ states,
+        B[:k] + A[:k, k:] @ inputs,
+        C[:, :k] + C[:, k:] @ states,
+        law.D + C[:, k:] @ inputs,
+        law.sample_period,
+    )

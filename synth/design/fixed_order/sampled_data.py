@@ -1,0 +1,74 @@
+"""A law of a given order or structure for the loop that a computer closes: by descent on the discrete plants of falling levels.
+
+As in `full_order/sampled_data.py`, every level of the loop's L2 gain has a discrete plant, and the norm of the loop is exact.
+The first law is sought at a level near the lower bound. Further descents start from it, at the level that it has.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.common.printed import percent
+from models.laws.law_structure import LawStructure
+from models.laws.linear import LinearLaw
+from synth.analysis.lower_bound import SampledBound
+from synth.analysis.sampled_loop import SampledDataProblem
+from synth.analysis.sampled_norm import sampled_norm
+from synth.design.fixed_order.fixed_order import fixed_order_design, gains_text
+from synth.design.full_order.sampled_data import SampledFullOrderDesign, law_gain
+from synth.plant.numerics import DesignError, InfeasibleError, numerics
+
+NEAR = 1.1  # times the lower bound: the first level, where the plant of a level has a norm above one that says where to go
+WORTH = 1e-4  # relative; a descent that gains less is the last
+ROUNDS = 4  # levels, at most
+
+
+@numerics()
+def sampled_fixed_order(
+    problem: SampledDataProblem,
+    bound: SampledBound | None,
+    near: float,
+    states: Sequence[str],
+    stable: bool,
+    structure: LawStructure,
+) -> SampledFullOrderDesign:
+    """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
+
+    Args:
+        structure: of the law.
+
+    Raises:
+        InputError: the order is more than the plant's.
+        InfeasibleError: no such law stabilises the loop; the message names the mode.
+        DesignError: no law was found.
+    """
+    goal = bound.level if bound is not None else 0.0
+    level, law, norm, failure = NEAR * (goal or near), None, np.inf, None
+    names = (*states, *(f"force_{k + 1}_of_{problem.remembered}_before" for k in range(problem.remembered))) if states else ()
+    for _ in range(ROUNDS):
+        plant = problem.at(level)
+        if plant is None:
+            level *= NEAR
+            continue
+        try:
+            known: list[LinearLaw] = [] if law is None or structure.kind else [law]
+            found = fixed_order_design(
+                plant, problem.rows, problem.Dyw(level), structure, None, names, stable=stable, known=known
+            ).law
+            reached = sampled_norm(problem.loop(law_gain(found)), level).value
+        except InfeasibleError:
+            raise
+        except (DesignError, np.linalg.LinAlgError) as error:
+            failure, level = error, level * NEAR
+            continue
+        enough = reached > norm * (1 - WORTH)
+        if reached < norm:
+            law, norm = found, reached
+        if enough or not np.isfinite(reached):
+            break
+        level = norm
+    if law is None:
+        raise DesignError(str(failure) if failure else "no law was found whose sampled loop is stable")
+    said = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
+    said += [f"its gains: {gains_text(structure, law)}"] if structure.kind else []
+    return SampledFullOrderDesign(law, norm, "; ".join(said))
