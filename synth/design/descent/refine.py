@@ -5,13 +5,12 @@ of gamma, because the infimum lies at infinite gain. So the gain grows by stages
 gains less than a thousandth while the gain grows is undone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import NotNegative
 from models.common.errors import InputError
 from models.common.printed import percent
 from synth.analysis.norm import hinf_norm
@@ -59,14 +58,7 @@ class Refinement:
 
 
 @numerics()
-def refine(
-    plant: GeneralizedPlant,
-    Cy: Array,
-    K: Array,
-    Dyw: Array | None = None,
-    enough: NotNegative = 0.0,
-    fits: Callable[[Array], bool] = lambda gain: True,
-) -> Refinement:
+def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = None) -> Refinement:
     """Lowers the norm from a stabilising gain.
 
     Args:
@@ -74,8 +66,6 @@ def refine(
         Cy: shape (q, n).
         K: shape (m, q).
         Dyw: shape (q, r); zero if it is not given.
-        enough: a norm that is low enough to end.
-        fits: returns False for a gain that is of no use: the stage that leads to it is undone, and is the last.
 
     Raises:
         InputError: a matrix does not fit the plant.
@@ -108,16 +98,14 @@ def refine(
     # First without any growth, then twofold at a time.
     for stage in range(STAGES):
         allowed = size if stage == 0 else 2 * size
-        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS, enough)
-        if not fits(landscape.gain(moved)):
-            break
+        moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
         growth = float(np.abs(moved).max()) / size if size else 1.0
         bought = 1 - reached / norm
         if growth > 1 + 1e-6 and bought < WORTH:
             refused = (bought, growth) if bought > 1e-6 else None
             break
         x, norm, size = moved, reached, float(np.abs(moved).max())
-        if norm <= enough or (stage and growth <= 1 + 1e-6):
+        if stage and growth <= 1 + 1e-6:
             break
     # The landscape finds the way; which end is the lower their own loops say, and how low those of a discrete plant are.
     gain = landscape.gain(x)

@@ -23,7 +23,8 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
-from synth.design.descent.refine import refine
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges
 from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select
 from synth.design.full_order.stable import stable_laws
 from synth.design.static import LARGEST_GAIN, REACHED, static_output_feedback
@@ -67,6 +68,8 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
 
 BEYOND = 10.0  # times the gain that makes poles as fast as they may be
 SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
+STAGES, ROUNDS = 20, 60  # of the descent of a law
+FALLING = 3e-4  # relative; a stage that falls by less is the last
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
@@ -92,15 +95,22 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
     def point(gain: Array) -> TradeOffPoint | None:
         return search.judged(0.0, LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q]))
 
-    def fits(gain: Array) -> bool:
-        return (each := point(gain)) is not None and each.speed_up <= limit
-
-    with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        larger, G = on_larger_plant(own.plant, own.Cy, start.own)
-        noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))])
-        refined = point(refine(larger, G.Cy, G.K, noise, search.bound * (1 + REACHED), fits).gain)
-        return [refined] if refined is not None else []
-    return []
+    larger, G = on_larger_plant(own.plant, own.Cy, start.own)
+    landscape = Landscape(larger, G.Cy, np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))]))
+    x, enough = landscape.point(G.K), search.bound * (1 + REACHED)
+    norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
+    for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
+        most = float(np.abs(x).max()) * (2 if stage else 1)
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            x, reached = along_edges(landscape, x, np.full(len(x), most), ROUNDS, enough)
+            each = point(landscape.gain(x))
+            if each is not None and each.speed_up <= limit:
+                best = [each]
+                if enough < reached < norm * (1 - FALLING):
+                    norm = reached
+                    continue
+        break
+    return best
 
 
 def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
