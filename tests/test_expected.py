@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg, special
 
+from models.common.quadrature import sample_band
 from models.roads.iso8608 import Iso8608
 from models.roads.road import track_width
 from models.vehicle.limits_and_implementation import Limits
@@ -327,3 +328,17 @@ def test_a_spectrum_has_its_autocorrelation(centre, width):
     assert t[-1] + step == 32.0  # half of the period that bins of 1/64 Hz have
     # A bin's variance counts at its lower edge, half of 1/64 Hz off on average: a phase of pi t / 64.
     assert np.all(np.abs(rho - exact) <= 1e-9 + np.pi * t / 64 * np.exp(-((np.pi * width * t) ** 2)) + 1e-4)
+
+
+def test_rounding_is_not_resolved():
+    """An integrand that is rounding, as the roll of a car whose tracks are alike, takes no further panels."""
+    noise = np.random.default_rng(0)
+
+    def spectra(omega):
+        return np.stack([1 / (1 + omega**2), 1e-30 * noise.random(len(omega))], axis=1)
+
+    with_noise, alone = (
+        sample_band(each, lambda _, values: values, 0.1, 10.0, np.array([1j, -1j]) - 0.1, math.inf)
+        for each in (spectra, lambda omega: spectra(omega)[:, :1])
+    )
+    np.testing.assert_array_equal(with_noise.omega, alone.omega)

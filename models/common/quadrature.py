@@ -20,6 +20,7 @@ LAST = WEIGHTS * np.polynomial.legendre.legvander(NODES, ORDER - 1)[:, -2:].T  #
 ENOUGH = 1e-5  # allowed error estimate of a panel, relative to the integral
 HALVINGS = 20
 MOST_PANELS = 20_000  # 200 000 frequencies; if they do not suffice, the error estimate shows it
+NOTHING = 1e-24  # of the largest integral: a smaller one is rounding, as the roll of a car whose tracks are alike
 FINEST = 1e-12  # shortest panel, relative to its frequency
 
 
@@ -121,4 +122,5 @@ def _estimate(integrands: Array, width: Array) -> Array:
     by_panel = integrands.reshape(len(width), ORDER, -1)
     whole = np.einsum("k,pkc,p->c", WEIGHTS, by_panel, width)
     last = np.abs(np.einsum("lk,pkc,p->lpc", LAST, by_panel, width)).max(axis=0)
-    return np.divide(last, whole, out=np.zeros_like(last), where=whole > 0).max(axis=1, initial=0.0)
+    counts = whole > NOTHING * whole.max(initial=0.0)
+    return np.divide(last, whole, out=np.zeros_like(last), where=counts).max(axis=1, initial=0.0)

@@ -114,6 +114,13 @@ class Gain:
         """Returns `at` computed by the modes, to ALIKE; `at` itself if they give fewer digits."""
         return self.at(omega) if self._residues is None else self._by_modes(self._residues, omega)
 
+    def at_poles(self) -> float:
+        """Returns the largest gain at infinity, at the interval's edges and where poles are: at most the norm, and near it."""
+        upper = self.poles[np.imag(self.poles) >= 0]
+        omega = self.within(np.concatenate([self.edges, np.abs(upper), np.imag(upper)]))
+        gains = largest_singular_values(transfer_matrix(self.A, self.Bw, self.C, self.Dw, omega))
+        return max(float(gains.max()), self.at_infinity if self.high == np.inf else 0.0)
+
     def climb(self, omega: Array, width: Array) -> tuple[float, float]:
         """Returns the highest gain within some widths of some frequencies, and its frequency [rad/s]."""
         at = self._climbed(self.about, omega, width)

@@ -55,6 +55,35 @@ def identity(n: int) -> Array:
     return eye
 
 
+PRIME = 2**31 - 1  # products of two remainders fit into 64 bits
+
+
+def span_all(rows: Array, step: Array) -> bool:
+    """Returns True only if rows, rows step, rows step^2, ... span everything, as those of an observable plant do.
+
+    A rank modulo a prime is never above the true one, so True is a proof. False may also be a coincidence.
+
+    Args:
+        rows: integers, shape (d, n).
+        step: integers, shape (n, n).
+    """
+    n = len(step)
+    moved = (step % PRIME).astype(np.int64)
+    basis, pivots = np.zeros((0, n), dtype=np.int64), list[int]()
+    new = (rows % PRIME).astype(np.int64).reshape(-1, n)
+    while len(new) and len(pivots) < n:
+        known = len(pivots)
+        for row in new:
+            for one, j in zip(basis, pivots, strict=True):
+                row = (row - row[j] * one) % PRIME
+            if row.any():
+                j = int(np.flatnonzero(row)[0])
+                basis = np.vstack([basis, row * pow(int(row[j]), -1, PRIME) % PRIME])
+                pivots.append(j)
+        new = (basis[known:, :, None] * moved % PRIME).sum(axis=1) % PRIME
+    return len(pivots) == n
+
+
 class Nullspace:
     """The solutions Phi of K' Phi = 0, for a K of integers of shape (N, c): some rows of Phi follow from the others.
 

@@ -39,7 +39,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, without_factors, zeros
+from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, span_all, without_factors, zeros
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import nearest_power
 
@@ -189,6 +189,8 @@ def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
     A wrong decision here makes the bound weaker, but not false.
     """
     n = len(plant.A)
+    if span_all(states[n:], states[:n]):
+        return zeros(n, 0)
     silent = Nullspace(states[n:].T)
     V, _ = without_factors(silent.complete(identity(len(silent.free))))
     while V.shape[1]:

@@ -45,6 +45,8 @@ from synth.plant.units import size
 ENOUGH_SAMPLES = 4  # decades of size with a stable sample; then a few stabilising starts will do
 FEW, MANY, MOST = 2, 6, 18  # stabilising starts: with enough samples, with fewer, and where nothing else is found
 LARGE = 30  # states; with more a stabilising start takes minutes, and is for where a Riccati equation leads to none
+BEHIND = (1.1, 1.1, 1.03, 1.03, 1.03)  # times a rival's norm: what is above after a heat is polished and left
+AGAINST = 3  # candidates that start against a rival
 ENTERED = 8  # candidates whose descents begin at so many states; with more there are fewer, so that all cost the same
 SAME = 1e-4  # relative; two descents that end this close have found the same minimum
 REACHED = 1e-4  # relative; this close to what no controller beats, the search ends
@@ -100,6 +102,7 @@ def static_output_feedback(
     largest_gain: Bound = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
+    rival: float = np.inf,
 ) -> StaticDesign:
     """The best static gain that the search finds, no entry larger than `largest_gain`.
 
@@ -112,6 +115,7 @@ def static_output_feedback(
         lower_bound: what no controller of this kind can beat, if known: it ends the search early, and goes into the certificate.
         Dyw: shape (q, r), for y = C_y x + Dyw w; zero where it is not given. The two steps know no noise, and are where one
             descent starts.
+        rival: a norm that is reached otherwise; a gain that stays far above it is not followed further. Infinite without one.
 
     Raises:
         InputError: the plant has no state, or a matrix does not fit it.
@@ -133,7 +137,7 @@ def static_output_feedback(
         two_steps = two_step_design(plant, Cy[kept])
     except InputError as error:
         two_steps = str(error)
-    found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept])
+    found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept], rival)
     return replace(found, gain=on_all_rows(found.gain, kept, len(Cy)))
 
 
@@ -145,9 +149,10 @@ def descended(
     largest_gain: float = LARGEST_GAIN,
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
+    rival: float = np.inf,
 ) -> StaticDesign:
     """Designs a static gain by descents, given the result of the two steps or the reason of their failure."""
-    search = GainSearch(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw)
+    search = GainSearch(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw, rival=rival)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
@@ -186,6 +191,7 @@ class GainSearch:
         structure: Array | None = None,
         alike: Callable[[Landscape], Alike] = Symmetry,
         enough: float = REACHED,
+        rival: float = np.inf,
     ) -> None:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
@@ -193,8 +199,10 @@ class GainSearch:
         Dyw, through, structure: as for `Landscape`.
         alike: returns the gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
+        rival: as for `static_output_feedback`.
         """
         self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
+        self.rival = rival
         self.through = None if through is None or not np.any(through) else through
         self.landscape = Landscape(plant, Cy, Dyw, self.through, structure)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
@@ -205,7 +213,9 @@ class GainSearch:
         )
 
     def refined(self, two_steps: Design) -> list[Candidate]:
-        """The two steps, refined."""
+        """The two steps, refined where they are near the rival."""
+        if self.landscape.norm(self.landscape.point(two_steps.gain))[0] > self.rival * BEHIND[0]:
+            return self.admitted(self.landscape.point(two_steps.gain), "the two steps")
         try:
             gain = refine(self.plant, self.Cy, two_steps.gain, self.Dyw).gain
         except DesignError:  # stable by its proof, but for the landscape's rounding not
@@ -219,7 +229,8 @@ class GainSearch:
         candidates += [
             each for x in sampled for each in self.admitted(x, f"a sample of size {10 ** np.floor(np.log10(abs(x).max())):.0e}")
         ]
-        numbers = range(FEW if len(sampled) >= ENOUGH_SAMPLES else MANY)
+        alone = np.isinf(self.rival)
+        numbers = range(MANY if alone and len(sampled) < ENOUGH_SAMPLES else FEW)
         if len(self.plant.A) > LARGE:
             for x in projected_starts(self.landscape):
                 candidates += self.admitted(x, "a projected state feedback")
@@ -227,7 +238,7 @@ class GainSearch:
         while True:
             for x in stabilising_starts(self.landscape, self.limit, numbers):
                 candidates += self.admitted(x, "a stabilising start")
-            if candidates or numbers.stop >= most:
+            if candidates or numbers.stop >= most or not alone:
                 return candidates
             numbers = range(numbers.stop, most)
 
@@ -270,19 +281,23 @@ class GainSearch:
         if n > LARGE:
             candidates = sorted(candidates, key=lambda each: each.norm)[: max(1, int(ENTERED * (LARGE / n) ** 3))]
         heats = ((self.plain, 30, 8), (self.whitened, 40, 5), (self.edges, 30, 3), (self.whitened, 60, 2), (self.edges, 60, 1))
-        for descent, rounds, keep in heats:
+        if np.isfinite(self.rival):
+            candidates = sorted(candidates, key=lambda each: each.norm)[:AGAINST]
+        for (descent, rounds, keep), behind in zip(heats, BEHIND, strict=True):
             candidates = self.heat(candidates, descent, rounds, keep)
             if self.reached(candidates[0]):
                 break
+            if candidates[0].norm > self.rival * behind:
+                return self.step(candidates[0], self.edges, 60)
         return candidates[0]
 
     def best(self, candidates: list[Candidate]) -> Candidate:
         """The winner of all heats, and of the descents from its surroundings."""
         large, winner = len(self.plant.A) > LARGE, self.raced(candidates)
-        if self.reached(winner):
+        if self.reached(winner) or winner.norm > self.rival * BEHIND[-1]:
             return winner
         best, idle = self.followed(winner), 0
-        if large:
+        if large or best.norm > self.rival * BEHIND[-1]:
             return best
         enough = 1 if self.reached(best, CLOSE) else IDLE
         for number, factor in enumerate(SURROUNDINGS):

@@ -70,9 +70,8 @@ def find_lower_bound(
         Cy, Dyw = measurement_matrices(plant, Cy, Dyw)
     best = bound_beyond_control(plant) if beyond_control is None else beyond_control
     dual = transposed(plant, Cy, Dyw) if Cy is not None else None
-    other = SynthesisInequality.of(dual) if dual is not None else None
-    if other is not None and not len(other.J):
-        other = None  # y and its derivatives give all states, but at its zeros
+    observer = SynthesisInequality.of(dual) if dual is not None else None
+    other = observer if observer is not None and len(observer.J) else None  # else y and its derivatives give all states
     if dual is not None and Cy is not None:
         best = max(best, _unfelt(plant, dual, len(Cy), Dyw), key=_gamma)
     reached = bool(path) and best.gamma >= path[-1].gamma * (1 - ENOUGH)
@@ -81,7 +80,7 @@ def find_lower_bound(
     from synth.analysis.interpolation import zero_limit
 
     one = SynthesisInequality.of(plant)
-    gamma, zeros = zero_limit(plant, Cy, (one, other), Dyw)
+    gamma, zeros = zero_limit(plant, Cy, (one, observer), Dyw)
     if gamma > best.gamma:
         best = LowerBound(gamma, zeros=zeros)
     if not reached:

@@ -7,6 +7,7 @@ dependent signals are left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -80,11 +81,17 @@ class NormalisedPlant:
         n = len(plant.A)
         return cls(scaled, V[:, :n], V[:, n:], z * w, kept, len(Cy), units, rate, u * W, S)
 
-    def back(self, law: LinearLaw) -> LinearLaw:
-        """Returns a law for the given plant, on all q measurements; its states keep these units."""
+    @cached_property
+    def from_given(self) -> Array:
+        """The measurements of this plant from the given ones, shape (k, q)."""
         from_y = np.zeros((len(self.kept), self.q))
         # Row by row: pivots would depend on units.
         from_y[:, self.kept] = linalg.solve_triangular(self.rows, np.eye(len(self.rows)), lower=True)
+        return from_y
+
+    def back(self, law: LinearLaw) -> LinearLaw:
+        """Returns a law for the given plant, on all q measurements; its states keep these units."""
+        from_y = self.from_given
         inputs = self.units.inputs[:, None] * self.inputs
         return LinearLaw(self.rate * law.A, self.rate * law.B @ from_y, inputs @ law.C, inputs @ law.D @ from_y)
 

@@ -40,8 +40,11 @@ from synth.analysis.norm import hinf_norm
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.problem import generalized_plant
+from synth.design.full_order.full_order import full_order_design
 from synth.design.two_step import two_step_design
+from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.sdp import solve_lmi
+from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import cost
 from synth.vehicle.trade_off.axes import axes_of
@@ -210,6 +213,28 @@ def test_design_of_forty_states(benchmark):
     benchmark.pedantic(turn, rounds=1, iterations=1)
     print(f"\n{benchmark.name}: {spent[0]:.1f} s of processor time")
     assert spent[0] <= 10
+
+
+def spent_on(benchmark, turn, most: float) -> None:
+    """Asserts how much processor time one turn takes at most [s]."""
+    start = time.process_time()
+    benchmark.pedantic(turn, rounds=1, iterations=1)
+    spent = time.process_time() - start
+    print(f"\n{benchmark.name}: {spent:.1f} s of processor time")
+    assert spent <= most
+
+
+def test_full_order_of_a_double_integrator(benchmark):
+    """A full-order law for a double integrator whose position is measured, of a bound that none attains, takes at most 2 s."""
+    plant = GeneralizedPlant([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]], np.zeros((2, 1)))
+    spent_on(benchmark, lambda: full_order_design(plant, [[1, 0]]), 2)
+
+
+@pytest.mark.parametrize("states", [40, 60])
+def test_lower_bound_of_a_chain(benchmark, states):
+    """A lower bound of a chain of masses, of 40 states or of 60, takes at most 114 s."""
+    plant, Cy = chain(states)
+    spent_on(benchmark, lambda: find_lower_bound(plant, Cy), 114)
 
 
 @pytest.mark.goal

@@ -77,8 +77,8 @@ def quasi_newton(function: Function, x: Array, rounds: int, target: float = -np.
     return x, value
 
 
-def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
-    """Minimises the norm from a stable x, |x_i| <= limit_i, until a stage gains next to nothing.
+def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float = 0.0) -> tuple[Array, float]:
+    """Minimises the norm from a stable x, |x_i| <= limit_i, until it is small enough or a stage gains next to nothing.
 
     Every stage has coordinates of its own and forgets the curvature: what the last one learnt on other edges only makes the steps
     of this one short.
@@ -88,19 +88,21 @@ def along_edges(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tu
     """
     height, _ = landscape.norm(x)
     for done in range(0, rounds, STAGE):
-        x, reached = _stage(landscape, x, limit, min(STAGE, rounds - done))
-        if reached > height * (1 - WORTH_A_STAGE):
+        x, reached = _stage(landscape, x, limit, min(STAGE, rounds - done), enough)
+        if reached <= enough or reached > height * (1 - WORTH_A_STAGE):
             return x, reached
         height = reached
     return x, height
 
 
-def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int) -> tuple[Array, float]:
+def _stage(landscape: Landscape, x: Array, limit: Array, rounds: int, enough: float) -> tuple[Array, float]:
     """Rounds of one stage: until ten of them gain less than a hundred thousandth, or rounding leaves no model of the norm."""
     height, at = landscape.norm(x)
     with up_to_rounding():
         for each in _rounds(landscape, x, height, at, limit, rounds):
             x, height = each
+            if height <= enough:
+                break
     return x, height
 
 

@@ -22,11 +22,12 @@ from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
-from synth.analysis.stability import is_stable, stabilisability_failures
-from synth.design.descent.refine import refine
-from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, pareto_front, select
+from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
+from synth.design.descent.landscape import Landscape
+from synth.design.descent.minimax import along_edges
+from synth.design.full_order.riccati import SHARES, WITHIN, RiccatiSearch, TradeOffPoint, lowest, pareto_front, select
 from synth.design.full_order.stable import stable_laws
-from synth.design.static import LARGEST_GAIN, static_output_feedback
+from synth.design.static import LARGEST_GAIN, REACHED, static_output_feedback
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.augmented import on_larger_plant
 from synth.plant.discrete import Mapped, mapped
@@ -67,37 +68,70 @@ def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
 
 BEYOND = 10.0  # times the gain that makes poles as fast as they may be
 SHARES_OF_GAIN = np.geomspace(1.0, 1e-3, 150)[1:]  # 5 % apart
+STAGES, ROUNDS = 20, 60  # of the descent of a law
+FALLING = 3e-4  # relative; a stage that falls by less is the last
 MOST = 100  # numbers of a law with which a descent takes seconds
 
 
-def descents(search: RiccatiSearch, start: TradeOffPoint | None, fastest: float) -> list[TradeOffPoint]:
-    """Returns the results of descents: a static gain, and a law of the start's order; empty if the plant is too large.
+def numbers(search: RiccatiSearch) -> int:
+    """Returns how many numbers a law of full order has."""
+    n, m = search.own.plant.B.shape
+    return (n + m) * (n + len(search.own.Cy))
+
+
+def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
+    """Returns the result of a descent from a law among those of its order, which ends next to the bound; empty of none.
 
     Args:
         search: of the plant, whose own units are used.
-        start: the law to descend from, or None.
+        start: the law to descend from.
+        fastest: largest pole, times the plant's own speed, or times that of the start where it is faster.
+    """
+    if not start.own.states:
+        return []
+    own, m, q = search.own, search.own.plant.B.shape[1], len(search.own.Cy)
+    limit = max(fastest, start.speed_up)
+
+    def point(gain: Array) -> TradeOffPoint | None:
+        return search.judged(0.0, LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q]))
+
+    larger, G = on_larger_plant(own.plant, own.Cy, start.own)
+    landscape = Landscape(larger, G.Cy, np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))]))
+    x, enough = landscape.point(G.K), search.bound * (1 + REACHED)
+    norm, best = landscape.norm(x)[0], list[TradeOffPoint]()
+    for stage in range(STAGES if np.isfinite(norm) else 0):  # first without growth of the entries, then twofold at a time
+        most = float(np.abs(x).max()) * (2 if stage else 1)
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            x, reached = along_edges(landscape, x, np.full(len(x), most), ROUNDS, enough)
+            each = point(landscape.gain(x))
+            if each is not None and each.speed_up <= limit:
+                best = [each]
+                if enough < reached < norm * (1 - FALLING):
+                    norm = reached
+                    continue
+        break
+    return best
+
+
+def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[TradeOffPoint]:
+    """Returns a static gain, and the best share of it that is not too fast; empty if no gain stabilises.
+
+    Args:
+        search: of the plant, whose own units are used.
         fastest: largest pole, times the plant's own speed.
+        rival: norm that a law has, in the units given; a gain that stays far above it is not looked for to its last digit.
     """
     own, points = search.own, list[TradeOffPoint | None]()
-    n, (q, m) = len(own.plant.A), (len(own.Cy), own.plant.B.shape[1])
-    if (n + m) * (n + q) > MOST:
+    if static_feedback_obstructions(own.plant, own.Cy):
         return []
     # In own units a gain of one makes poles of size one, of a plant without feedthrough; so do gains that a fast loop needs.
     largest = max(LARGEST_GAIN, BEYOND * fastest * search.fastest / own.rate)
     with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw).gain
+        gain = static_output_feedback(own.plant, own.Cy, largest, LowerBound(search.bound), own.Dyw, rival * own.norm).gain
         points.append(search.judged(0.0, static_law(gain)))
         # Where that is too fast the best that is not lies before it, on the way from no control.
         fractions = (search.judged(0.0, static_law(share * gain)) for share in SHARES_OF_GAIN)
-        slower = [each for each in fractions if each is not None and each.speed_up <= fastest]
-        points.append(min(slower, key=lambda each: each.norm, default=None))
-    if start is not None and start.own.states:
-        with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            larger, G = on_larger_plant(own.plant, own.Cy, start.own)
-            noise = np.vstack([own.Dyw, np.zeros((start.own.states, own.Dyw.shape[1]))])
-            gain = refine(larger, G.Cy, G.K, noise).gain
-            law = LinearLaw(A=gain[m:, q:], B=gain[m:, :q], C=gain[:m, q:], D=gain[:m, :q])
-            points.append(search.judged(0.0, law))
+        points.append(lowest(each for each in fractions if each is not None and each.speed_up <= fastest))
     return [each for each in points if each is not None]
 
 
@@ -192,8 +226,13 @@ def full_order_design(
                 lost.append(error)
         trade = pareto_front(search.trade(fastest))
         best = select(trade, fastest)
-        if lost or best is None or best.norm > below.gamma * (1 + WITHIN):
-            trade = pareto_front([*trade, *descents(search, best, fastest)])
+        small, enough = numbers(search) <= MOST, below.gamma * (1 + WITHIN)
+        if small and best is not None and (lost or best.norm > enough):
+            trade = pareto_front([*trade, *refined_law(search, best, fastest)])
+            best = select(trade, fastest)
+        if small and (lost or best is None or best.norm > enough):
+            rival = best.norm if best is not None and best.speed_up <= fastest and not lost else np.inf
+            trade = pareto_front([*trade, *static_gains(search, fastest, rival)])
         left = trade
         while (best := select(left, fastest)) is not None:
             try:
@@ -216,9 +255,12 @@ def full_order_design(
     unconstrained = nearest()
     if not stable or not as_run(unconstrained.law).growth:
         return unconstrained
-    laws = pareto_front([each for each in (*stable_laws(search, fits, MOST), *descents(search, None, fastest)) if fits(each)])
-    numbers = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
-    undescended = f"; no descent: of a law of {numbers} numbers it would take too long, {MOST} are the most" * (numbers > MOST)
+    found = stable_laws(search, fits, MOST)
+    if numbers(search) <= MOST:
+        found += static_gains(search, fastest, min((each.norm for each in found), default=np.inf))
+    laws = pareto_front([each for each in found if fits(each)])
+    size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
+    undescended = f"; no descent: of a law of {size} numbers it would take too long, {MOST} are the most" * (size > MOST)
     while (best := select(laws, fastest)) is not None:
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             own = proved(best, laws)

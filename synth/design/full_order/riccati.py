@@ -30,20 +30,22 @@ each law that is too fast, one without its fast poles is tried, too.
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from synth.analysis.certificate import FASTEST
-from synth.analysis.norm import level_set_norm
-from synth.analysis.stability import beside_weights, is_stable, stability
-from synth.plant.augmented import on_larger_plant
+from synth.analysis.norm import Gain, level_set_norm
+from synth.analysis.stability import beside_weights, is_stable
+from synth.plant.augmented import closed_by, on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import InfeasibleError
@@ -100,8 +102,7 @@ def _last(D: Array) -> tuple[Array, Array]:
 def _stabilising(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, Array]:
     """X >= 0 of A'X + X A - (X B + C'D) R^-1 (..)' + C'C = 0 with A + B F stable, and F = -R^-1 (B'X + D'C)."""
     try:
-        X = linalg.solve_continuous_are(A, B, C.T @ C, R, s=C.T @ D)
-        X = (X + X.T) / 2
+        X = _invariant(A, B, C.T @ C, R, C.T @ D)
         F = -np.linalg.solve(R, B.T @ X + D.T @ C)
         stable = np.linalg.eigvals(A + B @ F).real.max(initial=-1.0) < 0
         sizes = np.linalg.eigvalsh(X)
@@ -112,6 +113,38 @@ def _stabilising(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Arra
     if not (stable and left <= RESIDUAL * max(map(np.linalg.norm, terms)) and sizes[0] >= -NEGATIVE * sizes[-1]):
         raise InfeasibleError("a Riccati equation has no stabilising solution that is positive semidefinite")
     return X, F
+
+
+def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
+    """Returns X = X' whose graph [I; X] the stable directions of the Riccati equation's pencil span.
+
+    As `scipy.linalg.solve_continuous_are` (Arnold, Laub 1984, with a balanced pencil), without its checks, which take most of the
+    time of small equations: a caller believes no solution anyway.
+
+    Raises:
+        LinAlgError: the stable directions are fewer or more than the states, or no graph.
+    """
+    n, m = B.shape
+    H, J = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n))
+    H[:n, :n], H[:n, 2 * n :] = A, B
+    H[n : 2 * n, :n], H[n : 2 * n, n : 2 * n], H[n : 2 * n, 2 * n :] = -Q, -A.T, -S
+    H[2 * n :, :n], H[2 * n :, n : 2 * n], H[2 * n :, 2 * n :] = S.T, B.T, R
+    J[np.arange(2 * n), np.arange(2 * n)] = 1
+    sizes = np.abs(H)
+    np.fill_diagonal(sizes, 0.0)
+    powers = np.log2(lapack.dgebal(sizes, scale=1, permute=0)[3])
+    half = np.round((powers[n : 2 * n] - powers[:n]) / 2)
+    scale = np.exp2(np.concatenate([half, -half, powers[2 * n :]]))
+    H = scale[:, None] * H / scale
+    basis, _ = np.linalg.qr(H[:, 2 * n :], mode="complete")
+    left = basis[:, m:].T
+    _, _, count, _, _, _, _, Z, _, info = lapack.dgges(
+        lambda real, _, over: bool(real * over < 0), left @ H[:, : 2 * n], left @ J, jobvsl=0, sort_t=1
+    )
+    if info not in (0, 2 * n + 2) or count != n:
+        raise np.linalg.LinAlgError(f"{count} of {2 * n} directions are stable")
+    X = np.linalg.solve(Z[:n, :n].T, Z[n:, :n].T) * scale[:n, None] * scale[:n]
+    return (X + X.T) / 2
 
 
 def _size(matrix: Array) -> float:
@@ -192,6 +225,7 @@ SAME = 1e-6  # relative; what a norm may rise by where states are left out of a 
 CLOSE = 1e-4  # relative; how closely that gamma is found
 GRAIN = 2.0**-14  # of an exponent of two
 PARTS = (1.0, 0.1)  # of the fastest that is allowed: poles of a law beyond it are left out
+ROUNDED = 1e-8  # relative; what rounding may take from a gain at one frequency
 SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
 
 
@@ -203,17 +237,33 @@ class TradeOffPoint:
         share: of noise and cost that it was designed with; zero where it was found by descent.
         law: in the units given.
         own: the same in the plant's own units.
-        norm: of its loop, by one route.
+        search: that it is a result of.
+        least: what the norm is at least: the gain where poles are. It costs a tenth of the norm, and rules most points out.
         speed_up: of the loop's fastest pole, over the plant's speed without control.
-        stable: whether the law is, by itself.
     """
 
     share: float
     law: LinearLaw
     own: LinearLaw
-    norm: float
+    search: "RiccatiSearch"
+    least: float
     speed_up: float
-    stable: bool
+
+    @cached_property
+    def stable(self) -> bool:
+        """True if the law is, by itself."""
+        return is_stable(self.own.A)
+
+    @cached_property
+    def norm(self) -> float:
+        """Norm of its loop in the units given, by one route."""
+        own = self.search.own
+        larger, G = on_larger_plant(own.plant, own.Cy, self.own, own.Dyw)
+        return level_set_norm(larger.closed_loop(G))[0] / own.norm
+
+    def within(self, most: float) -> bool:
+        """Returns True if the norm is at most this."""
+        return self.least <= most and self.norm <= most
 
     @property
     def trouble(self) -> tuple[bool, float]:
@@ -223,9 +273,24 @@ class TradeOffPoint:
 
 def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
     """The controllers that no other beats in norm and speed, the slowest first."""
-    points = sorted(points, key=lambda each: (each.speed_up, each.norm))
-    norms = np.minimum.accumulate([np.inf, *(each.norm for each in points)])
-    return [each for each, least in zip(points, norms, strict=False) if each.norm < least]
+    front = list[TradeOffPoint]()
+    for each in sorted(points, key=lambda each: each.speed_up):
+        if front and not (each.least < front[-1].norm and each.norm < front[-1].norm):
+            continue
+        if front and front[-1].speed_up == each.speed_up:
+            front.pop()
+        front.append(each)
+    return front
+
+
+def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
+    """The one of the smallest norm; None of none."""
+    best = None
+    for each in sorted(points, key=lambda each: each.least):
+        if best is not None and each.least >= best.norm:
+            break
+        best = each if best is None or each.norm < best.norm else best
+    return best
 
 
 def select(trade: Sequence[TradeOffPoint], fastest: float) -> TradeOffPoint | None:
@@ -258,24 +323,22 @@ class RiccatiSearch:
         target = _coarse(self.bound * (1 + WITHIN))
         if target < SMALLEST:
             return None
-        points = list[TradeOffPoint]()
-        first = next((share for share in SHARES if self.reaches(target, share, target, points)), None)
-        if first is not None:
-            for reach, part in product(REACHES, AROUND):
-                self.reaches(target, first * part, target * (1 + reach), points)
-        slow = [each for each in points if each.speed_up <= fastest]
-        if not slow:
-            tried = self.slower(points, fastest)
-            slow = [each for each in tried if each.norm * self.own.norm <= target and each.speed_up <= fastest]
-        return min(slow, key=lambda each: each.trouble, default=None)
+        most = target / self.own.norm
+        shares = (each for share in SHARES if (each := self.traded(share, target)) is not None and each.within(most))
+        first = next(shares, None)
+        if first is None:
+            return None
+        around = (self.traded(first.share * part, target * (1 + reach)) for reach, part in product(REACHES, AROUND))
+        points = [first, *(each for each in around if each is not None and each.least <= most)]
 
-    def reaches(self, target: float, share: float, gamma: float, points: list[TradeOffPoint]) -> bool:
-        """Appends the controller of a share for some gamma to `points` and returns True if its norm is at most the target."""
-        each = self.traded(share, gamma)
-        if each is None or each.norm * self.own.norm > target:
-            return False
-        points.append(each)
-        return True
+        def least_trouble(points: Sequence[TradeOffPoint]) -> TradeOffPoint | None:
+            slow = sorted((each for each in points if each.speed_up <= fastest), key=lambda each: each.trouble)
+            return next((each for each in slow if each.within(most)), None)
+
+        found = least_trouble(points)
+        if found is None:
+            found = least_trouble(self.slower([each for each in points if each.within(most)], fastest))
+        return found
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
         """Controllers of all shares and of some gamma, and without their poles beyond the fastest where they have such."""
@@ -323,21 +386,20 @@ class RiccatiSearch:
             InputError: an entry is too large for a law in the units given.
         """
         own, back = self.own, self.own.back(law)
-        larger, G = on_larger_plant(own.plant, own.Cy, law, own.Dyw)
-        loop = larger.closed_loop(G)
-        loop_stability = stability(loop.A)
-        if not loop_stability.stable:
+        system = closed_by(own.plant, own.Cy, law, own.Dyw)
+        loop = Gain(system)
+        if not loop.stable:
             return None
-        poles = np.linalg.eigvals(beside_weights(self.given, loop.A)) if self.given.weights else loop_stability.poles
+        poles = np.linalg.eigvals(beside_weights(self.given, system.A)) if self.given.weights else loop.poles
         speed_up = own.rate * float(np.abs(poles).max()) / self.fastest
-        return TradeOffPoint(share, back, law, level_set_norm(loop)[0] / own.norm, speed_up, is_stable(law.A))
+        return TradeOffPoint(share, back, law, self, loop.at_poles() * (1 - ROUNDED) / own.norm, speed_up)
 
     def reduced(self, best: TradeOffPoint) -> TradeOffPoint:
         """A controller without states that do next to nothing, if its norm stays as it is and it is no more trouble."""
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             law = reduced_law(best.own, FASTEST * self.fastest / self.own.rate)
             less = self.judged(best.share, law) if law.states < best.own.states else None
-            if less is not None and less.norm <= best.norm * (1 + SAME) and less.stable >= best.stable:
+            if less is not None and less.stable >= best.stable and less.within(best.norm * (1 + SAME)):
                 return less
         return best
 

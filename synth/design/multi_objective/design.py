@@ -75,6 +75,7 @@ def multi_objective_design(
     starts: Iterable[Array],
     on_progress: Told = lambda goal, within: None,
     otherwise: Callable[[], Iterable[Array]] = lambda: (),
+    roughly: bool = False,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
@@ -83,6 +84,7 @@ def multi_objective_design(
         starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
         on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
+        roughly: True for a goal that may be a thousandth above its minimum, in half the time.
 
     Raises:
         InputError: a decay is required for a discrete plant.
@@ -107,7 +109,7 @@ def multi_objective_design(
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
-    search = MinimaxSearch(problem, on_progress)
+    search = MinimaxSearch(problem, on_progress, roughly)
     try:
         x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:

@@ -22,7 +22,7 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem, decay, objectives_of
-from synth.design.multi_objective.sqp import KEPT, Evaluation, MinimaxProblem, descend
+from synth.design.multi_objective.sqp import FLAT, KEPT, Evaluation, MinimaxProblem, descend
 from synth.design.multi_objective.worst_case import WorstCaseErrors
 from synth.plant.numerics import DesignError
 
@@ -60,6 +60,7 @@ STAGES = 20  # twofold growths of the gain
 WORTH = 1e-3  # relative decrease of the goal that justifies a larger gain
 TURNS = 12  # limit of descents, each with more active errors
 MET = 1e-6  # relative: errors with a smaller effect are ignored
+ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative: what a descent still gains where it ends, while errors violate it, and at last
 SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
 UNSTABLE = (
     "no static gain was found that makes every loop of the goals stable; ask for less: a smaller tolerance, fewer vehicles, or "
@@ -73,8 +74,8 @@ Told = Callable[[float, bool], None]  # called with the goal, and True if all bo
 class MinimaxSearch:
     """The search for one problem."""
 
-    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
-        self.problem, self.full = problem, problem.nominal()
+    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told, roughly: bool = False) -> None:
+        self.problem, self.full, self.roughly = problem, problem.nominal(), roughly
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
         self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
@@ -84,19 +85,30 @@ class MinimaxSearch:
         self.free = np.flatnonzero(problem.structure.ravel())
         self.active_errors = problem.corners(MOST_VERTICES)
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
+        self.settled = ROUGHLY if problem.has_errors or roughly else CLOSELY
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
         """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
         x, evaluation = self.best(starts, otherwise)
-        refused = None
-        for _ in range(TURNS):
+        refused, rough = None, self.settled == ROUGHLY
+        for turn in range(TURNS):
+            if turn == TURNS // 2:
+                self.settled = CLOSELY
             if not evaluation.within:
                 x, evaluation = self.restore_feasibility(x)
-            x, evaluation, refused = self.staged_descent(x, evaluation)
+            if rough and self.settled == CLOSELY and self.problem.gain is None:
+                # How large a gain is worth it the rough descents have told.
+                self.minimax.limit = np.full(len(x), float(np.abs(x).max()) or 1.0)
+                x, evaluation = self.converge(x, evaluation)
+            else:
+                x, evaluation, refused = self.staged_descent(x, evaluation)
             if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
                 x, evaluation = self.incumbent
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
-                break
+                if self.roughly or self.settled == CLOSELY:
+                    break
+                self.settled = CLOSELY  # no further error violates it: now to its last digits
+                continue
             self.incumbent = None  # of fewer errors
             x, evaluation = self.nearest_stable_point(x)
         if not evaluation.within:
@@ -255,7 +267,7 @@ class MinimaxSearch:
 
     def down(self, x: Array, rounds: int) -> tuple[Array, Evaluation]:
         """Performs a descent and returns its result."""
-        return descend(self.minimax, x, self.coordinates(x), rounds, self.moved)
+        return descend(self.minimax, x, self.coordinates(x), rounds, self.moved, flat=FLAT * self.settled / CLOSELY)
 
     def staged_descent(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation, float | None]:
         """Descends to the end: at once if the gain is bounded, else by stages of growth, as long as each pays for itself."""
@@ -280,7 +292,7 @@ class MinimaxSearch:
         """Repeats descents, each in coordinates of its own, until one brings nothing."""
         for _ in range(4):
             moved, there = self.down(x, ROUNDS)
-            if not self.rank(there) < self.rank(evaluation) * (1 - 1e-6):
+            if not self.rank(there) < self.rank(evaluation) * (1 - self.settled):
                 return (moved, there) if self.rank(there) < self.rank(evaluation) else (x, evaluation)
             x, evaluation = moved, there
         return x, evaluation

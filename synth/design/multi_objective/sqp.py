@@ -147,6 +147,7 @@ def descend(
     on_progress: Callable[[Array, Evaluation], None] = lambda x, evaluation: None,
     enough: float = 0.0,
     settled: float = -np.inf,
+    flat: float = FLAT,
 ) -> tuple[Array, Evaluation]:
     """Descends from a point at which all loops are stable, within the bounds if the start is or a way there is found.
 
@@ -156,8 +157,9 @@ def descend(
         on_progress: called with every new point.
         enough: value of the goal at which the descent ends.
         settled: promised relative decrease below which the descent ends at once, not after another refinement of the model.
+        flat: relative decrease over `OVER` rounds that counts as none.
     """
-    walk = _Walk(minimax, x, M, settled)
+    walk = _Walk(minimax, x, M, settled, flat)
     with up_to_rounding():  # for a loop on the border of stability
         for _ in range(rounds):
             if walk.evaluation.goal <= enough or not walk.step():
@@ -169,8 +171,8 @@ def descend(
 class _Walk:
     """The state of one descent."""
 
-    def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float) -> None:
-        self.minimax, self.x, self.M, self.settled = minimax, x, M, settled
+    def __init__(self, minimax: MinimaxProblem, x: Array, M: Array, settled: float, flat: float) -> None:
+        self.minimax, self.x, self.M, self.settled, self.flat = minimax, x, M, settled, flat
         self.evaluation = minimax.evaluate(x)
         if np.isfinite(self.evaluation.goal) and self.evaluation.goal > 0:  # a unit of t has the size of a step
             (_, s), (_, w) = self.linear(minimax.model(x, self.evaluation, 1e-3))
@@ -212,7 +214,7 @@ class _Walk:
         minimax, x, M = self.minimax, self.x, self.M
         if self.failures > 8 or self.evaluation.goal <= 1e-300:
             return False
-        if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < FLAT * self.recent[-1]:
+        if len(self.recent) > OVER and self.recent[-1 - OVER] - self.recent[-1] < self.flat * self.recent[-1]:
             return False
         fresh = minimax.model(x, self.evaluation, self.depth)
         old = minimax.reevaluate(x, self.kept)
