@@ -37,7 +37,6 @@ from itertools import product
 
 import numpy as np
 from scipy import linalg
-from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from models.common.errors import InputError
@@ -124,6 +123,7 @@ def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     Raises:
         LinAlgError: the stable directions are fewer or more than the states, or no graph.
     """
+    gebal, gges = linalg.get_lapack_funcs(("gebal", "gges"))  # in double, without arrays
     n, m = B.shape
     H, J = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n))
     H[:n, :n], H[:n, 2 * n :] = A, B
@@ -132,13 +132,13 @@ def _invariant(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
     J[np.arange(2 * n), np.arange(2 * n)] = 1
     sizes = np.abs(H)
     np.fill_diagonal(sizes, 0.0)
-    powers = np.log2(lapack.dgebal(sizes, scale=1, permute=0)[3])
+    powers = np.log2(gebal(sizes, scale=1, permute=0)[3])
     half = np.round((powers[n : 2 * n] - powers[:n]) / 2)
     scale = np.exp2(np.concatenate([half, -half, powers[2 * n :]]))
     H = scale[:, None] * H / scale
     basis, _ = np.linalg.qr(H[:, 2 * n :], mode="complete")
     left = basis[:, m:].T
-    _, _, count, _, _, _, _, Z, _, info = lapack.dgges(
+    _, _, count, _, _, _, _, Z, _, info = gges(
         lambda real, _, over: bool(real * over < 0), left @ H[:, : 2 * n], left @ J, jobvsl=0, sort_t=1
     )
     if info not in (0, 2 * n + 2) or count != n:
