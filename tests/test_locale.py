@@ -66,7 +66,7 @@ def test_cyrillic(tmp_path, locale):
     options = ("--vehicle", "Ы.toml", "--controller", "Жук", "--duration", "0.1", "--logs", "журнал")
     ran = run(tmp_path, locale, "sim.bump", *options)
     assert ran.returncode == 0, ran.stderr.decode()
-    assert "controller Жук: measures" in ran.stdout.decode()
+    assert "Жук: norm" in ran.stdout.decode()
     assert [path.name for path in (tmp_path / "журнал").glob("*Жук*.mcap")]
     ran = run(tmp_path, locale, "synth", "--vehicle", "Ы.toml", "--controller", "Щ")
     assert ran.returncode == 2
@@ -80,7 +80,7 @@ def test_what_the_terminal_lacks(tmp_path, locale):
     ran = run(tmp_path, locale, "sim.bump", "--vehicle", "car.toml", "--controller", "all", "--duration", "0.1", "--logs", "logs")
     assert ran.returncode == 0, ran.stderr.decode()
     utf8 = locale == {"LC_ALL": "C"}  # coerced by Python itself
-    assert ("controller Жук:".encode() if utf8 else rb"controller \u0416\u0443\u043a:") in ran.stdout
+    assert ("Жук: norm".encode() if utf8 else rb"\u0416\u0443\u043a: norm") in ran.stdout
     assert [path.name for path in (tmp_path / "logs").glob("*.mcap")]
 
 
