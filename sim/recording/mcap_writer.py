@@ -382,7 +382,7 @@ def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
         run = replace(run, scene=run.scene.finite())
         times = _nanoseconds(run.scene.time)
         happened = _nanoseconds(np.array([time for time, _ in run.events]))
-        colour = rgb(colours[run.name][0])
+        colour = rgb(colours[run.name].color)
         for name, kind, when, messages in (
             ("events", scene.Log, happened, partial(scene.events, run, happened)),
             ("transforms", scene.FrameTransforms, times, partial(scene.transforms, run, times, stand)),

@@ -56,7 +56,7 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
 
 def colours(runs: Sequence[RunLog]) -> list[str]:
     """Returns the report's colour of each run."""
-    return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
+    return [style.color for style in styles(tuple(run.name for run in runs)).values()]
 
 
 def line(label: str, color: str, width: float) -> rr.SeriesLines:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Curve, Figure, Marker, Panel, Shades
+from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.bisection import Bisection
@@ -21,12 +21,13 @@ from synth.design.uncertainty.fragility import whose, worst_error_found
 
 POINTS = 30  # of a predicted curve
 AMOUNTS = 16  # of errors at which the worst norm is looked for
+RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
-MET, PROVED = "#9467bd", "#2ca02c"
+MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
-    (False, "#1f77b4", "o", "MuJoCo decays"),
-    (True, "#d62728", "x", "MuJoCo grows"),
+    (False, BLUE, "o", "MuJoCo decays"),
+    (True, VERMILLION, "x", "MuJoCo grows"),
 )
 
 
@@ -77,7 +78,9 @@ def margins_figure(
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
     title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
-    return Figure("margins", title, tuple(panels))
+    delay, period = (f"{1e3 * value:.3g}" if math.isfinite(value) else "any" for value in edges[1:])
+    finding = f"{controller.name} bears {delay} ms of delay, or a sample period of {period} ms, before its loop is unstable."
+    return Figure("margins", title, tuple(panels), finding=finding)
 
 
 def _search_panel(title: str, label: str, search: Bisection, growth: Callable[[float], float], scale: float) -> Panel:
@@ -115,7 +118,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
         )
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
-        curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
+        curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
     numbers = [
         f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
     ]
