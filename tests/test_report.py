@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.figures.figure import Bars, Classes, Curve, Figure, Panel, Shades, level, styles
+from models.figures.figure import STYLES, Bars, Classes, Curve, Figure, Panel, Shades, level, styles
 from models.roads.iso8608 import Iso8608
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.report import ride as report_ride
@@ -237,7 +237,10 @@ def test_styles_tell_controllers_apart():
     assert found["I"].dash == "dashdot"
     assert len(set(found.values())) == 4
     many = styles(tuple(f"mine-{k}" for k in range(30)))
-    assert len({(style.dash, style.marker) for style in many.values()}) == 30
+    assert len(set(many.values())) == 30
+    assert len({(style.dash, style.marker) for style in [*many.values()][:20]}) == 20
+    lines = [(style.color, style.dash) for style in styles((*STYLES, *many)).values()]
+    assert len(set(lines)) == len(lines)
 
 
 def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):

@@ -49,8 +49,12 @@ def styles(names: tuple[str, ...]) -> dict[str, Style]:
         names: all controllers, in order, so that a controller's style is the same in every figure.
     """
     rest = [name for name in names if name not in STYLES]
-    free = [Style(OTHERS[k % len(OTHERS)], DASHES[k % len(DASHES)], POINTS[k % len(POINTS)]) for k in range(len(rest))]
-    return {name: STYLES.get(name) or free[rest.index(name)] for name in names}
+    taken = {(style.color, style.dash) for style in STYLES.values()}
+    every = (
+        Style(OTHERS[k % len(OTHERS)], DASHES[k % len(DASHES)], POINTS[k % len(POINTS)]) for k in range(len(OTHERS) * len(DASHES))
+    )
+    free = [style for style in every if (style.color, style.dash) not in taken]
+    return {name: STYLES.get(name) or free[rest.index(name) % len(free)] for name in names}
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -79,12 +79,18 @@ def _drawn(figure: Figure) -> Any:
     names = [one.label if len(one.label) <= LONGEST or " " in one.label else f"{one.label[: LONGEST - 1]}…" for one in entries]
     room = width * figure.columns - 0.2
     note = _broken(figure.title, room, NOTE) if figure.finding else ""
-    if note:
-        canvas.supxlabel(note, fontsize=NOTE, color="0.35", x=0.01, ha="left")
-        canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
+    canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
+    columns = max(columns, 1) if note else columns
     while columns:  # as many as fit
         drawn = canvas.legend(
-            [_key(one) for one in entries], names, loc="outside upper center", ncols=columns, fontsize=WORDS, frameon=False
+            [_key(one) for one in entries],
+            names,
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=WORDS,
+            frameon=False,
+            title=note or None,
+            title_fontproperties={"size": NOTE},
         )
         if columns == 1 or drawn.get_window_extent().width <= room * canvas.dpi:
             canvas.set_figheight(canvas.get_figheight() + 0.18 * (-(-len(names) // columns) - 1))

@@ -8,6 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from models.common.arrays import Array
+from models.figures.axis import Axis
 from models.figures.figure import rgb, styles, tint
 from sim.recording.run_log import DAMPERS, LOADS, PALETTE, RESPONSES, RunLog, groups, plotted, shown
 from sim.recording.scene import (
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram over the largest value
+TICKS = 5  # of a diagram's axis, about
 ANY_RESPONSE = (0.3, 2.0)
 READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
@@ -126,8 +128,11 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
     grid, ends = np.linspace(-far, far, 401), np.array([-1.0, 1.0])
     axes = [place(far * ends, 0 * ends), place(0 * ends, high * ends)]
     recording.log(f"{path}/axes", rr.LineStrips2D(axes, colors=[(110, 110, 110)], radii=rr.Radius.ui_points(0.7)), static=True)
-    texts = [f"{far / ROOM:.4g} {one.argument.unit}", f"{high / ROOM:.4g} {one.pull.unit}"]
-    points = [(far / ROOM, 0.0), (0.0, high / ROOM)]
+    texts, points = list[str](), list[tuple[float, float]]()
+    for k, (end, unit) in enumerate(((far, one.argument.unit), (high, one.pull.unit))):
+        for tick, text in Axis(-end / ROOM, end / ROOM).ticks(TICKS):
+            texts.append(f"{text} {unit}")
+            points.append((tick, 0.0) if k == 0 else (0.0, tick))
     for each in one.lines:
         height = each.force(grid)
         seen = np.abs(height) <= high

@@ -49,8 +49,8 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         ylog=True,
         xlim=(low, high),
     )
-    least = min(curves, key=lambda one: float(np.max(one.y)))
-    finding = f"{least.label} has the lowest peak: {float(np.max(least.y)):.4g}." if len(stable) > 1 and least.label else ""
+    least = min((one for one in curves if one.label), key=lambda one: float(np.max(one.y)))
+    finding = f"{least.label} has the lowest peak: {float(np.max(least.y)):.4g}." if len(stable) > 1 else ""
     return Figure("responses", title, (panel,), 1, (7.0, 4.5), finding)
 
 

@@ -57,7 +57,8 @@ def sweep_figure(
                 continue  # no control force, or no roll on a road that is the same on both sides
             curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])
-            at = one.omega[::EVERY] / (2 * np.pi), points[::EVERY], name
+            some = np.union1d(np.arange(0, len(points), EVERY), [points.argmax(), points.argmin()])
+            at = one.omega[some] / (2 * np.pi), points[some], name
             curves[signal].append(Curve(*at, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
     for one in own:
         name = one.controller.name
@@ -95,24 +96,23 @@ def sweep_figure(
         f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Markers: MuJoCo "
         f"at {1e3 * timestep:g} ms, identified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"
     )
+    body = next((name for name in signals if name.endswith("acceleration")), signals[0])
     columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
-    return Figure("sweep", title, tuple(panels), columns, finding=_lowest_peak(sweeps))
+    return Figure(
+        "sweep", title, tuple(panels), columns, finding=_lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)
+    )
 
 
-def _lowest_peak(lines: Sequence[Lines]) -> str:
-    """Returns a sentence on the controller whose body resonates least, or an empty one without a choice."""
-    peaks: dict[str, tuple[float, float]] = {}
-    for one in lines:
-        k = next((k for k, name in enumerate(one.outputs) if name.endswith("acceleration")), 0)
-        measured = np.abs(one.measured[:, k])
-        peaks[one.controller.name] = float(measured.max()), float(one.omega[measured.argmax()] / (2 * np.pi))
+def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
+    """Returns a sentence on the controller with the lowest peak of a signal, by its line, or an empty one without a choice."""
+    peaks = {one.label: (float(one.y.max()), float(one.x[one.y.argmax()])) for one in curves if one.dash != "none"}
     if len(peaks) < 2:
         return ""
     least = min(peaks, key=lambda name: peaks[name])
     peak, at = peaks[least]
     share = 1 - peak / peaks[PASSIVE][0] if PASSIVE in peaks else 0.0
     against = f", {100 * share:.0f} % below passive" if share >= 0.005 else ""
-    return f"{least} has the lowest resonance of the body: {peak:.3g} m/s² per m/s at {at:.3g} Hz{against}."
+    return f"{least} has the lowest peak of {signal.replace('_', ' ')}: {peak:.3g} {unit} per m/s at {at:.3g} Hz{against}."
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 from synth.design.uncertainty.fragility import whose, worst_error_found
 
-POINTS = 30  # of a predicted curve
+POINTS = 60  # of a predicted curve
 AMOUNTS = 16  # of errors at which the worst norm is looked for
 RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
