@@ -215,7 +215,9 @@ def test_every_kind_of_ground_is_drawn(tmp_path):
     text = render(Page("t", ("a < b",), Section("", ""), (Section("s", "t", figures=(figure,)),)))
     assert "a &lt; b" in text
     assert text.count('id="plot-grounds-') == 3 + 2 * 3  # each with its title and its text
-    assert all(f"f-{color}" in text for color in ("ffffff", "7aa6d8", "ffffe5", "662506", "000000"))
+    # Over `.plot path { fill: none; }`, which would hide an area of one class alone.
+    assert all(f".plot .g-{color}, .legend .g-{color} {{ fill: " in text for color in ("ffffff", "7aa6d8", "ffffe5", "662506"))
+    assert ".bars .f-000000 { fill: " in text
     for name in ("a.svg", "b.svg"):
         write_picture(figure, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

@@ -24,6 +24,7 @@ from models.figures.svg import DASHES, MARKERS, legend, levels, page_text, shade
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
+MANY = 4  # panels that are shown in two columns
 BRIEF = 2  # paragraphs of a section that are shown; the others are folded
 
 
@@ -253,11 +254,15 @@ def _colors(page: Page) -> str:
         elif isinstance(ground, Shades):
             grounds |= set(shade_colors(len(levels(ground)) - 1))
     ink = [(f".s-{color[1:]}", "stroke", color) for color in sorted(strokes)]
-    ink += [(f".full.s-{color[1:]}, .bars .f-{color[1:]}", "fill", color) for color in sorted(strokes | fills)]
+    ink += [
+        (f".plot .full.s-{color[1:]}, .legend .full.s-{color[1:]}, .bars .f-{color[1:]}", "fill", color)
+        for color in sorted(strokes | fills)
+    ]
     day = [f"{where} {{ {what}: {readable(color, LIGHT)}; }}" for where, what, color in ink]
-    day += [f".g-{color[1:]} {{ fill: {color}; }}" for color in sorted(grounds)]
+    areas = [(f".plot .g-{color[1:]}, .legend .g-{color[1:]}", color) for color in sorted(grounds)]
+    day += [f"{where} {{ fill: {color}; }}" for where, color in areas]
     night = [f"{where} {{ {what}: {by_night(color)}; }}" for where, what, color in ink]
-    night += [f".g-{color[1:]} {{ fill: {ground_by_night(color)}; }}" for color in sorted(grounds)]
+    night += [f"{where} {{ fill: {ground_by_night(color)}; }}" for where, color in areas]
     return "\n".join([*day, "@media screen and (prefers-color-scheme: dark) {", *night, "}", ""])
 
 
@@ -274,7 +279,7 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, other panels form a grid."""
+    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in three columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else ""
+    return "wide" if figure.columns == 1 else "three" if len(figure.panels) > MANY else ""
