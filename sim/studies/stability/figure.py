@@ -78,8 +78,10 @@ def margins_figure(
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
     title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
-    delay, period = (f"{1e3 * value:.3g}" if math.isfinite(value) else "any" for value in edges[1:])
-    finding = f"{controller.name} bears {delay} ms of delay, or a sample period of {period} ms, before its loop is unstable."
+    delay, period = edges[1:]
+    bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
+    bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
+    finding = f"{controller.name} bears {bears[0]}, or {bears[1]}, before its loop is unstable."
     return Figure("margins", title, tuple(panels), finding=finding)
 
 
