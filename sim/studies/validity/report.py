@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.printed import finite
+from models.common.printed import finite, percent
 from models.figures.figure import VERMILLION, Classes, Curve, Figure, Panel, level
 from models.roads.load import Load
 from models.suspension import LEAVES
@@ -182,8 +182,8 @@ def envelope_figure(
         f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
     )
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
-    holds = np.mean(cells.error[cells.done] <= threshold) if cells.done.any() else 0.0
-    finding = f"With {controller.name} linear analysis holds for {100 * holds:.3g} % of these bumps."
+    holds = float(np.mean(cells.error[cells.done] <= threshold)) if cells.done.any() else 0.0
+    finding = f"With {controller.name} linear analysis holds for {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
