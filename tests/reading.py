@@ -1,23 +1,34 @@
 """The content of a report's page, read back from its HTML as a reader has it."""
 
+import csv
 import html
+import io
 import re
 from pathlib import Path
+from urllib.parse import unquote
+
+KIND = "data:text/csv;charset=utf-8"
+PLAIN = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 class PageRead:
-    """A page: its text, the sentences and state of its answer, its captions, and its tables as rows by heading."""
+    """A page: its text, the sentences and state of its answer, its captions, and its tables as rows, from their files."""
 
     def __init__(self, path: Path) -> None:
         own = re.sub(r"<(script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.S)
-        (self.state,) = re.findall(r'<h2 class="verdict (\w+)">', own)
+        (self.state,) = re.findall(r'<p class="verdict (\w+)">', own)
         (box,) = re.findall(r'<div class="answer">(.*?)</div>', own, re.S)
+        self.headline = _text(re.findall(r"<h2>(.*?)</h2>", own, re.S)[0])
+        self.lead = [_text(sentence) for sentence in re.findall(r"<li>(.*?)</li>", _list(own, "lead"), re.S)]
+        self.warnings = [_text(sentence) for sentence in re.findall(r'<p class="warn">(.*?)</p>', own, re.S)]
         self.answer = [_text(sentence) for sentence in re.findall(r"<p>(.*?)</p>", box, re.S)]
         self.captions = [_text(caption) for caption in re.findall(r"<figcaption>(.*?)</figcaption>", own, re.S)]
         self.text = _text(own)
         self.tables = {
-            name: _rows(table)
-            for name, table in re.findall(r'<div class="table" id="table-([^"]+)"[^>]*>(.*?)</table>', own, re.S)
+            html.unescape(name): [*csv.DictReader(io.StringIO(unquote(html.unescape(text)), newline=""))]
+            for name, text in re.findall(
+                r'<a download="([^"]+)\.csv" href="data:text/csv;charset=utf-8,([^"]*)" aria-label="Table', own
+            )
         }
 
     def row(self, table: str, **cells: str) -> dict[str, str]:
@@ -26,14 +37,13 @@ class PageRead:
         return found
 
 
-def _rows(table: str) -> list[dict[str, str]]:
-    headings = [_text(cell) for cell in re.findall(r'<th scope="col"[^>]*>(.*?)</th>', table, re.S)]
-    (body,) = re.findall(r"<tbody>(.*?)</tbody>", table, re.S)
-    cells = [
-        [_text(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S)]
-        for row in re.findall(r"<tr>(.*?)</tr>", body, re.S)
-    ]
-    return [dict(zip(headings, row, strict=True)) for row in cells]
+def number(text: str) -> float:
+    """Returns a number as a page writes it: 1.4·10⁻³, or −3."""
+    return float(re.sub("·10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", lambda power: f"e{power[1].translate(PLAIN)}", text).replace("−", "-"))
+
+
+def _list(page: str, kind: str) -> str:
+    return "".join(re.findall(rf'<ul class="{kind}">(.*?)</ul>', page, re.S))
 
 
 def _text(piece: str) -> str:

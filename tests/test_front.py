@@ -422,7 +422,7 @@ def test_report(monkeypatch, few):
     (table,), (figure,) = section.tables, section.figures
     norms = few.values[few.marked]
     assert [[float(row[1]), float(row[3])] for row in table.rows] == [pytest.approx(each, rel=1e-5) for each in norms.tolist()]
-    (measured,) = [curve for curve in figure.panels[0].curves if curve.label == "MuJoCo"]
+    (measured,) = [curve for curve in figure.panels[0].curves if curve.name == "MuJoCo"]
     shown = np.stack([measured.x, measured.y], axis=1)
     assert [[float(row[2]), float(row[4])] for row in table.rows] == [pytest.approx(each, rel=1e-4) for each in shown.tolist()]
     # A force held over a step acts half of that late, and the peak of a sinusoid is the norm to NEXT.

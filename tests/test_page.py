@@ -1,6 +1,7 @@
 """The page by itself: what stands in it for readers with eyes, without, at night, on paper; and figures of any kind in it."""
 
 import base64
+import csv
 import dataclasses
 import hashlib
 import itertools
@@ -9,6 +10,7 @@ import os
 import re
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -16,11 +18,26 @@ import pytest
 from models.figures.axis import Axis, axis_of
 from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
 from models.figures.outputs import check_outputs
-from models.figures.page import DARK, GRAPHICS, LIGHT, TEXT, Page, Section, Table, by_night, contrast, readable, render
-from models.figures.svg import about, page_text, svg
+from models.figures.page import (
+    DARK,
+    GRAPHICS,
+    LIGHT,
+    TEXT,
+    Page,
+    Section,
+    Table,
+    by_night,
+    contrast,
+    ground_by_night,
+    readable,
+    render,
+)
+from models.figures.reading import Pivot, aligned, notation, read
+from models.figures.svg import TOLERANCE, about, page_text, shade_colors, svg
 from models.laws.linear import static_law
 from models.vehicle.vehicle import read_vehicle
 from sim.report.designs import gain_table
+from sim.response.regime import REGIME_ENDS
 from tests.commands import ROOT
 
 pytest.importorskip("jinja2", reason="a report needs the extra [report]")
@@ -119,8 +136,11 @@ def test_structure(page):
     identifiers = [one["@id"] for one in found.all if "@id" in one]
     assert len(set(identifiers)) == len(identifiers)
     assert not any(re.search(r"\s", one) for one in identifiers)
-    assert {one["@href"][1:] for one in found.some("a")} <= set(identifiers)
-    assert found.some("a")[0]["@href"] == "#answer"  # who comes by keyboard or ear need not go through the contents
+    within = [one["@href"][1:] for one in found.some("a") if "@download" not in one]
+    assert within
+    assert {*within} <= set(identifiers)
+    order = [one.get("@id", one["tag"]) for one in found.all if one.get("@id") == "answer" or one["tag"] == "nav"]
+    assert order == ["answer", "nav"]  # who comes by keyboard, by ear or by phone need not go through the contents
 
 
 def test_figures_say_what_they_show(page):
@@ -165,7 +185,11 @@ def test_names_are_text(page):
     """Whatever a controller is called stands on the page as it is, and is no markup."""
     text, found = page
     names = found.some("caption")[0]["text"], found.some("caption")[-1]["text"]
-    assert any(name.endswith((f"of {HOSTILE[0]}", "of passive", "of controller-0", f"of {LEFTWARD[0]}")) for name in names)
+    assert any(
+        f"of {name} CSV" in " ".join(said.split())
+        for name in (HOSTILE[0], "passive", "controller-0", LEFTWARD[0])
+        for said in names
+    )
     assert len(found.some("script")) == 1
     assert "alert(" not in re.sub(r"&lt;script&gt;.*?&lt;/script&gt;", "", text)
     assert "\n".join(one["text"] for one in found.some("p")).count("{{ x }}") == text.count("<p>{{ x }}")
@@ -250,7 +274,10 @@ def drawn(path: str) -> np.ndarray:
 
 
 def test_the_picture_is_the_data():
-    """Every point of a curve lies where its axes say, to a thousandth of them, on linear and logarithmic axes; gaps are gaps."""
+    """Every point of a curve lies on the picture where its axes say, to a thousandth of them; gaps are gaps.
+
+    Of a line only the points that it needs are written: all others are as near to the line through these.
+    """
     x = np.geomspace(0.1, 25, 200)
     y = np.exp(np.sin(3 * x))
     y[[50, 51, 120]] = np.nan
@@ -262,12 +289,18 @@ def test_the_picture_is_the_data():
     known = np.isfinite(y)
     for path in (line.attrib["d"], "".join(re.findall(r"M\d+ \d+", markers.attrib["d"]))):
         at = drawn(path)
-        assert len(at) == known.sum()
+        assert (len(at) == known.sum()) == (path is not line.attrib["d"])
         shares = (at - [left, top]) / [width, height]
         across = ends["x"]["low"] * (ends["x"]["high"] / ends["x"]["low"]) ** shares[:, 0]
         down = ends["y"]["high"] - (ends["y"]["high"] - ends["y"]["low"]) * shares[:, 1]
-        np.testing.assert_allclose(across, x[known], rtol=1e-3)
-        np.testing.assert_allclose(down, y[known], atol=1e-3 * np.ptp(y[known]))
+        nearest = np.abs(np.log(x[known][:, None] / across)).argmin(axis=0)
+        np.testing.assert_allclose(across, x[known][nearest], rtol=1e-3)
+        np.testing.assert_allclose(down, y[known][nearest], atol=1e-3 * np.ptp(y[known]))
+        whole = np.interp(np.log(x[known]), np.log(across), down)
+        aside = (TOLERANCE + 0.01) / width * np.log(ends["x"]["high"] / ends["x"]["low"])  # 0.01 of a unit is rounding
+        below = (TOLERANCE + 0.01) / height * (ends["y"]["high"] - ends["y"]["low"])
+        steep = np.abs(np.gradient(y[known], np.log(x[known])))
+        assert (np.abs(whole - y[known]) <= below + aside * np.maximum.reduce([np.roll(steep, k) for k in (-1, 0, 1)])).all()
     assert line.attrib["d"].count("M") == 3
 
 
@@ -353,18 +386,77 @@ def test_text_can_be_read():
     for colors in (by_day, night):
         for text, ground in itertools.product(("ink", "soft", "link", "holds", "ends", "fails"), ("ground", "band")):
             assert contrast(colors[text], colors[ground]) >= TEXT, (text, ground)
-        assert contrast(colors["on-paper"], colors["paper"]) >= TEXT
 
 
 def test_lines_can_be_told_from_the_ground():
     """Any colour of a curve has a contrast of 3 by day and by night; the paper's are their own by day, black white by night."""
     rng = np.random.default_rng(5)
     some = ["#" + "".join(f"{part:02x}" for part in rng.integers(0, 256, 3)) for _ in range(200)]
-    for color in [*(color for color, _ in STYLES.values()), *OTHERS, "#ffffff", *some]:
+    for color in [*(style.color for style in STYLES.values()), *OTHERS, "#ffffff", *some]:
         assert contrast(readable(color, LIGHT), LIGHT) >= GRAPHICS
         assert contrast(by_night(color), DARK) >= GRAPHICS
-    assert all(readable(color, LIGHT) == color for color, _ in STYLES.values())
+    assert all(readable(color, LIGHT) == color for color in (*(style.color for style in STYLES.values()), *OTHERS))
+    for ground in (*shade_colors(9), *(end.color for end in REGIME_ENDS), "#ffffff"):  # maps by night
+        assert contrast(by_night("#000000"), ground_by_night(ground)) >= GRAPHICS
     assert contrast(by_night("#000000"), "#ffffff") < 1.05
+
+
+def test_numbers_of_a_column_are_aligned():
+    """A column has one number of decimals where each number keeps three digits, else points align; what is rounding is 0."""
+    assert aligned(["15.37", "5.564", "0"]) == ["15.37", "5.56", "0\u2008\u2007\u2007"]
+    assert aligned(["0.0481*", "0.565"]) == ["0.0481*", "0.565\u2007\u2004"]
+    assert aligned(["10825.2", "-2069.5", "-1.2e-07", "-"]) == ["10825.2", "−2069.5", "0\u2008\u2007", "-"]
+    assert aligned(["1.4e-03", "2.0e-05"]) == ["1.4·10⁻³", "2.0·10⁻⁵"]
+    assert aligned(["12", "none"]) == ["12", "none"]
+
+
+def test_one_notation():
+    """Powers, squares and tolerances are written one way; a name that looks like a number is left alone."""
+    assert notation("within 1.4e-03 of 2 m/s2, +-3 rad/s2") == "within 1.4·10⁻³ of 2 m/s², ±3 rad/s²"
+    assert notation("controller a1e-05 and v1e5") == "controller a1e-05 and v1e5"
+
+
+def test_tables_are_for_reading():
+    """What is the same in all rows stands below, repeated remarks are footnotes, long tables are pivoted; files have all."""
+    remark = "the solver of the paper stops early here"
+    rows = tuple((f"row {k}", "N", remark if k else "same", f"{k + 1}.5") for k in range(16))
+    shown = read(("what", "unit", "why", "value"), rows, 3)
+    assert shown.headings == ("what", "why", "value")
+    assert shown.same == ("unit: N",)
+    assert [row[1] for row in shown.rows] == ["same", *["(a)"] * 15]
+    assert (shown.notes, shown.folded) == ((("a", remark),), True)
+    rows = tuple((signal, "m/s2", name, f"{k}.25") for k, signal in enumerate("ab") for name in ("I", "II"))
+    table = Table(
+        "t", "of", ("signal", "unit", "controller", "peak"), rows, 3, Pivot(("signal", "unit"), "controller", ("peak",))
+    )
+    assert table.reading.headings == ("signal", "I", "II")
+    assert table.reading.rows == (("a [m/s²]", "0.25", "0.25"), ("b [m/s²]", "1.25", "1.25"))
+    assert [tuple(row) for row in csv.reader(table.csv.splitlines())] == [table.headings, *rows]
+
+
+def test_figures_carry_their_data(page):
+    """Every figure is a file of numbers and a picture within the page: sound, complete, with no script and no other address."""
+    _, found = page
+    figures = [figure for section in everything(PAGES["plain"]).sections for figure in section.figures]
+    files = {one["@download"]: one["@href"] for one in found.some("a") if "@download" in one}
+    assert {f"{figure.name}.{kind}" for figure in figures for kind in ("csv", "svg")} <= {*files}
+    for name, address in files.items():
+        head, _, body = address.partition(",")
+        text = unquote(body)
+        if name.endswith(".svg"):
+            assert head.startswith("data:image/svg+xml")
+            picture = ElementTree.fromstring(text)
+            assert picture.tag == f"{SVG}svg"
+            assert not [one for one in picture.iter() if one.tag.endswith("script") or "href" in "".join(one.attrib)]
+        else:
+            assert head.startswith("data:text/csv")
+            rows = list(csv.reader(text.splitlines()))
+            assert len({len(row) for row in rows}) == 1
+    lines = list(csv.reader(unquote(files["f0.csv"].partition(",")[2]).splitlines()))
+    assert "frequency <& [Hz]" in lines[0][0]
+    assert "gain [m]" in lines[0][1]
+    assert float(lines[1][0]) == pytest.approx(0.1)
+    assert float(lines[1][1]) == pytest.approx(10.0)  # 1 / 0.1
 
 
 def test_contrast_is_that_of_the_guidelines():

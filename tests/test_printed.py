@@ -100,7 +100,7 @@ def test_report_and_log(tmp_path, monkeypatch, capsys):
     assert main_of("sim.report")(["--quick", "--timestep", "4e-3"]) == 0
     out = capsys.readouterr().out
     assert too_wide(out) == []
-    assert out.startswith("report\n  report.html\nleft out: state_printed, I_printed, II_printed; ")
+    assert out.startswith("report\n  report-quarter_car.html\nleft out: state_printed, I_printed, II_printed; ")
     assert ANSWERS["sim.report"] in out
     assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "-v"]) == 0
     capsys.readouterr()

@@ -169,7 +169,7 @@ def test_colours_are_the_report_s(tmp_path: Path) -> None:
     """MuJoCo's curve of a controller has the controller's colour in every figure of the report."""
     runs = [make_run(name) for name in STYLES]
     write_rrd(tmp_path / "all.rrd", runs, {})
-    for name, (color, _) in STYLES.items():
+    for name, (color, *_) in STYLES.items():
         (found,) = rows(tmp_path / "all.rrd", f"/{name}/signals/control_force/mujoco", "SeriesLines:colors")
         assert found == [int.from_bytes([*rgb(color), 255], "big")]
 

@@ -199,4 +199,4 @@ def test_a_picture_has_points_and_no_line(gain):
     figure = sweep_figure(vehicle, [], AMPLITUDE, STEP, SPEED, styles(("mine",)), [found])
     curves = [curve for panel in figure.panels for curve in panel.curves if len(curve.x)]
     assert len(curves) == len(vehicle.performance)
-    assert {(curve.dash, curve.marker) for curve in curves} == {("none", "x")}
+    assert {(curve.dash, curve.filled) for curve in curves} == {("none", True)}

@@ -3,34 +3,57 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from models.common.arrays import Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot", "longdash", "none"]
-Marker = Literal["", "o", "x", "+"]  # circle (hollow), cross, plus
+Marker = Literal["", "o", "s", "^", "D", "v", "p", "x", "+"]  # hollow circle, square, triangles, diamond, pentagon; crosses
 
-# Colours and line styles of the paper.
-STYLES: dict[str, tuple[str, Dash]] = {
-    "passive": ("#000000", "dot"),
-    "state": ("#1f77b4", "dash"),
-    "I": ("#d62728", "dashdot"),
-    "II": ("#2ca02c", "solid"),
+
+class Style(NamedTuple):
+    """Look of a controller: no two differ by colour alone.
+
+    Attributes:
+        color: as `#rrggbb`.
+        dash: of its lines.
+        marker: of its points.
+    """
+
+    color: str
+    dash: Dash
+    marker: Marker
+
+
+# Colours of M. Okabe and K. Ito (2008), Color Universal Design, which colour-blind readers can tell apart. The light ones are
+# darkened to a contrast of 3 on white. Dashes are the paper's.
+BLACK, BLUE, VERMILLION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"
+PURPLE, ORANGE, SKY, GREY = "#c471a0", "#bd8200", "#3d97cc", "#6e6e6e"
+STYLES: dict[str, Style] = {
+    "passive": Style(BLACK, "dot", "o"),
+    "state": Style(BLUE, "dash", "s"),
+    "I": Style(VERMILLION, "dashdot", "^"),
+    "II": Style(GREEN, "solid", "D"),
 }
-OTHERS = ("#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#e377c2", "#bcbd22", "#393b79", "#00695c")
+OTHERS = (PURPLE, ORANGE, SKY, GREY, BLUE, VERMILLION, GREEN)
 DASHES: tuple[Dash, ...] = ("longdash", "solid", "dot", "dashdot", "dash")  # the next one when all colours are used
+POINTS: tuple[Marker, ...] = ("v", "p", "D", "s", "^", "o")
 
 
-def styles(names: tuple[str, ...]) -> dict[str, tuple[str, Dash]]:
-    """Returns colour and line style of every controller: those of the paper, or the next ones that are unused.
+def styles(names: tuple[str, ...]) -> dict[str, Style]:
+    """Returns colour, line style and marker of every controller: those of the paper, or the next ones that are unused.
 
     Args:
         names: all controllers, in order, so that a controller's style is the same in every figure.
     """
     rest = [name for name in names if name not in STYLES]
-    free: list[tuple[str, Dash]] = [(color, dash) for dash in DASHES for color in OTHERS]
+    taken = {(style.color, style.dash) for style in STYLES.values()}
+    every = (
+        Style(OTHERS[k % len(OTHERS)], DASHES[k % len(DASHES)], POINTS[k % len(POINTS)]) for k in range(len(OTHERS) * len(DASHES))
+    )
+    free = [style for style in every if (style.color, style.dash) not in taken]
     return {name: STYLES.get(name) or free[rest.index(name) % len(free)] for name in names}
 
 
@@ -56,6 +79,7 @@ class Curve:
         dash: of the line.
         marker: at every point.
         width: of the line [points].
+        filled: True for full markers instead of hollow ones.
     """
 
     x: Array
@@ -66,6 +90,7 @@ class Curve:
     marker: Marker = ""
     width: float = 1.5
     name: str = ""
+    filled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +115,23 @@ class Classes:
         """Name and colour of the classes that occur and have a name."""
         pairs = zip(self.names, self.colors, strict=True)
         return [pair for i, pair in enumerate(pairs) if pair[0] and np.any(self.kind == i)]
+
+    @property
+    def labels(self) -> list[tuple[str, int, int]]:
+        """Short name, row and column of the innermost cell of every class that has room for words."""
+        found = []
+        for i, name in enumerate(self.names):
+            inside, depth, at = self.kind == i, 0, (0, 0)
+            while name and inside.any():
+                depth, at = depth + 1, tuple(np.argwhere(inside)[inside.sum() // 2].tolist())
+                padded = np.pad(inside, 1)
+                inside = inside & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+            if depth * WIDE > len(self.x):
+                found.append((name.partition(" breaks")[0].partition(":")[0], *at))
+        return found
+
+
+WIDE = 8  # a class has room for words if it is as deep as this part of a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +220,7 @@ class Figure:
         panels: in rows.
         columns: of panels.
         size: of one panel [inches].
+        finding: what it shows in one sentence, or empty.
     """
 
     name: str
@@ -185,6 +228,7 @@ class Figure:
     panels: tuple[Panel, ...]
     columns: int = 2
     size: tuple[float, float] = (5.2, 3.5)
+    finding: str = ""
 
     @property
     def rows(self) -> int:

@@ -46,6 +46,17 @@
   function hide() {
     tip.hidden = true;
     spot.remove();
+    for (const one of document.querySelectorAll(".dim")) one.classList.remove("dim");
+    for (const one of document.querySelectorAll(".on")) one.classList.remove("on");
+  }
+
+  // Shows the curves of one controller in all panels of a figure, and the others faintly.
+  function link(plot, name) {
+    const figure = plot.closest(".panels"), whose = name.split(/[,:]/)[0];
+    const same = [...figure.querySelectorAll("[data-name]")].filter((one) => one.dataset.name.split(/[,:]/)[0] === whose);
+    if (!same.some((one) => one.matches(".line, .point"))) return;
+    figure.classList.add("dim");
+    for (const one of same) one.classList.add("on");
   }
 
   for (const plot of document.querySelectorAll("svg.plot")) {
@@ -61,9 +72,11 @@
           if (away < nearest && py >= top - 1 && py <= top + height + 1) [nearest, name, x, y] = [away, whose, px, py];
         }
       }
+      hide();
       const on = nearest < NEAR;
       name ||= event.target.dataset?.name ?? "";
-      if (!name) return hide();
+      if (!name) return;
+      link(plot, name);
       const values = [down && text(down, (top + height - y) / height), (on || down) && text(across, (x - left) / width)];
       tip.textContent = `${name}\n${values.filter(Boolean).join(" at ")}`.trim();
       tip.hidden = false;

@@ -5,9 +5,10 @@ pointer. Jinja2 fills `page.html.jinja`.
 """
 
 import base64
+import colorsys
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -16,11 +17,15 @@ from typing import Any, Literal
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.common.printed import Column, T, cells, titles
-from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans, rgb
-from models.figures.svg import DASHES, MARKERS, levels, on_paper, page_text, shade_colors, svg
+from models.figures.downloads import csv_link, downloads
+from models.figures.figure import Bars, Classes, Figure, Shades, Spans, rgb
+from models.figures.reading import Pivot, Reading, as_csv, notation, read
+from models.figures.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
 STEPS = 50
+MANY = 4  # panels that are shown in two columns
+BRIEF = 2  # paragraphs of a section that are shown; the others are folded
 
 
 def luminance(color: str) -> float:
@@ -50,10 +55,11 @@ def _mixed(color: str, other: str, share: float) -> str:
 
 LIGHT, DARK = "#ffffff", "#16181b"  # backgrounds of figures, as in page.css
 VERDICTS = {
-    "holds": "the physics confirms the analysis, over the paper's bump throughout",
+    "holds": "MuJoCo agrees with the analysis, over the paper's bump throughout",
     "ends": "nothing is refuted, but not all of it holds throughout",
     "fails": "something FAILS",
 }
+MARKS = {"holds": "✓", "ends": "!", "fails": "✗"}  # so that a state is not told by its colour alone
 
 State = Literal["holds", "ends", "fails"]
 
@@ -68,6 +74,7 @@ class Table:
         headings: of the columns.
         rows: cells as text; the first is the row's name.
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
+        pivot: short form for reading, or None to show all columns that differ.
     """
 
     name: str
@@ -75,15 +82,39 @@ class Table:
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
+    pivot: Pivot | None = None
 
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
             raise ValueError(f"headings of table {self.name!r} are not distinct: {', '.join(self.headings)}")
 
     @classmethod
-    def of(cls, name: str, caption: str, columns: Sequence[Column[T]], ones: Iterable[T], words: int = 1) -> "Table":
+    def of(
+        cls,
+        name: str,
+        caption: str,
+        columns: Sequence[Column[T]],
+        ones: Iterable[T],
+        words: int = 1,
+        pivot: Pivot | None = None,
+    ) -> "Table":
         """Returns the table of some results, a row each."""
-        return cls(name, caption, titles(columns), cells(columns, ones), words)
+        return cls(name, caption, titles(columns), cells(columns, ones), words, pivot)
+
+    @property
+    def reading(self) -> Reading:
+        """Returns the table as a page shows it first."""
+        return read(self.headings, self.rows, self.words, self.pivot)
+
+    @property
+    def whole(self) -> Reading | None:
+        """Returns the whole table as a page shows it below the short form, or None if that is all."""
+        return read(self.headings, self.rows, self.words) if self.pivot is not None else None
+
+    @property
+    def csv(self) -> str:
+        """Returns the table as CSV."""
+        return as_csv(self.headings, self.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +142,12 @@ class Page:
     Attributes:
         title: of the page.
         answer: the result, one entry per sentence.
-        summary: the first section, a figure or a table, without a title.
+        summary: the first section, figures and tables, without a title.
         sections: the others, in order.
-        state: verdict, which colours the heading: green if all holds, amber if something ended early, red if something fails.
+        state: verdict on physics against analysis: green if all holds, amber if something ended early, red if something fails.
+        headline: the answer in a line.
+        lead: who is best at what, at which cost, a sentence each.
+        warnings: sentences of the answer that do not hold throughout.
     """
 
     title: str
@@ -121,6 +155,9 @@ class Page:
     summary: Section
     sections: tuple[Section, ...]
     state: State = "holds"
+    headline: str = ""
+    lead: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def parts(self) -> tuple[Section, ...]:
@@ -145,16 +182,22 @@ def render(page: Page) -> str:
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined, finalize=_said
     )
     return environment.from_string(_resource("page.html.jinja")).render(
+        notation=notation,
+        brief=BRIEF,
         page=page,
         verdict=VERDICTS[page.state],
+        mark=MARKS[page.state],
         style=_resource("page.css") + _colors(page),
         script=_resource("page.js"),
         digest=_digest,
         numbers=_Numbers(),
         svg=svg,
-        legend=_legend,
-        paper=_on_paper,
+        legend=legend,
+        dashes=DASHES,
+        markers=MARKERS,
+        downloads=downloads,
         layout=_layout,
+        csv_link=csv_link,
     )
 
 
@@ -198,23 +241,28 @@ class _Numbers:
 
 def _colors(page: Page) -> str:
     """Returns CSS rules for the colours of figures: lines, points and bars have enough contrast, in light and dark mode."""
-    strokes, bars, fills = set[str](), set[str](), set[str]()
+    strokes, fills, grounds = set[str](), set[str](), set[str]()
     for panel in (panel for part in page.parts for figure in part.figures for panel in figure.panels):
         strokes |= {curve.color for curve in panel.curves}
         ground = panel.ground
         if isinstance(ground, Bars):
-            bars |= set(ground.colors)
-        elif isinstance(ground, Classes):
             fills |= set(ground.colors)
+        elif isinstance(ground, Classes):
+            grounds |= set(ground.colors)
         elif isinstance(ground, Spans):
-            fills.add(ground.color)
+            grounds.add(ground.color)
         elif isinstance(ground, Shades):
-            fills |= set(shade_colors(len(levels(ground)) - 1))
-    day = [f".s-{color[1:]} {{ stroke: {readable(color, LIGHT)}; }}" for color in sorted(strokes)]
-    day += [f".ink .f-{color[1:]} {{ fill: {readable(color, LIGHT)}; }}" for color in sorted(bars)]
-    day += [f".paper .f-{color[1:]} {{ fill: {color}; }}" for color in sorted(fills)]
-    night = [f".ink .s-{color[1:]} {{ stroke: {by_night(color)}; }}" for color in sorted(strokes)]
-    night += [f".ink .f-{color[1:]} {{ fill: {by_night(color)}; }}" for color in sorted(bars)]
+            grounds |= set(shade_colors(len(levels(ground)) - 1))
+    ink = [(f".s-{color[1:]}", "stroke", color) for color in sorted(strokes)]
+    ink += [
+        (f".plot .full.s-{color[1:]}, .legend .full.s-{color[1:]}, .bars .f-{color[1:]}", "fill", color)
+        for color in sorted(strokes | fills)
+    ]
+    day = [f"{where} {{ {what}: {readable(color, LIGHT)}; }}" for where, what, color in ink]
+    areas = [(f".plot .g-{color[1:]}, .legend .g-{color[1:]}", color) for color in sorted(grounds)]
+    day += [f"{where} {{ fill: {color}; }}" for where, color in areas]
+    night = [f"{where} {{ {what}: {by_night(color)}; }}" for where, what, color in ink]
+    night += [f"{where} {{ fill: {ground_by_night(color)}; }}" for where, color in areas]
     return "\n".join([*day, "@media screen and (prefers-color-scheme: dark) {", *night, "}", ""])
 
 
@@ -223,43 +271,15 @@ def by_night(color: str) -> str:
     return readable(color, DARK, max(GRAPHICS, contrast(color, LIGHT)))
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """Entry of a legend: a line, a marker, both, or a patch of colour."""
-
-    label: str
-    color: str
-    width: float = 0.0
-    dashes: str = ""
-    line: bool = False
-    marker: str = ""
-
-
-def _legend(figure: Figure) -> list[_Entry]:
-    """Returns one legend entry per label: of each panel first the classes, then the curves."""
-    entries: dict[str, _Entry] = {}
-    for entry in (entry for panel in figure.panels for entry in _of_panel(panel)):
-        entries.setdefault(entry.label, entry)
-    return list(entries.values())
-
-
-def _of_panel(panel: Panel) -> Iterator[_Entry]:
-    if isinstance(panel.ground, Classes):
-        yield from (_Entry(name, color) for name, color in panel.ground.legend)
-    for curve in panel.curves:
-        if curve.label:
-            dashes = " ".join(f"{part:g}" for part in DASHES[curve.dash])
-            marker = f"M0 0{MARKERS[curve.marker]}" if curve.marker else ""
-            yield _Entry(curve.label, curve.color, curve.width + 0.5, dashes, curve.dash != "none", marker)
-
-
-def _on_paper(figure: Figure) -> bool:
-    """Returns True if all panels keep their light background in dark mode."""
-    return all(on_paper(panel) for panel in figure.panels)
+def ground_by_night(color: str) -> str:
+    """Returns the colour of an area of a map in dark mode, where light lines have contrast: the lighter by day, the darker."""
+    hue, light, saturation = colorsys.rgb_to_hls(*(part / 255 for part in rgb(color)))
+    turned = colorsys.hls_to_rgb(hue, 0.08 + 0.22 * (1 - light), min(saturation, 0.6))
+    return "#" + "".join(f"{round(255 * part):02x}" for part in turned)
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, other panels form a grid."""
+    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in three columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else ""
+    return "wide" if figure.columns == 1 else "three" if len(figure.panels) > MANY else ""

@@ -8,13 +8,14 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.files import whole_file
+from models.figures.axis import Axis
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
+from models.figures.svg import Entry, legend
 
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end
-SHOWN = " "  # prefix of a legend label: matplotlib leaves out labels that begin with _
 ROW = 0.4  # height of a bar and its name [inches]
-TITLE, HEAD, WORDS = 11, 10, 9  # font sizes [points]
+TITLE, HEAD, WORDS, NOTE = 11, 10, 9, 8  # font sizes [points]
 DASHES: dict[str, Any] = {
     "solid": "-",
     "dash": "--",
@@ -73,24 +74,46 @@ def _drawn(figure: Figure) -> Any:
         _draw_panel(axis, panel, width - 0.5)
     for axis in axes[len(figure.panels) :]:
         axis.set_visible(False)
-    entries: dict[str, Any] = {}
-    for axis in axes:
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label.removeprefix(SHOWN), handle)
+    entries = legend(figure)
     columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
-    names = [label if len(label) <= LONGEST or " " in label else f"{label[: LONGEST - 1]}…" for label in entries]
+    names = [one.label if len(one.label) <= LONGEST or " " in one.label else f"{one.label[: LONGEST - 1]}…" for one in entries]
     room = width * figure.columns - 0.2
+    note = _broken(figure.title, room, NOTE) if figure.finding else ""
+    canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
+    columns = max(columns, 1) if note else columns
     while columns:  # as many as fit
-        legend = canvas.legend(
-            list(entries.values()), names, loc="outside lower center", ncols=columns, fontsize=WORDS, frameon=False
+        drawn = canvas.legend(
+            [_key(one) for one in entries],
+            names,
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=WORDS,
+            frameon=False,
+            title=note or None,
+            title_fontproperties={"size": NOTE},
         )
-        if columns == 1 or legend.get_window_extent().width <= room * canvas.dpi:
+        if columns == 1 or drawn.get_window_extent().width <= room * canvas.dpi:
             canvas.set_figheight(canvas.get_figheight() + 0.18 * (-(-len(names) // columns) - 1))
             break
-        legend.remove()
+        drawn.remove()
         columns -= 1
-    canvas.suptitle(_broken(figure.title, room, TITLE), fontsize=TITLE)
+    canvas.suptitle(_broken(figure.finding or figure.title, room, TITLE), fontsize=TITLE)
     return canvas
+
+
+def _key(entry: Entry) -> Any:
+    """Returns the line, the marker or the patch of a legend's entry."""
+    from matplotlib.lines import Line2D
+
+    if entry.ground:
+        return Line2D([], [], color=entry.color, linestyle="", marker="s", markersize=9)
+    return Line2D([], [], linestyle=DASHES[entry.dash], linewidth=entry.width, **_look(entry.color, entry.marker, entry.filled))
+
+
+def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
+    """Returns colour and marker as matplotlib has them."""
+    inner = None if filled or marker in ("x", "+") else "white"
+    return {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": inner}
 
 
 def _width(text: str, size: float) -> float:
@@ -131,9 +154,9 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
         from matplotlib.colors import ListedColormap
 
         count = len(ground.colors)
+        for text, row, column in ground.labels:
+            axis.text(ground.x[column], ground.y[row], text, fontsize=WORDS, ha="center", va="center")
         axis.pcolormesh(ground.x, ground.y, ground.kind, cmap=ListedColormap(ground.colors), vmin=-0.5, vmax=count - 0.5)
-        for name, color in ground.legend:
-            axis.plot([], [], color=color, linestyle="", marker="s", markersize=9, label=SHOWN + name)
     elif isinstance(ground, Shades):
         image = axis.contourf(ground.x, ground.y, np.ma.masked_invalid(ground.z), levels=14, cmap="YlOrBr")
         axis.figure.colorbar(image, ax=axis, label=ground.label)
@@ -148,22 +171,17 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
         axis.set_yticks([])
         axis.set_ylim(count - 0.5, -0.7)
     elif isinstance(ground, Spans):
-        for (low, high), name in zip(ground.ends, ground.names, strict=True):
-            shown = axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
-            shown.set_label(SHOWN + name)
+        for low, high in ground.ends:
+            axis.axvspan(low, min(high, FAR), color=ground.color, zorder=0)
     for curve in panel.curves:
         axis.plot(
             curve.x,
             curve.y,
-            color=curve.color,
             linestyle=DASHES[curve.dash],
             linewidth=curve.width,
-            marker=curve.marker,
-            markersize=4.5,
-            markerfacecolor="white" if curve.marker == "o" else None,
+            **_look(curve.color, curve.marker, curve.filled),
             zorder=3 if curve.marker else 2,
             clip_on=not (isinstance(ground, Shades) and len(curve.x)),  # markers at corners are not cut
-            label=SHOWN + curve.label if curve.label else None,
         )
     if panel.xlog:
         axis.set_xscale("log")
@@ -174,8 +192,27 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
         axis.tick_params(axis="x", which="minor", labelbottom=False)
     if not isinstance(ground, Bars):
         axis.set(xlim=panel.xlim, ylim=panel.ylim)
+        _label_decades(axis, panel)
+    if isinstance(ground, Spans):
+        for (low, high), name in zip(ground.ends, ground.names, strict=True):
+            left, right = (min(max(end, axis.get_xlim()[0]), axis.get_xlim()[1]) for end in (low, high))
+            middle = (left * right) ** 0.5 if panel.xlog else (left + right) / 2
+            at = {"transform": axis.get_xaxis_transform(), "fontsize": NOTE, "ha": "center", "va": "bottom", "color": "0.35"}
+            axis.text(middle, 0.02, _cut(name, width, NOTE), **at)
     axis.set_title(_broken(panel.title, width, HEAD), fontsize=HEAD)
     axis.set_xlabel(panel.xlabel, fontsize=WORDS)
     axis.set_ylabel(panel.ylabel, fontsize=WORDS)
     if ground is None:
         axis.grid(which="major", color="0.88", linewidth=0.7)
+
+
+def _label_decades(axis: Any, panel: Panel) -> None:
+    """Labels logarithmic axes as a page does: 0.1, 1, 10 rather than powers beside plain numbers."""
+    for log, of, limits, given in (
+        (panel.xlog, axis.xaxis, axis.get_xlim(), panel.xticks),
+        (panel.ylog, axis.yaxis, axis.get_ylim(), ()),
+    ):
+        if log and not given and limits[0] > 0:
+            ticks = Axis(*limits, log=True).ticks(6)
+            of.set_ticks([tick for tick, _ in ticks], [text for _, text in ticks])
+            of.set_tick_params(which="minor", labelleft=False, labelbottom=False)

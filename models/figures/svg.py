@@ -12,13 +12,14 @@ import json
 import re
 import unicodedata
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.figures.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
-from models.figures.figure import Bars, Classes, Curve, Panel, Shades, Spans, bands
+from models.figures.figure import Bars, Classes, Curve, Dash, Figure, Marker, Panel, Shades, Spans, bands
 
 LONG = 16  # letters; a line may break within longer names
 OPEN, CLOSE = "\N{FIRST STRONG ISOLATE}", "\N{POP DIRECTIONAL ISOLATE}"
@@ -140,8 +141,8 @@ def _bars(bars: Bars, area: Area) -> Iterator[str]:
     for k, (name, value, words, color) in enumerate(rows):
         top = area.top + ROW * k
         shown = shortened(name, area.width - text_width(words) - 10)
-        yield f'<text class="name" x="{area.left:.5g}" y="{top + 11:.5g}">{drawn_text(shown)}</text>'
-        yield f'<text class="name" x="{right:.5g}" y="{top + 11:.5g}" text-anchor="end">{drawn_text(words)}</text>'
+        yield f'<text class="name" x="{area.left:.5g}" y="{top + 9:.5g}">{drawn_text(shown)}</text>'
+        yield f'<text class="name" x="{right:.5g}" y="{top + 9:.5g}" text-anchor="end">{drawn_text(words)}</text>'
         if np.isfinite(value):
             width = max(0.5, float(area.across(np.array(value))) - area.left)
             shown = drawn_text(f"{name}: {words}")
@@ -170,7 +171,7 @@ def _spans(ground: Spans, area: Area) -> Iterator[str]:
     for (low, high), name in zip(ground.ends, ground.names, strict=True):
         left, right = (float(np.clip(area.across(np.array(end)), area.left, area.left + area.width)) for end in (low, high))
         yield (
-            f'<rect class="f-{ground.color[1:]}" data-name="{drawn_text(name)}" x="{left:.5g}" y="{area.top:.5g}" '
+            f'<rect class="g-{ground.color[1:]}" data-name="{drawn_text(name)}" x="{left:.5g}" y="{area.top:.5g}" '
             f'width="{right - left:.5g}" height="{area.height:.5g}"/>'
         )
 
@@ -180,7 +181,10 @@ def _classes(ground: Classes, area: Area) -> Iterator[str]:
     for i, (name, color) in enumerate(zip(ground.names, ground.colors, strict=True)):
         if np.any(ground.kind == i):
             path = "".join(_cells(ground.kind == i, area, *size))
-            yield f'<path class="cells f-{color[1:]}" data-name="{drawn_text(name)}" d="{path}"/>'
+            yield f'<path class="cells g-{color[1:]}" data-name="{drawn_text(name)}" d="{path}"/>'
+    for text, row, column in ground.labels:
+        x, y = area.left + (column + 0.5) * size[0], area.top + area.height - (row + 0.5) * size[1]
+        yield f'<text class="at" x="{x:.5g}" y="{y + 4:.5g}" text-anchor="middle">{drawn_text(text)}</text>'
 
 
 def _cells(there: Array, area: Area, width: float, height: float) -> Iterator[str]:
@@ -200,7 +204,7 @@ def _shades(ground: Shades, area: Area) -> Iterator[str]:
         path = "".join(f"{line_path(area.across(ring[:, 0]), area.down(ring[:, 1]))}z" for ring in rings)
         name = drawn_text(f"{ground.label} {low:.6g} to {high:.6g}")
         if path:
-            yield f'<path class="f-{color[1:]}" data-name="{name}" transform="scale({1 / FINE})" d="{path}"/>'
+            yield f'<path class="g-{color[1:]}" data-name="{name}" transform="scale({1 / FINE})" d="{path}"/>'
     yield from _color_bar(ground.label, between, colors, area)
 
 
@@ -209,7 +213,7 @@ def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area
     scale = Axis(between[0], between[-1])
     for k, color in enumerate(colors):
         top = area.top + area.height - (k + 1) * step
-        yield f'<rect class="f-{color[1:]}" x="{left:.5g}" y="{top:.5g}" width="12" height="{step + 0.3:.5g}"/>'
+        yield f'<rect class="g-{color[1:]}" x="{left:.5g}" y="{top:.5g}" width="12" height="{step + 0.3:.5g}"/>'
     for tick, text in scale.ticks(6):
         down = area.top + area.height * (1 - float(scale.place(np.array(tick))))
         yield f'<text class="at" x="{left + 16:.5g}" y="{down + 4:.5g}">{drawn_text(text)}</text>'
@@ -218,13 +222,83 @@ def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area
 
 WIDTH, HEIGHT = 420, 280
 WIDE = (600, 360)  # of a figure of one panel
-BARS = 320  # width of a panel of bars
+BARS = 260  # width of a panel of bars
 DASHES = {"solid": (), "dash": (6, 3), "dot": (1.8, 2.2), "dashdot": (7, 2, 2, 2), "longdash": (10, 3), "none": ()}
 MARKERS = {
+    "": "",
     "o": "m-300 0a300 300 0 1 0 600 0a300 300 0 1 0-600 0z",
+    "s": "m-265-265h530v530h-530z",
+    "^": "m0-380l350 590h-700z",
+    "v": "m0 380l350-590h-700z",
+    "D": "m0-390l390 390l-390 390l-390-390z",
+    "p": "m0-360l342 249l-131 402h-422l-131-402z",
     "x": "m-300-300l600 600m0-600l-600 600",
     "+": "m0-450v900m-450-450h900",
 }
+TOLERANCE = 0.12  # how far a simplified line may be from all its points [panel's units]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Entry of a legend: a line, a marker, both, or a patch of colour.
+
+    Attributes:
+        label: text.
+        color: as `#rrggbb`.
+        dash, width: of the line; no line with `none`.
+        marker: of the points, or empty.
+        filled: True for full markers.
+        ground: True for an area of a map.
+    """
+
+    label: str
+    color: str
+    dash: Dash = "none"
+    width: float = 0.0
+    marker: Marker = ""
+    filled: bool = False
+    ground: bool = False
+
+
+def legend(figure: Figure) -> list[Entry]:
+    """Returns one legend entry per label, classes of a panel before its curves; line and points of one label are together."""
+    entries: dict[str, Entry] = {}
+    for panel in figure.panels:
+        if isinstance(panel.ground, Classes):
+            for name, color in panel.ground.legend:
+                entries.setdefault(name, Entry(name, color, ground=True))
+        for curve in panel.curves:
+            if not curve.label:
+                continue
+            before = entries.get(curve.label, Entry(curve.label, curve.color))
+            line = before if before.dash != "none" else replace(before, dash=curve.dash, width=curve.width)
+            entries[curve.label] = line if line.marker else replace(line, marker=curve.marker, filled=curve.filled)
+    return list(entries.values())
+
+
+def kept_points(x: Array, y: Array, tolerance: float = TOLERANCE) -> Array:
+    """Returns the indices of the points that a line needs, after D. H. Douglas and T. K. Peucker (1973).
+
+    Args:
+        x, y: shape (N,); NaN interrupts the line, and both its neighbours are kept.
+        tolerance: largest distance of a dropped point from the simplified line.
+    """
+    known = np.isfinite(x) & np.isfinite(y)
+    kept = ~known
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
+    spans = [(first, last - 1) for first, last in edges.reshape(-1, 2).tolist()]
+    while spans:
+        first, last = spans.pop()
+        kept[[first, last]] = True
+        if last - first < 2:
+            continue
+        across, down = x[first : last + 1] - x[first], y[first : last + 1] - y[first]
+        length = float(np.hypot(across[-1], down[-1]))
+        away = np.hypot(across, down) if length < 1e-9 else np.abs(across * down[-1] - down * across[-1]) / length
+        furthest = int(away.argmax())
+        if away[furthest] > tolerance:
+            spans += [(first, first + furthest), (first + furthest, last)]
+    return np.flatnonzero(kept)
 
 
 def svg(panel: Panel, name: str, wide: bool = False) -> str:
@@ -253,7 +327,7 @@ def svg(panel: Panel, name: str, wide: bool = False) -> str:
     identifier = escape(f"plot-{name}")
     title, text = about(panel)
     return (
-        f'<svg class="plot {shape} {"paper" if on_paper(panel) else "ink"}" id="{identifier}" role="img" '
+        f'<svg class="{f"plot {shape}".strip()}" id="{identifier}" role="img" '
         f'aria-labelledby="{identifier}-title {identifier}-text" viewBox="0 0 {width} {height}" '
         f'data-axes="{escape(json.dumps(ends, allow_nan=False))}">'
         f'<title id="{identifier}-title">{drawn_text(title)}</title><desc id="{identifier}-text">{drawn_text(text)}</desc>'
@@ -265,11 +339,6 @@ def _ends(label: str, axis: Axis, names: Sequence[str] = ()) -> dict[str, object
     """Returns name, unit, range and labels of an axis for `page.js`."""
     name, unit = quantity(label)
     return {"name": name, "unit": unit, "low": axis.low, "high": axis.high, "log": axis.log, "names": list(names)}
-
-
-def on_paper(panel: Panel) -> bool:
-    """Returns True if a panel keeps its light background in dark mode."""
-    return isinstance(panel.ground, Classes | Shades)
 
 
 def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
@@ -294,7 +363,9 @@ def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
 
 
 def _line(curve: Curve, area: Area) -> str:
-    path = line_path(area.across(curve.x), np.clip(area.down(curve.y), -1e4, 1e4))
+    x, y = area.across(curve.x), np.clip(area.down(curve.y), -1e4, 1e4)
+    kept = kept_points(x, y)
+    path = line_path(x[kept], y[kept])
     dashes = " ".join(f"{FINE * part:g}" for part in DASHES[curve.dash])
     dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
     return _drawn(curve, path, f' stroke-width="{FINE * curve.width:g}"{dashed}')
@@ -307,7 +378,7 @@ def _markers(curve: Curve, area: Area) -> str:
     )
     at = np.round(FINE * np.stack([x[inside], y[inside]], axis=1)).astype(int).tolist()
     path = "".join(f"M{across} {down}{MARKERS[curve.marker]}" for across, down in at)
-    return _drawn(curve, path, ' stroke-width="150"', "point ")
+    return _drawn(curve, path, ' stroke-width="140"', "point full " if curve.filled else "point ")
 
 
 def _drawn(curve: Curve, path: str, look: str, kind: str = "line ") -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import cell, table
-from models.figures.figure import DASHES, OTHERS, STYLES, Curve, Figure, Panel, styles
+from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed
 from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
@@ -231,7 +231,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
     looks = styles(tuple(f"{controller}{end}" for end in own.values() for controller in campaign.controllers))
     panels, crossed = [], False
     for road, speed in dict.fromkeys((entry["road"], entry["speed"]) for entry in entries):
-        curves = []
+        curves, measured = [], False
         for i, (name, vehicle) in enumerate(campaign.vehicles.items()):
             place = RoadAndSpeed(plan, name, vehicle, road, speed)
             line = place.constant_dampers()
@@ -240,29 +240,38 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
                 curves.append(Curve(line[:, 0], line[:, 1], f"constant dampers, expected{own[name]}", color, width=2.2))
             for controller, (x, y) in place.fully_active().items():
                 label = f"{controller}, fully active, expected{own[name]}"
-                color = looks[f"{controller}{own[name]}"][0]
+                color = looks[f"{controller}{own[name]}"].color
                 curves.append(Curve(np.array([x]), np.array([y]), label, color, "none", "x"))
         for entry in entries:
             ones = entry.get("variants") or [{line: entry[line]["rms"] for line in (ACROSS, UP)}]
             there = [(one[ACROSS], one[UP]) for one in ones if one[ACROSS] is not None and one[UP] is not None]
             if (entry["road"], entry["speed"]) == (road, speed) and there:
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
-                color, dash = looks[label]
-                again = label not in STYLES and dash != DASHES[0]  # the colours are used up
                 x, y = np.array(there).T
-                curves.append(Curve(x, y, label, color, "none", "+" if again else "o"))
+                curves.append(Curve(x, y, label, looks[label].color, "none", looks[label].marker))
+                measured = True
         crossed = crossed or any(curve.marker == "x" for curve in curves)
-        if any(curve.marker in ("o", "+") for curve in curves):
+        if measured:
             title = f"{road} at {speed:g} m/s"
             panels.append(Panel(title, ACROSS_LABEL, UP_LABEL, tuple(curves)))
     if not panels:
         raise InputError("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
+    sentences = "; ".join(dict.fromkeys(filter(None, (_softest(panel) for panel in panels))))
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
         "runs, of the worst point of the vehicle."
         + (" Crosses: with actuators that push in place of adjustable dampers." if crossed else "")
     )
-    return Figure("trade_off", title, tuple(panels), columns=min(2, len(panels)), size=(6.4, 4.8))
+    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=sentences)
+
+
+def _softest(panel: Panel) -> str:
+    """Returns who rides best and who holds the road best in a panel, or an empty text with less than two controllers."""
+    points = [curve for curve in panel.curves if curve.dash == "none" and curve.marker != "x" and len(curve.x)]
+    if len(points) < 2:
+        return ""
+    soft, firm = min(points, key=lambda one: one.y.min()).label, min(points, key=lambda one: one.x.min()).label
+    return f"{soft} rides best{f', {firm} holds' if firm != soft else ' and holds'} the road best"
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ def foxglove_layout(runs: Sequence[RunLog]) -> str:
 
 def _page(panels: dict[str, Any], runs: Sequence[RunLog], run: RunLog) -> Any:
     """Adds the panels of one run: on the left the car and its events, on the right the responses and the differences."""
-    color = styles(tuple(other.name for other in runs))[run.name][0]
+    color = styles(tuple(other.name for other in runs))[run.name].color
     car, log = f"3D!{_id(run.name)}", f"RosOut!{_id(run.name)}"
     panels[car] = _scene(runs, [run])
     panels[log] = {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic(runs, run, "events")}
@@ -96,7 +96,7 @@ def _comparison(panels: dict[str, Any], runs: Sequence[RunLog]) -> Any:
         plots = []
         for signal in signals:
             paths = [
-                _path(topic(runs, run, shown(run)), signal.name, run.name, colours[run.name][0], 1.5)
+                _path(topic(runs, run, shown(run)), signal.name, run.name, colours[run.name].color, 1.5)
                 for run in runs
                 if signal.name in run.responses[shown(run)].names
             ]

@@ -290,7 +290,8 @@ def channels(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
                 partial(_encoded, response, "<f8"),
                 _nearly_equal,
             )
-    yield from (channel for channel in _published(runs) if channel.times)
+    # A panel of events has its topic even if nothing happened.
+    yield from (channel for channel in _published(runs) if channel.times or channel.topic.endswith("/events"))
 
 
 def _nearly_equal(message: bytes, other: bytes) -> bool:
@@ -382,7 +383,7 @@ def _published(runs: Sequence[RunLog]) -> Iterator[LoggedChannel]:
         run = replace(run, scene=run.scene.finite())
         times = _nanoseconds(run.scene.time)
         happened = _nanoseconds(np.array([time for time, _ in run.events]))
-        colour = rgb(colours[run.name][0])
+        colour = rgb(colours[run.name].color)
         for name, kind, when, messages in (
             ("events", scene.Log, happened, partial(scene.events, run, happened)),
             ("transforms", scene.FrameTransforms, times, partial(scene.transforms, run, times, stand)),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 TIMELINE = "time"
 
 ROOM = 1.15  # half width of a diagram over the largest value
+TICKS = 5  # of a diagram's axis, about
 ANY_RESPONSE = (0.3, 2.0)
 READ = 4000  # characters of a claim that a page shows: enough for the gain of 45 states, not for a load from a file
 
@@ -56,7 +57,7 @@ def time_index(time: Array) -> list[rr.TimeColumn]:
 
 def colours(runs: Sequence[RunLog]) -> list[str]:
     """Returns the report's colour of each run."""
-    return [color for color, _ in styles(tuple(run.name for run in runs)).values()]
+    return [style.color for style in styles(tuple(run.name for run in runs)).values()]
 
 
 def line(label: str, color: str, width: float) -> rr.SeriesLines:
@@ -117,6 +118,8 @@ def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
 
 def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulled: Response, color: str) -> None:
     """Logs a force over its argument as a 2D drawing of 2 by 2 units, y down, as Rerun plots only over time."""
+    from models.figures.axis import Axis  # of dampers and springs with a diagram alone
+
     x, force = pulled[one.argument.name], pulled[one.pull.name]
     far, high = (ROOM * max(float(np.abs(values).max(initial=0.0)), least) for values, least in ((x, 1e-3), (force, 1.0)))
 
@@ -126,8 +129,11 @@ def _log_diagram(recording: rr.RecordingStream, path: str, one: "Diagram", pulle
     grid, ends = np.linspace(-far, far, 401), np.array([-1.0, 1.0])
     axes = [place(far * ends, 0 * ends), place(0 * ends, high * ends)]
     recording.log(f"{path}/axes", rr.LineStrips2D(axes, colors=[(110, 110, 110)], radii=rr.Radius.ui_points(0.7)), static=True)
-    texts = [f"{far / ROOM:.4g} {one.argument.unit}", f"{high / ROOM:.4g} {one.pull.unit}"]
-    points = [(far / ROOM, 0.0), (0.0, high / ROOM)]
+    texts, points = list[str](), list[tuple[float, float]]()
+    for k, (end, unit) in enumerate(((far, one.argument.unit), (high, one.pull.unit))):
+        for tick, text in Axis(-end / ROOM, end / ROOM).ticks(TICKS):
+            texts.append(f"{text} {unit}")
+            points.append((tick, 0.0) if k == 0 else (0.0, tick))
     for each in one.lines:
         height = each.force(grid)
         seen = np.abs(height) <= high

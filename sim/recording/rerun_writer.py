@@ -43,14 +43,15 @@ SIGHT = np.array([-0.45, -1.0, -0.14])
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # Rerun's vertical field of view
 SKY = (206, 214, 224)  # background that contrasts with black tyres
 PAPER = (178, 183, 192)  # background of plots, for the report's colours and a white time cursor
+ROUNDING = 1e-9  # of the other end of a curve: less is 0
 UNSEEN = 5e-3  # relative to a peak: about a pixel of a plot
 SEEN = 6  # plots on one page; more would be too flat to read
 CARS, TITLE = (1090, 326), 28  # space for all cars in a window of 1600 x 900, and height of a view's title [pixels]
 # Rerun labels multiples of powers of ten on an axis of values, except those too close together. So many a plot has only the label
 # 0. Then the axis is extended to the next label, unless that would make the curve too small.
 CLOSEST = 7  # most steps between labels; with more, a plot of 190 pixels has only every tenth label
-LABELS = 2  # number of labels needed to read a value
-FURTHEST = 1.3  # longest extended axis, over the range
+LABELS = 3  # number of labels needed to read a value
+FURTHEST = 1.6  # longest extended axis, over the range
 MARGIN = 0.04  # of the range, or of a step, so that no peak or label is on the border
 
 
@@ -281,7 +282,10 @@ def extremes(curves: Iterable[Array]) -> tuple[float, float] | None:
 def extremes_text(curves: Iterable[Array]) -> str:
     """Returns the extremes as text; empty without finite values."""
     limits = extremes(curves)
-    return "" if limits is None else " to ".join(dict.fromkeys(f"{value + 0.0:.3g}" for value in limits))
+    if limits is None:
+        return ""
+    least = ROUNDING * max(map(abs, limits))
+    return " to ".join(dict.fromkeys(f"{value if abs(value) > least else 0.0:.3g}" for value in limits))
 
 
 def labelled(low: float, high: float) -> tuple[float, float]:

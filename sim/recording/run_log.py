@@ -109,7 +109,7 @@ class RunLog:
 # thin line within broad ones.
 RESPONSES = {CONTINUOUS: ("continuous", 0.78, 8.0), SAMPLED: ("sampled", 0.5, 4.5), MUJOCO: ("MuJoCo", 0.0, 1.5)}
 
-PALETTE = (*(color for color, _ in STYLES.values()), *OTHERS)  # colours of curves that do not belong to a run
+PALETTE = tuple(dict.fromkeys((*(style.color for style in STYLES.values()), *OTHERS)))  # of curves that belong to no run
 
 GROUPED = 8  # signals that fit on one page
 MOST_ACTIVE = 6  # plotted states of a controller; the others are only in the log

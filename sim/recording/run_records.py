@@ -46,6 +46,7 @@ FORMS = {
 }
 
 FRAMES = 60  # per second
+LONGEST = 60  # letters of a vehicle file in the name of a log
 
 BEHIND, AHEAD = 6.0, 12.0  # length of road behind the last wheel at the start and ahead of the first at the end [m]
 SPACING, MOST = 0.05, 20_000  # spacing of a profile's points [m], and their largest number, without those under wheels
@@ -165,10 +166,11 @@ def _shape(model: mujoco.MjModel, i: int) -> Shape:
 
 
 def stem(command: str, vehicle: Vehicle, controllers: Sequence[str]) -> str:
-    """Returns the name of a log: command, vehicle, controllers and time (UTC)."""
+    """Returns the name of a log: command, vehicle file, controllers and time (UTC)."""
     now = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     which = "_".join(controllers) if len(controllers) <= 3 else f"{len(controllers)}_controllers"
-    return f"{command}-{vehicle.kind.name}-{which}-{now}"
+    name = re.sub(r"[^\w-]+", "_", Path(vehicle.source).stem) if vehicle.source else vehicle.kind.name
+    return f"{command}-{name[:LONGEST]}-{which}-{now}"
 
 
 def common_metadata(command_line: str, vehicle: Vehicle, timestep: float) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
 
 import argparse
-import csv
 import datetime
 import json
 import shlex
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say
-from sim.command.road_options import USUAL, add_loads, left_out_lines, omitted_controllers
+from sim.command.road_options import add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
     from models.figures.page import Page
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from models.vehicle.vehicle import Vehicle
     from sim.report.contents import Report
     from sim.report.worker_processes import Beside
+
+COPY = "_printed"  # ends the name of a copy of another controller
 
 EPILOG = """
 exit code: 0 the report is written, 2 bad input
@@ -52,6 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
     others = omitted_controllers(vehicle, options.controller, names)
+    if options.out is None:
+        from sim.report.scope import file_stem
+
+        options.out = Path(f"report-{file_stem(vehicle)}.html")
     outputs = {"report": options.out, "figures": options.figures}
     check_outputs(outputs, vehicle.files, options.json)
     if options.figures is not None:
@@ -124,15 +129,15 @@ def _reported(
 
 
 def _usual(vehicle: "Vehicle") -> list[str]:
-    """Returns the controllers of a report by default: the paper's four, or all of a vehicle file that has others instead."""
+    """Returns the controllers of a report by default: all but printed copies of others, as `I_printed` is of `I`."""
     names = vehicle.controller_names
-    return [name for name in USUAL if name in names] if set(USUAL) & {*vehicle.controllers} else list(names)
+    return [name for name in names if name.removesuffix(COPY) not in names or not name.endswith(COPY)]
 
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle("default: passive, state, I and II, or all of a vehicle file without I and II")
-    parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="the page (default: report.html)")
+    parser.add_controller_and_vehicle("default: all but printed copies of others, as I_printed is of I")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
     parser.add_argument(
@@ -152,17 +157,17 @@ def _parser() -> Parser:
 def _write_figures(page: "Page", folder: Path) -> None:
     """Every figure as SVG and PNG, every table as CSV, each whole or not at all."""
     from models.common.files import whole_file
+    from models.figures.downloads import figure_svg
     from models.figures.picture import write_picture
 
     for part in page.parts:
+        texts = {f"{table.name}.csv": table.csv for table in part.tables}
         for figure in part.figures:
-            write_picture(figure, folder / f"{figure.name}.svg", folder / f"{figure.name}.png")
-        for table in part.tables:
-            with (
-                whole_file(folder / f"{table.name}.csv", "table") as beside,
-                beside.open("w", newline="", encoding="utf-8") as file,
-            ):
-                csv.writer(file).writerows([table.headings, *table.rows])
+            write_picture(figure, folder / f"{figure.name}.png")
+            texts[f"{figure.name}.svg"] = figure_svg(figure)
+        for name, text in texts.items():
+            with whole_file(folder / name, "table" if name.endswith(".csv") else "picture") as beside:
+                beside.write_text(text, encoding="utf-8", newline="")
 
 
 def _others(page: "Page", folder: Path) -> list[str]:

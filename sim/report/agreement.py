@@ -3,23 +3,26 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.common.printed import Column
 from models.figures.axis import axis_of
-from models.figures.figure import Curve, Figure, Marker, Panel, thinned
+from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
+from models.figures.reading import Pivot
 from models.roads.road import Bump
+from models.vehicle.names import PASSIVE
 from sim.physics.energy import Energy
-from sim.report.scope import BUMP_DURATION, Scope
+from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
 from synth.controller.controller import Controller
 
-DIAGRAM_POINTS = 400  # of MuJoCo
+DIAGRAM_POINTS = 60  # of MuJoCo
 ROOM = 1.15  # times what was reached, on both axes
 OF_LINE = 600  # points of a curve
 
@@ -47,9 +50,9 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
     for run in runs:
         response = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
         x = diagram.x(response)
-        force, (color, _) = diagram.force(x, response), scope.styles[run.controller.name]
+        force, style = diagram.force(x, response), scope.styles[run.controller.name]
         every = max(1, len(x) // DIAGRAM_POINTS)
-        points.append(Curve(x[::every], force[::every], run.controller.name, color, "none", "o"))
+        points.append(Curve(x[::every], force[::every], run.controller.name, style.color, "none", style.marker))
         far, high = max(far, float(np.abs(x).max(initial=0.0))), max(high, float(np.abs(force).max(initial=0.0)))
     x = np.linspace(-ROOM * far, ROOM * far, OF_LINE)
     lines = [Curve(x, one.force(x), one.label, "#000000", one.dash, width=one.width) for one in diagram.lines]
@@ -58,7 +61,7 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
     return Panel(diagram.title, diagram.over, "force [N]", (*points, *lines), None, xlim=limits[0], ylim=limits[1])
 
 
-POINTS = 60  # of MuJoCo in a time history
+POINTS = 24  # of MuJoCo in a time history
 
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
@@ -72,11 +75,6 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         curves = [curve for one in drawn for curve in one.curves]
         if not curves:
             continue
-        if not panels:
-            none = np.zeros(0)
-            curves.append(Curve(none, none, "MuJoCo", "#666666", "none", "o"))
-            if any(curve.marker == "x" for curve in curves):
-                curves.append(Curve(none, none, "MuJoCo, once the linear regime has ended", "#666666", "none", "x"))
         signal = vehicle.kind.signal(name)
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
         title = f"{words}, {signal.symbol}"
@@ -90,11 +88,13 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         lines = f"{scope.analysis}, {scope.as_it_runs}"
     elif not scope.prompt:
         lines = f"linear analysis of the loop as it runs, {scope.as_it_runs}"
+    ended = "; full ones once the linear regime has ended" if any(one.filled for panel in panels for one in panel.curves) else ""
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
-        f"Lines: {lines}{early}.\nPoints: MuJoCo at {1e3 * scope.timestep:g} ms"
+        f"Lines: {lines}{early}. "
+        f"Markers: MuJoCo at {1e3 * scope.timestep:g} ms{ended}"
     )
-    figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3)
+    figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3, finding=_least_peak(scope, runs))
     columns: tuple[Column[tuple[str, Run]], ...] = (
         Column("signal", lambda of: of[0].replace("_", " ")),
         Column("unit", lambda of: vehicle.kind.signal(of[0]).unit),
@@ -107,8 +107,9 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         Column("rms, sampled", lambda of: of[1].sampled.rms(of[0]), ".5g"),
         Column("rms, continuous", lambda of: of[1].continuous.rms(of[0]), ".5g"),
     )
-    caption = "Largest and root mean square values over the bump: in MuJoCo, and by both linear analyses."
-    table = Table.of("bump", caption, columns, [(name, run) for name in signals for run in runs], words=3)
+    caption = "Largest values over the bump in MuJoCo; below, and in the file, those of both linear analyses and all rms values."
+    pivot = Pivot(("signal", "unit"), "controller", ("peak, MuJoCo",))
+    table = Table.of("bump", caption, columns, [(name, run) for name in signals for run in runs], words=3, pivot=pivot)
     blur = scope.vehicle.implementation.noise_text.replace(" and ", " or ")
     unknown = f" or {blur}" if blur else ""
     response = "response" if scope.is_nonlinear else "linear response"
@@ -125,6 +126,18 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
     figures = (figure,) if diagram is None else (figure, diagram)
     return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), figures)
+
+
+def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
+    """Returns a sentence on the controller with the least peak of the body's acceleration, or an empty one without a choice."""
+    name = next((name for name in scope.vehicle.performance if name.endswith("acceleration")), None)
+    peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
+    if name is None or len(peaks) < 2:
+        return ""
+    least = min(peaks, key=lambda one: peaks[one])
+    against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))
+    unit = scope.vehicle.kind.signal(name).unit
+    return f"{least} shakes the body least over the bump: a peak of {peaks[least]:.3g} {unit}{against}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,22 +168,23 @@ def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
     """
     if float(run.physics.peak(name)) < run.physics.scale(name):
         return None
-    (color, dash), until = scope.styles[run.controller.name], run.agreement.until
+    style, until = scope.styles[run.controller.name], run.agreement.until
     bounded = _bounded(scope, run)
     end = run.broke_off[1] if run.broke_off is not None else math.inf
     every = max(1, len(run.physics.time) // POINTS)
     curves, seen = [], [np.zeros(0)]
     line = (run.continuous if scope.prompt and not scope.is_nonlinear else run.sampled).until(math.inf if bounded else until)
     if len(line.time):
-        thin = thinned(line[name], max(1, every // 6))
-        curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, color, dash))
+        thin = thinned(line[name], max(1, len(line.time) // OF_LINE))
+        curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, style.color, style.dash))
         seen.append(line[name])
     time, values = run.physics.time[::every], run.physics[name][::every]
-    markers: tuple[Marker, Marker] = ("o", "x")
-    for marker, some in zip(markers, (time < until, (until <= time) & (time < end)), strict=True):
+    for filled, some in ((False, time < until), (True, (until <= time) & (time < end))):
         if some.any():
-            curves.append(Curve(time[some], values[some], "", color, "none", marker, name=f"{run.controller.name}, MuJoCo"))
-        if bounded or marker == "o":
+            seen_as = f"{run.controller.name}, MuJoCo"
+            points = time[some], values[some], run.controller.name
+            curves.append(Curve(*points, style.color, "none", style.marker, name=seen_as, filled=filled))
+        if bounded or not filled:
             seen.append(values[some])
     return _Drawn(tuple(curves), np.concatenate(seen), bounded)
 
@@ -188,11 +202,11 @@ def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:
     """Returns the section on the differences between MuJoCo and the analysis, and their order in the step."""
     rows, kinds = [], set()
-    for run, fine in zip(runs, finer, strict=True):
+    for run, fine in zip_longest(runs, finer):
         geometry = any(signal.small is not None for signal in run.agreement.signals.values())
         kinds.add("noise" if run.agreement.blurred else "geometry" if geometry else "exact")
         for name, signal in run.agreement.signals.items():
-            half = fine.agreement.signals[name]
+            half = None if fine is None else fine.agreement.signals[name]
             exact = not run.agreement.blurred and signal.small is None
             # Of what does not go with the step there is no order: noise, geometry, a controller slower than the step.
             rows.append(
@@ -201,9 +215,9 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
                     name.replace("_", " "),
                     f"{signal.sampled:.1e}",
                     f"{signal.allowed:.1e}" if signal.small is None else "geometry",
-                    _order(signal.sampled, half.sampled) if exact else "-",
+                    _order(signal.sampled, half.sampled) if half is not None and exact else "-",
                     f"{signal.continuous:.1e}" if not scope.is_nonlinear else "-",
-                    _order(signal.continuous, half.continuous) if exact and _settles(scope, run) else "-",
+                    _order(signal.continuous, half.continuous) if half is not None and exact and _settles(scope, run) else "-",
                 )
             )
     headings = ("controller", "signal", "to sampled", "allowed", "its order", "to continuous", "order of that")
@@ -212,6 +226,8 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         f"Largest difference over time as a share of the signal's peak, at a timestep of {h:g} ms, for as long as the comparison "
         f"applies; and the power of the step with which it shrinks, from {h:g} to {h / 2:g} ms."
     ]
+    if len(finer) < len(runs):
+        text.append(f"Orders are of {joined([run.controller.name for run in finer])} alone.")
     if "exact" in kinds:
         text.append(
             "MuJoCo is the exact sampled response to within its integrator's error, order 4. Below 1e-9 there is only rounding, "
@@ -249,8 +265,11 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         "Energy is a check without analysis: what road and actuators put into a run is found again, stored or taken by the "
         "dampers. What is left over is a share of what was turned over. What the integrator explains of it is allowed."
     )
-    caption = "How far MuJoCo is from the analysis, as a share of each signal's peak."
-    tables = (Table("agreement", caption, headings, tuple(rows), words=2), energy_table(runs))
+    caption = (
+        "How far MuJoCo is from the sampled response, as a share of each signal's peak; below, what is allowed, and the orders."
+    )
+    pivot = Pivot(("signal",), "controller", ("to sampled",))
+    tables = (Table("agreement", caption, headings, tuple(rows), words=2, pivot=pivot), energy_table(runs))
     return Section("Does the physics do what the analysis says?", "agreement and its order, energy", tuple(text), tables)
 
 

@@ -14,6 +14,7 @@ from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
 from sim.report.agreement import agreement_section, bump_section
+from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, frequency_section, paper_section
 from sim.report.headline import Statement
 from sim.report.limits import map_of, margins_section, regime_section, validity_section
@@ -21,7 +22,7 @@ from sim.report.loads import loads_section, workshop_section
 from sim.report.regime_end import regime_end
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
-from sim.report.summary import compared_on, summary
+from sim.report.summary import compared_on, first_screen, trust_section
 from sim.report.worker_processes import Beside, Piece
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
@@ -32,6 +33,9 @@ from synth.vehicle.paper import SEED, is_the_papers
 
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
 MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "the paper"
+
+
+MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,21 +65,25 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     scope.progress(BUMP)
     time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
     runs = run_controllers(vehicle, scope.driven, road, time)
-    finer = run_controllers(vehicle, scope.driven, road, halves, balanced=False)
+    finer = run_controllers(vehicle, scope.driven[:MOST_ORDERS], road, halves, balanced=False)
     scope.progress(REGIME)
     ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
     parts = results()
 
     frequencies: Frequencies = parts[FREQUENCIES, ""]
+    rides: list[Ride]
+    rides, over_roads = parts.get((RIDE, ""), ([], []))
+    compared = _compared(scope, runs, over_roads)
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
         *report_answer.over_the_bump(scope, runs),
         *report_answer.left_short(scope, runs),
+        *report_answer.left_out(scope),
         *frequencies.findings,
         *report_answer.regime(scope, road, ends, runs),
     ]
-    sections = [design_section(scope)]
+    sections = [trust_section(scope, runs, ends, rides), design_section(scope)]
     if frequencies.section is not None:
         sections.append(frequencies.section)
     sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
@@ -86,9 +94,6 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         for section, findings in (parts[MARGINS, ""], validity_section(scope, maps)):
             sections.append(section)
             answer += findings
-    rides: list[Ride]
-    rides, over_roads = parts.get((RIDE, ""), ([], []))
-    compared = _compared(scope, runs, over_roads)
     if rides:
         sections.append(ride_section(vehicle, rides, scope.styles))
     if frequencies.workshop is not None:
@@ -99,10 +104,20 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         answer += findings
     sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
-    title = f"{vehicle.kind.name.replace('_', ' ').capitalize()}: suspension control from linear analysis to physics"
     texts = tuple(one.text for one in answer)
-    whole = Page(title, texts, summary(scope, runs, ends, rides, compared), tuple(sections), report_answer.worst(answer))
-    return Report(whole, compared, compared_on(compared, bool(rides)))
+    where, dive = compared_on(compared, bool(rides)), dives(scope)
+    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    whole = Page(
+        titled(vehicle, scope.stem, scope.driven),
+        texts,
+        first_screen(scope, runs, compared, dive, bool(rides)),
+        tuple(sections),
+        report_answer.worst(answer),
+        headline(compared),
+        tuple(lead(compared, dive, norms, where)),
+        tuple(one.text for one in answer if one.state != "holds"),
+    )
+    return Report(whole, compared, where)
 
 
 def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool) -> tuple[str, ...]:
@@ -240,5 +255,12 @@ def report_object(report: Report) -> dict[str, Any]:
         for part in page.parts
         for table in part.tables
     }
-    whole = {"title": page.title, "answer": page.answer, "verdict": page.state, "tables": tables}
+    whole = {
+        "title": page.title,
+        "headline": page.headline,
+        "lead": page.lead,
+        "answer": page.answer,
+        "verdict": page.state,
+        "tables": tables,
+    }
     return json.loads(json.dumps({**whole, "compared": standings_object(report.compared)}))

@@ -55,17 +55,22 @@ def design_section(scope: Scope) -> Section:
         "its lower bound.",
     )
     if scope.laws:
-        laws = "; ".join(f"{one.name}: {one.text}" for one in scope.laws)
         text = (
             *text,
-            f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty. "
-            f"{laws}.",
+            f"What {scope.kind_of_laws} asks for is {_known(scope)}, so that nothing is proved of it, and its columns are empty.",
         )
     if not scope.is_ideal:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
     said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
     text = (*text, *(f"Controller {name}: {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
+    if scope.laws:
+        described = tuple(
+            (one.name, one.text.partition(" (")[0], one.text.partition(" (")[2].removesuffix(")")) for one in scope.laws
+        )
+        tables.append(
+            Table("laws", "What the laws are of which nothing is proved.", ("controller", "law", "what it does"), described, 3)
+        )
     if scope.built_norms:
 
         def above(one: Controller) -> str:
@@ -181,9 +186,8 @@ def frequency_section(
         sweeps: of the same; none in a quick report.
         speed: [m/s].
     """
-    figure = replace(
-        sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own), name="frequency-responses"
-    )
+    drawn = sweep_figure(scope.vehicle, lines, AMPLITUDE, scope.timestep, speed, scope.styles, own)
+    figure = replace(drawn, name="frequency-responses")
     columns: tuple[Column[Lines], ...] = (
         Column("controller", lambda one: one.controller.name),
         Column("error to sampled", lambda one: one.error(one.sampled).max(), "{:.1e}".format),

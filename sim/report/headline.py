@@ -18,6 +18,8 @@ from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
 from synth.controller.controller import Controller
 
+HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride
+
 
 @dataclass(frozen=True)
 class Statement:
@@ -134,12 +136,13 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     """Returns statements on the force that adjustable dampers leave out of the requests of linear controllers, and its
     consequences.
     """
-    missing = {}
+    missing, most = {}, 0.0
     for run in runs:
         if isinstance(run.controller, Controller) and not is_linear(scope.vehicle, run.controller):
             share = max((one.rms for one in shortfalls(run.vehicle, run.physics).values()), default=0.0)
             if share > 0:
                 missing[run.controller.name] = percent(share)
+                most = max(most, share)
     if not missing:
         return []
     text = (
@@ -147,7 +150,13 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
         f"{joined([f'{share} of {name}' + chr(39) + 's' for name, share in missing.items()])}. Norms, frequency responses and "
         "margins are of the loop whose every force is given, and say nothing of these rides."
     )
-    return [Statement(text)]
+    return [Statement(text, "ends" if most > HALF else "holds")]
+
+
+def left_out(scope: Scope) -> list[Statement]:
+    """Returns a statement on the controllers of the vehicle file that are not on the page."""
+    names = [name for name in scope.vehicle.controller_names if name not in {one.name for one in scope.driven}]
+    return [Statement(f"Not on this page, though in the vehicle file: {joined(names)}.")] if names else []
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:

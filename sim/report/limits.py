@@ -9,6 +9,7 @@ import numpy as np
 from models.common.printed import Column, cell, cells, percent, titles
 from models.figures.figure import Figure
 from models.figures.page import Section, Table
+from models.figures.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from sim.report.headline import Statement, unclaimed_words
@@ -74,6 +75,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
             ("controller", "margin", "predicted", "MuJoCo"),
             tuple(rows),
             words=2,
+            pivot=Pivot(("margin",), "controller", ("predicted", "MuJoCo")),
         ),
         Table(
             "robustness",
@@ -151,7 +153,8 @@ def map_of(scope: Scope, number: int) -> Map:
     )
     text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
     findings = () if cells.as_predicted else (Statement(text, "fails"),)
-    return Map(replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}"), row, findings)
+    named = replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}")
+    return Map(named, row, findings)
 
 
 def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[Statement]]:

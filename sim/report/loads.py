@@ -8,6 +8,7 @@ import numpy as np
 from models.common.printed import Column, cell, cells, titles
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
+from models.figures.reading import Pivot
 from models.kinds.links import left_out
 from models.roads.load import Load
 from models.roads.loaded import RoadWithLoads
@@ -28,7 +29,7 @@ from sim.studies.ride.run_metrics import METRIC, measure_run
 DURATION = 5.0  # s; longer where the loads come later
 AFTER = 2.0  # s that are looked at after the last load has come
 LONGEST = 60.0  # s
-POINTS = 60  # of MuJoCo
+POINTS = 24  # of MuJoCo
 SPEED = 20.0  # m/s, which does not matter on a flat road
 
 
@@ -78,7 +79,8 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
     if not wrong:
         agreed = joined([run.controller.name for run in runs])
         findings = [Statement(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
-    table = Table("loads", caption, headings, tuple(rows), words=3)
+    pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
+    table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
     return Section("What do loads do?", "brakes, curves, payloads, wind", tuple(text), (table,), (figure,)), findings
 
@@ -111,7 +113,7 @@ def _leaning(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _title(names: str) -> str:
-    return f"What acts, and what it does: {names}. Lines: the exact sampled response. Points: MuJoCo"
+    return f"What acts, and what it does: {names}. Lines: the exact sampled response. Markers: MuJoCo"
 
 
 def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run]) -> list[Panel]:
@@ -129,16 +131,17 @@ def _panels(scope: Scope, road: RoadWithLoads, runs: Sequence[Run]) -> list[Pane
     for name, (parts, scale, unit) in sums.items():
         curves = []
         for run in runs:
-            color, dash = scope.styles[run.controller.name]
+            style = scope.styles[run.controller.name]
             line, points = (
                 np.sum([share * response[part] for part, share in parts.items()], axis=0) * scale
                 for response in (run.sampled, run.physics)
             )
             some = thinned(line, max(1, len(line) // 600))
             each = slice(None, None, max(1, len(points) // POINTS))
-            curves.append(Curve(run.sampled.time[some], line[some], run.controller.name, color, dash))
+            curves.append(Curve(run.sampled.time[some], line[some], run.controller.name, style.color, style.dash))
             seen = f"{run.controller.name}, MuJoCo"
-            curves.append(Curve(run.physics.time[each], points[each], "", color, "none", "o", name=seen))
+            at = run.physics.time[each], points[each], run.controller.name
+            curves.append(Curve(*at, style.color, "none", style.marker, name=seen))
         words = name.replace("_", " ")
         panels.append(Panel(words, "time [s]", f"{words} [{unit}]", tuple(curves)))
     return panels

@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.printed import Column
-from models.figures.figure import Curve, Dash, Figure, Panel
+from models.figures.figure import Curve, Figure, Panel, Style
 from models.figures.page import Section, Table
+from models.figures.reading import Pivot
 from models.roads.iri import roughness_of
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.road import RoadInput, track_width
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
-from sim.report.scope import joined
+from sim.report.scope import change_text, joined
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.run import sample_times
 from sim.studies.ride.expected import expect, settling_time
@@ -52,7 +54,7 @@ class Ride:
     events: str
 
 
-def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Section:
+def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, Style]) -> Section:
     """Every controller over every class."""
     columns: tuple[Column[Ride], ...] = (
         Column("class", lambda one: one.road_class),
@@ -68,7 +70,9 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, tu
     caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
     rough = Table("roads", caption, ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]"), roads)
     ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
-    table = Table.of("ride", "Every metric of the ride, class by class: in MuJoCo, and predicted.", columns, ordered, words=4)
+    pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
+    caption = "Every metric of the ride in MuJoCo, class by class; below, what is predicted, and lift-off."
+    table = Table.of("ride", caption, columns, ordered, words=4, pivot=pivot)
     title = "How much more comfortable is it, and does it hold the road?"
     return Section(title, "ride over random roads, ISO 8608", (ride_text(vehicle),), (table, rough), (ride_figure(rides, style),))
 
@@ -87,7 +91,7 @@ def _roughness_row(vehicle: Vehicle, name: str) -> tuple[str, ...]:
     return name, "mean of both" if width else "one", expected, ", ".join(f"{iri:.3g}" for iri in driven)
 
 
-def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) -> Figure:
+def ride_figure(rides: Sequence[Ride], style: Mapping[str, Style]) -> Figure:
     """Every metric over the classes: lines are predicted, points MuJoCo."""
     names = tuple(dict.fromkeys(one.controller for one in rides))
     places = {name: float(k) for k, name in enumerate(CLASSES)}
@@ -95,19 +99,17 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
     for metric, unit in dict.fromkeys((one.metric, one.unit) for one in rides):
         curves = []
         for name in names:
-            color, dash = style[name]
+            look = style[name]
             some = [one for one in rides if (one.controller, one.metric) == (name, metric)]
             x, predicted, measured = (
                 np.array([(places[one.road_class], one.predicted, one.measured) for one in some], dtype=float).reshape(-1, 3).T
             )
             seen = f"{name}, MuJoCo"
             if some and not np.isfinite(predicted).any():  # a law in Python
-                curves.append(Curve(x, measured, name, color, "none", "x", name=seen))
+                curves.append(Curve(x, measured, name, look.color, "none", look.marker, name=seen))
                 continue
-            curves.append(Curve(x, predicted, name if len(some) else "", color, dash))
-            curves.append(Curve(x, measured, "", color, "none", "o", name=seen))
-        if not panels:
-            curves.append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
+            curves.append(Curve(x, predicted, name if len(some) else "", look.color, look.dash))
+            curves.append(Curve(x, measured, name if len(some) else "", look.color, "none", look.marker, name=seen))
         label = f"{metric} [{unit.replace('s2', 's²')}]" if unit != "-" else f"{metric} [of the static load]"
         ends = (-0.3, len(CLASSES) - 0.7)
         ticks = tuple(places.values())
@@ -116,9 +118,22 @@ def ride_figure(rides: Sequence[Ride], style: Mapping[str, tuple[str, Dash]]) ->
         )
     title = (
         f"Ride over roads of the classes {CLASSES[0]}, very good, to {CLASSES[-1]}, poor, at {SPEED:g} m/s: lower is better. "
-        f"Lines: predicted from the roads' spectrum. Points: MuJoCo, {len(SEEDS)} roads each."
+        f"Lines: predicted from the roads' spectrum. Markers: MuJoCo, {len(SEEDS)} roads each."
     )
-    return Figure("ride", title, tuple(panels), columns=2 if len(panels) <= 4 else 3 if len(panels) <= 9 else 4)
+    return Figure(
+        "ride", title, tuple(panels), columns=2 if len(panels) <= 4 else 3 if len(panels) <= 9 else 4, finding=_best_ride(rides)
+    )
+
+
+def _best_ride(rides: Sequence[Ride]) -> str:
+    """Returns a sentence on the softest ride over the class `AVERAGE`, or an empty one without a choice."""
+    some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, rides[0].metric) and math.isfinite(one.measured)]
+    if len(some) < 2:
+        return ""
+    least = min(some, key=lambda one: one.measured)
+    passive = next((one.measured for one in some if one.controller == PASSIVE), math.nan)
+    size = f"{least.measured:.3g} {least.unit}{change_text(least.measured, passive)}"
+    return f"{least.controller} rides best over roads of class {AVERAGE}: {size}."
 
 
 def ride_text(vehicle: Vehicle) -> str:

@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 from models.common.printed import Column
-from models.figures.figure import Dash, styles
+from models.figures.figure import Style, styles
 from models.roads.load import Load
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -20,6 +21,7 @@ from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 
 BUMP_DURATION = 3.0  # s
+LEAST = 1e-4  # relative; a smaller change is below the digits that stand beside it
 AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
 
@@ -51,6 +53,11 @@ class Scope:
     laws: tuple[Driver, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
+
+    @property
+    def stem(self) -> str:
+        """Returns the name of the vehicle file without its ending."""
+        return file_stem(self.vehicle)
 
     @property
     def driven(self) -> tuple[Driver, ...]:
@@ -153,7 +160,7 @@ class Scope:
         return {one.name: norm_as_implemented(vehicle, one, self.timestep) for one in self.stable}
 
     @cached_property
-    def styles(self) -> dict[str, tuple[str, Dash]]:
+    def styles(self) -> dict[str, Style]:
         """Returns the style of each controller, the same in every figure of the page."""
         return styles(tuple(one.name for one in self.driven))
 
@@ -177,6 +184,11 @@ class Scope:
         except ValueError:
             return self.timestep
         return twice
+
+
+def file_stem(vehicle: Vehicle) -> str:
+    """Returns the name of a vehicle's file without its ending, or of its kind where it is of no file."""
+    return Path(vehicle.source).stem if vehicle.source else vehicle.kind.name
 
 
 def check_scope(vehicle: Vehicle, timestep: float) -> None:
@@ -204,6 +216,14 @@ def percents(share: float) -> str:
     """The size of a change in percent: whole ones, and below them one digit that is not 0."""
     size = abs(100 * share)
     return f"{size:.0f}" if size >= 1 else f"{size:.1g}"
+
+
+def change_text(value: float, passive: float) -> str:
+    """Returns a comma and by how much a number is below or above passive's; empty if either is missing or zero, or if equal."""
+    if not (math.isfinite(value) and math.isfinite(passive) and passive > 0):
+        return ""
+    share = value / passive - 1
+    return f", {percents(share)} % {'above' if share > 0 else 'below'} passive" if abs(share) >= LEAST else ""
 
 
 def joined(words: list[str]) -> str:

@@ -1,88 +1,85 @@
-"""Summary of a report: the gain by control, and the range of the analysis, in one figure and one table."""
+"""First screen of a report: what is required, and who is best at what; and the table of what may be trusted."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from models.common.printed import Column, cell
-from models.figures.figure import Bars, Curve, Figure, Panel
+from models.figures.figure import Bars, Figure, Panel, styles
 from models.figures.page import Section, Table
+from models.vehicle.names import PASSIVE
+from sim.report.best import DIVE, headline, requirements_table
 from sim.report.headline import unclaimed
 from sim.report.regime_end import RegimeEnd
 from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
-from sim.report.scope import Scope, percents
+from sim.report.scope import LEAST, Scope, percents
 from sim.runs.run import Run
-from sim.studies.ride.standing import Standing, compared_columns
+from sim.studies.ride.standing import LOAD, MEASURES, RIDE, TRAVEL, Standing, best, compared_columns, digits
 from synth.controller.controller import Controller
 
-NO_CLAIM = "no linear claim"
-LEAST = 1e-4  # relative; less is below the digits that stand beside it
+PANELS = {  # of the first figure, by measure
+    RIDE: "Acceleration of the body",
+    TRAVEL: "Travel of the suspension",
+    LOAD: "Change of the tyre load",
+    "force_peak": "Largest force",
+}
 
 
-def summary(
-    scope: Scope,
-    runs: Sequence[Run],
-    ends: Sequence[tuple[Controller, RegimeEnd | None]],
-    rides: Sequence[Ride],
-    compared: Sequence[Standing],
+def first_screen(
+    scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], rides: bool
 ) -> Section:
-    """Figure and tables, controller by controller.
+    """Returns what is seen first: requirements where there are some, who is best at what, and the same as bars.
 
     Args:
-        scope: what the report is about.
-        rides: over random roads; none in a quick report.
         compared: the controllers' standings, over random roads or, without rides, over the bump.
+        dive: of every controller under braking [deg]; empty for a vehicle that cannot pitch.
+        rides: True if they are over random roads.
     """
-    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
-    passive = scope.designer.design("passive").certificate.norm.value
-    roughness, label, unit, where = _roughness(scope, runs, rides)
-    wrong = unclaimed(ends, runs)
-    heights = {one.name: _height(end) for one, end in ends if end is not None and one.name not in wrong}
+    wanted = requirements_table(scope, runs)
+    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, rides))
+    return Section("", "", (), tables, (compared_figure(scope, compared, dive, rides),))
 
-    shake = _bars(scope, norms, {}, {name: f"{value:.4g}{_against(value, passive)}" for name, value in norms.items()}, "unstable")
-    words = {
-        name: f"{cell(pair[0], '.3g')} {unit}{_against(pair[0], _passive(roughness))}"
-        if math.isfinite(pair[0])
-        else f"{cell(pair[1], '.3g')} {unit} in MuJoCo"
-        for name, pair in roughness.items()
-    }
-    rough = _bars(
-        scope,
-        {name: pair[0] for name, pair in roughness.items()},
-        {name: pair[1] for name, pair in roughness.items()},
-        words,
-        "unstable",
-    )
-    panels = [
-        Panel(
-            f"How hard can a road shake it?\nH-infinity norm of the ideal loop{scope.loop_qualifier}: shorter is better",
-            "norm",
-            "",
-            *shake,
-        ),
-        Panel(f"How rough is the ride?\n{label}, {where}: shorter is better", f"{label} [{unit}]", "", *rough),
-    ]
+
+def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[str, float], rides: bool) -> Figure:
+    """Returns bars of ride, travel, tyre load, force and dive of every controller in MuJoCo."""
+    names = tuple(one.controller for one in compared)
+    look = {**styles((PASSIVE,)), **scope.styles}
+    colors = tuple(look[name].color for name in names)
+    marked = best(compared)
+    panels = []
+    for measure in (one for one in MEASURES if one.key in PANELS):
+        found = {one.controller: one.values[measure.key] for one in compared}
+        if not any(found.values()):
+            continue
+        words, lengths = [], []
+        for name in names:
+            value = found[name]
+            lengths.append(math.nan if value is None else value * measure.scale)
+            size = "-" if value is None else digits(value * measure.scale)
+            change = _against(value, found.get(PASSIVE) or math.nan) if measure.against and value is not None else ""
+            words.append(f"{size}{change}{' ★' if name in marked[measure.key] else ''}")
+        bars = Bars(names, np.array(lengths, dtype=float), tuple(words), colors)
+        panels.append(Panel(PANELS[measure.key], measure.heading, "", (), bars))
+    if dive:
+        values = np.array([dive.get(name, math.nan) for name in names])
+        words = tuple(f"{value:.2g}°" if math.isfinite(value) else "-" for value in values.tolist())
+        panels.append(Panel("Dive under 0.5 g of braking", "largest dive [deg]", "", (), Bars(names, values, words, colors)))
+    title = f"Shorter bars are better, ★ is the best. {compared_on(compared, rides)}. Percentages are against passive."
+    return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), size=(3.4, 2.0), finding=f"{headline(compared)}.")
+
+
+def trust_section(
+    scope: Scope, runs: Sequence[Run], ends: Sequence[tuple[Controller, RegimeEnd | None]], rides: Sequence[Ride]
+) -> Section:
+    """Returns the section on what is claimed of every controller, and up to which bump that is true."""
+    norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
+    roughness, label, unit = _roughness(scope, runs, rides)
+    wrong = unclaimed(ends, runs)
     stated = dict.fromkeys(wrong, "none claimed")
     for one, end in ends:
         if one.name not in wrong:
-            stated[one.name] = "at any height" if end is None else _metres(heights[one.name])
-    if ends:
-        predicted, seen = ({name: pair[i] for name, pair in heights.items()} for i in (0, 1))
-        tall = _bars(scope, predicted, seen, stated, "nowhere: unstable")
-        panels.append(
-            Panel(
-                f"Up to which bump is the analysis true?\nheight at which it ends{scope.noise_qualifier}{_with(scope)}",
-                "height [m]",
-                "",
-                *tall,
-            )
-        )
-    title = (
-        "What control gains, and until where the analysis is true. Bars: linear analysis. "
-        f"Points: MuJoCo at {1e3 * scope.timestep:g} ms. Percentages are against the passive suspension."
-    )
-    figure = Figure("summary", title, tuple(panels), columns=len(panels))
+            stated[one.name] = "at any height" if end is None else _metres(_height(end))
     neither = (None, None)
     columns: tuple[Column[Run], ...] = (
         Column("controller", lambda run: run.controller.name),
@@ -92,8 +89,9 @@ def summary(
         Column(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
         Column("over the paper's bump", lambda run: _verdict(scope, run)),
     )
-    caption = "Each controller in short. How it is found out, and with which reservations, is said below."
-    return Section("", "", (), (Table.of("summary", caption, columns, runs), compared_table(compared, bool(rides))), (figure,))
+    caption = "What is claimed of each controller, what MuJoCo says, and up to which height of the bump the analysis is true."
+    table = Table.of("summary", caption, columns, runs)
+    return Section("Can these numbers be trusted?", "norm, prediction, physics", (), (table,))
 
 
 def compared_on(compared: Sequence[Standing], rides: bool) -> str:
@@ -103,19 +101,21 @@ def compared_on(compared: Sequence[Standing], rides: bool) -> str:
     return f"MuJoCo, {where}{absent}"
 
 
-def compared_table(compared: Sequence[Standing], rides: bool) -> Table:
-    """Returns the table of who is best at what."""
+def compared_table(compared: Sequence[Standing], dive: Mapping[str, float], rides: bool) -> Table:
+    """Returns the table of who is best at what, with the dive [deg] where there is one."""
     columns, legend = compared_columns(compared)
     cells: dict[str, Sequence[str]] = {"controller": [one.controller for one in compared]}
     for column in columns:
         cells[column.measure.heading] = [number.rstrip() for number in column.numbers]
         if column.changes is not None:
             cells[f"{column.measure.title}, %"] = [change or "-" for change in column.changes]
+    if dive:
+        cells[DIVE] = [cell(dive.get(one.controller), ".2g") for one in compared]
     caption = f"Who is best at what, at the vehicle's worst point. {legend}{compared_on(compared, rides)}."
     return Table("compared", caption, tuple(cells), tuple(zip(*cells.values(), strict=True)))
 
 
-def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str, str]:
+def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tuple[dict[str, tuple[float, float]], str, str]:
     """Returns the body's acceleration with stable loops, predicted and in MuJoCo: of the ride if there is one, else over the
     bump.
     """
@@ -123,7 +123,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
         metric, unit = rides[0].metric, rides[0].unit
         some = [one for one in rides if (one.road_class, one.metric) == (AVERAGE, metric)]
         values = {one.controller: (one.predicted, one.measured) for one in some}
-        return values, metric, unit.replace("s2", "s²"), f"road of class {AVERAGE} at {SPEED:g} m/s"
+        return values, metric, unit.replace("s2", "s²")
     vehicle = scope.vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), next(iter(vehicle.performance)))
     values = {
@@ -135,11 +135,7 @@ def _roughness(scope: Scope, runs: Sequence[Run], rides: Sequence[Ride]) -> tupl
         if not scope.unstable(run.controller)
     }
     unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return values, f"{name.replace('_', ' ')}, rms", unit, "over the paper's bump"
-
-
-def _with(scope: Scope) -> str:
-    return ", with its dampers" if scope.vehicle.dampers else ""
+    return values, f"{name.replace('_', ' ')}, rms", unit
 
 
 def _metres(height: tuple[float, float]) -> str:
@@ -153,33 +149,12 @@ def _height(end: RegimeEnd) -> tuple[float, float]:
     return end.predicted, (end.stays + end.leaves) / 2 if end.confirmed else math.nan
 
 
-def _passive(heights: dict[str, tuple[float, float]]) -> float:
-    return heights["passive"][0] if "passive" in heights else math.nan
-
-
 def _against(value: float, passive: float) -> str:
     """By how much it is more or less than the passive suspension's."""
     if not (math.isfinite(value) and math.isfinite(passive) and passive > 0) or value == passive:
         return ""
     share = value / passive - 1
-    return f" ({'+' if share > 0 else '−'}{percents(share)} %)" if abs(share) >= LEAST else ""
-
-
-def _bars(
-    scope: Scope, values: dict[str, float], seen: dict[str, float], words: dict[str, str], none: str
-) -> tuple[tuple[Curve, ...], Bars]:
-    """A panel's points, which are MuJoCo's, and its bars."""
-    names = tuple(scope.styles)
-    lengths = np.array([values.get(name, math.nan) for name in names], dtype=float)
-    lengths[~np.isfinite(lengths)] = math.nan
-    said = {one.name: NO_CLAIM for one in scope.laws} | words
-    bars = Bars(names, lengths, tuple(said.get(name, none) for name in names), tuple(scope.styles[name][0] for name in names))
-    points = tuple(
-        Curve(np.array([seen[name]]), np.array([float(k)]), "", "#000000", "none", "o", name=f"{name}, MuJoCo")
-        for k, name in enumerate(names)
-        if math.isfinite(seen.get(name, math.nan))
-    )
-    return points, bars
+    return f" {'+' if share > 0 else '−'}{percents(share)} %" if abs(share) >= LEAST else ""
 
 
 def _verdict(scope: Scope, run: Run) -> str:

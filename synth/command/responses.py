@@ -27,11 +27,13 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
     for row in stable:
         assert row.controller is not None
         gains = largest_singular_values(row.controller.loop(vehicle).frequency_response(2 * np.pi * hertz))
-        color, dash = style[row.name]
-        curves.append(Curve(hertz, gains, row.name, color, dash))
+        look = style[row.name]
+        curves.append(Curve(hertz, gains, row.name, look.color, look.dash))
         for band, level in _levels(vehicle, row):
             across = np.clip(np.array(band), low, high)
-            curves.append(Curve(across, np.full(2, level), "", color, "solid", width=2.5, name=f"{row.name}, proved in the band"))
+            curves.append(
+                Curve(across, np.full(2, level), "", look.color, "solid", width=2.5, name=f"{row.name}, proved in the band")
+            )
     names = tuple(f"{a:g} to {b:g} Hz, a goal's band" for a, b in bands)
     title = (
         f"{vehicle.kind.name.replace('_', ' ')}: the most of a sinusoid of the road's velocity that comes to z; a band that a "
@@ -47,7 +49,9 @@ def responses_figure(vehicle: Vehicle, rows: Sequence[Row]) -> Figure | None:
         ylog=True,
         xlim=(low, high),
     )
-    return Figure("responses", title, (panel,), 1, (7.0, 4.5))
+    least = min((one for one in curves if one.label), key=lambda one: float(np.max(one.y)))
+    finding = f"{least.label} has the lowest peak: {float(np.max(least.y)):.4g}." if len(stable) > 1 else ""
+    return Figure("responses", title, (panel,), 1, (7.0, 4.5), finding)
 
 
 def _bands(vehicle: Vehicle, rows: Sequence[Row]) -> list[tuple[float, float]]:

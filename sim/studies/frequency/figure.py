@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Curve, Dash, Figure, Panel
+from models.figures.figure import Curve, Figure, Panel, Style
 from models.roads.spectrum import as_met
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.response.response import SILENT
@@ -19,6 +20,7 @@ from synth.controller.controller import Controller
 
 POINTS = 600  # of a line, as far apart as a hundredth of their frequency
 CLOSELY = 41  # more where it is largest or least
+EVERY = 2  # of the identified lines, which one is drawn
 TICKS = (0.1, 0.3, 1.0, 3.0, 10.0, 25.0)  # Hz
 
 
@@ -28,7 +30,7 @@ def sweep_figure(
     amplitude: float,
     timestep: float,
     speed: float,
-    style: Mapping[str, tuple[str, Dash]],
+    style: Mapping[str, Style],
     own: Sequence[DescribingFunction] = (),
 ) -> Figure:
     """Magnitudes of all weighted signals that answer over frequency, one panel each.
@@ -46,27 +48,28 @@ def sweep_figure(
     curves: dict[str, list[Curve]] = {name: [] for name in signals}
     for one in sweeps:
         name = one.controller.name
-        color, dash = style[name]
+        look = style[name]
         fine, predicted = drawn_line(vehicle, one.controller, timestep, speed)
         for signal in signals:
             i = one.outputs.index(signal)
             alike = [k for k, unit in enumerate(one.units) if unit == one.units[i]]
             if np.abs(one.sampled[:, i]).max() <= SILENT * np.abs(one.sampled[:, alike]).max():
                 continue  # no control force, or no roll on a road that is the same on both sides
-            curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, color, dash))
+            curves[signal].append(Curve(fine / (2 * np.pi), predicted[:, i], name, look.color, look.dash))
             points = np.abs(one.measured[:, i])
-            curves[signal].append(Curve(one.omega / (2 * np.pi), points, "", color, "none", "o", name=f"{name}, MuJoCo"))
+            some = np.union1d(np.arange(0, len(points), EVERY), [points.argmax(), points.argmin()])
+            at = one.omega[some] / (2 * np.pi), points[some], name
+            curves[signal].append(Curve(*at, look.color, "none", look.marker, name=f"{name}, MuJoCo"))
     for one in own:
         name = one.controller.name
+        look = style[name]
         for signal in signals:
             i = one.outputs.index(signal)
             if np.any(moves := ~np.isnan(one.outside[:, i])):
                 hertz, points = one.omega[moves] / (2 * np.pi), np.abs(one.measured[moves, i])
-                curves[signal].append(
-                    Curve(hertz, points, name, style[name][0], "none", "x", name=f"{name}, fundamental in MuJoCo")
-                )
+                seen = f"{name}, fundamental in MuJoCo"
+                curves[signal].append(Curve(hertz, points, name, look.color, "none", look.marker, name=seen, filled=True))
     signals = [name for name in signals if curves[name]]
-    curves[signals[0]].append(Curve(np.zeros(0), np.zeros(0), "MuJoCo", "#666666", "none", "o"))
 
     panels = []
     for name in signals:
@@ -88,12 +91,28 @@ def sweep_figure(
     regime = f"; outside the linear regime: {', '.join(ended)}" if ended else ""
     loop = "continuous" if how.undelayed else f"as built, {', '.join(how.without_noise.phrases)}"
     without = f" without its {how.noise_text}" if how.has_measurement_noise else ""
-    crosses = "; crosses: the fundamental that a law that is not linear makes of one sinusoid at a time" if own else ""
+    crosses = "; full ones: the fundamental that a law that is not linear makes of one sinusoid at a time" if own else ""
     title = (
-        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Points: MuJoCo "
-        f"at {1e3 * timestep:g} ms,\nidentified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"
+        f"{vehicle.kind.name.replace('_', ' ')}: response to road velocity. Lines: linear analysis, {loop}. Markers: MuJoCo "
+        f"at {1e3 * timestep:g} ms, identified{without} on roads of {1e3 * amplitude:g} mm{crosses}{regime}"
     )
-    return Figure("sweep", title, tuple(panels), columns=2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4)
+    body = next((name for name in signals if name.endswith("acceleration")), signals[0])
+    columns = 2 if len(signals) <= 4 else 3 if len(signals) <= 9 else 4
+    return Figure(
+        "sweep", title, tuple(panels), columns, finding=_lowest_peak(curves[body], body, vehicle.kind.signal(body).unit)
+    )
+
+
+def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
+    """Returns a sentence on the controller with the lowest peak of a signal, by its line, or an empty one without a choice."""
+    peaks = {one.label: (float(one.y.max()), float(one.x[one.y.argmax()])) for one in curves if one.dash != "none"}
+    if len(peaks) < 2:
+        return ""
+    least = min(peaks, key=lambda name: peaks[name])
+    peak, at = peaks[least]
+    share = 1 - peak / peaks[PASSIVE][0] if PASSIVE in peaks else 0.0
+    against = f", {100 * share:.0f} % below passive" if share >= 0.005 else ""
+    return f"{least} has the lowest peak of {signal.replace('_', ' ')}: {peak:.3g} {unit} per m/s at {at:.3g} Hz{against}."
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:

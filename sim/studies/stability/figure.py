@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.figure import Curve, Figure, Marker, Panel, Shades
+from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.bisection import Bisection
@@ -19,14 +19,15 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 from synth.design.uncertainty.fragility import whose, worst_error_found
 
-POINTS = 30  # of a predicted curve
+POINTS = 60  # of a predicted curve
 AMOUNTS = 16  # of errors at which the worst norm is looked for
+RUG = 0.03  # of the height, above the axis: of such runs no norm is known, only whether they decay
 SHOWN = 1.3  # times the norm, the highest that is shown with errors: beyond, it grows without end
-MET, PROVED = "#9467bd", "#2ca02c"
+MET, PROVED = PURPLE, GREEN
 LINE = "#404040"
 MARKERS: tuple[tuple[bool, str, Marker, str], ...] = (
-    (False, "#1f77b4", "o", "MuJoCo decays"),
-    (True, "#d62728", "x", "MuJoCo grows"),
+    (False, BLUE, "o", "MuJoCo decays"),
+    (True, VERMILLION, "x", "MuJoCo grows"),
 )
 
 
@@ -77,7 +78,11 @@ def margins_figure(
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
     title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
-    return Figure("margins", title, tuple(panels))
+    delay, period = edges[1:]
+    bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
+    bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
+    finding = f"{controller.name} bears {bears[0]}, or {bears[1]}, before its loop is unstable."
+    return Figure("margins", title, tuple(panels), finding=finding)
 
 
 def _search_panel(title: str, label: str, search: Bisection, growth: Callable[[float], float], scale: float) -> Panel:
@@ -115,7 +120,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
         )
     for grows, color, marker, name in MARKERS:
         runs = 100 * np.array([a for a, one in search.tried.items() if one.grows == grows and a <= end])
-        curves.append(Curve(runs, np.full(len(runs), (low + norm) / 2), name, color, "none", marker))
+        curves.append(Curve(runs, np.full(len(runs), low + RUG * (high - low)), name, color, "none", marker))
     numbers = [
         f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
     ]

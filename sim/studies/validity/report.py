@@ -9,8 +9,8 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.printed import finite
-from models.figures.figure import Classes, Curve, Figure, Panel, level
+from models.common.printed import finite, percent
+from models.figures.figure import VERMILLION, Classes, Curve, Figure, Panel, level
 from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
@@ -163,7 +163,7 @@ def envelope_figure(
     error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
     if np.nanmin(error) < threshold < np.nanmax(error):
         text = f"linear prediction off by {100 * threshold:g} % of a peak"
-        curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, "#b22222", "dash", width=1.6))
+        curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, VERMILLION, "dash", width=1.6))
     wrong = cells.done & ~cells.agrees
     if np.any(wrong):
         row, column = np.nonzero(plane(wrong))
@@ -178,11 +178,13 @@ def envelope_figure(
     )
     rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
     title = (
-        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}\n"
+        f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. "
         f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
     )
     panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
-    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2))
+    holds = float(np.mean(cells.error[cells.done] <= threshold)) if cells.done.any() else 0.0
+    finding = f"With {controller.name} linear analysis holds for {percent(holds)} of these bumps."
+    return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:

@@ -12,7 +12,7 @@ from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.interrupt import LATE
 from models.common.printed import Column, finite, json_object, table, wrapped
-from models.figures.figure import Curve, Figure, Panel, styles
+from models.figures.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
@@ -175,7 +175,7 @@ WIDER = 0.06  # of what is shown, around it
 BESIDE = 1.5  # times the front's own range: other controllers further off are named, not shown
 SAME = 0.005  # of what is shown: what is nearer to one another has one mark
 FINE = 400  # points of the line, each way
-DESIGNS, LINE, MEASURED = "#1f77b4", "#000000", "#d62728"
+DESIGNS, LINE, MEASURED = BLUE, BLACK, VERMILLION
 
 
 def front_figure(front: Front, measured: Array | None = None) -> Figure:
@@ -214,9 +214,16 @@ def _panel(front: Front, limit: LowerBoundCurve, measured: Array | None) -> Pane
     look = styles(tuple(others))
     for names in _together(others, beyond, ranges):
         (x, y), text = others[names[0]], ", ".join(names)
-        curves.append(Curve(np.array([x]), np.array([y]), text, look[names[0]][0], "none", "o", name=f"controller {text}"))
-    if measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
-        curves.append(Curve(measured[:, i], measured[:, j], "MuJoCo", MEASURED, "none", "x", name="MuJoCo"))
+        curves.append(
+            Curve(
+                np.array([x]), np.array([y]), text, look[names[0]].color, "none", look[names[0]].marker, name=f"controller {text}"
+            )
+        )
+    # Several wheels that meet one road need not reach the norm; such a point would seem to cross the line.
+    alone = len(front.vehicle.kind.wheels) == 1
+    if alone and measured is not None and np.any(np.isfinite(measured[:, [i, j]]).all(axis=1)):
+        label = "MuJoCo on one sinusoid, which reaches the norm from below"
+        curves.append(Curve(measured[:, i], measured[:, j], label, MEASURED, "none", "x", name="MuJoCo"))
     away = [f"{name} ({x:.4g}, {y:.4g})" for (name, (x, y)), far in zip(others.items(), beyond, strict=True) if far]
     title = f"{front.axes[i].name} and {front.axes[j].name}".replace("_", " ")
     if away:

@@ -1,0 +1,167 @@
+"""Tables and sentences for reading: short, aligned, in one notation. The data itself, as CSV and JSON have it, is unchanged."""
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import count
+from string import ascii_lowercase
+
+from models.figures.axis import SUPERSCRIPT
+
+NUMBER = re.compile(r"([+-]?)(\d+)(?:\.(\d+))?(?:e([+-]\d+))?( %)?")
+POWER = re.compile(r"(?<![\w.+-])(\d+(?:\.\d+)?)e([+-]\d+)(?![\w.])")
+SQUARED = re.compile(r"\b(m|rad)/s2\b")
+NOTHING = 1e-9  # of a column's largest number: less is rounding
+DIGITS = 3  # that a number keeps where a column has fixed decimals
+LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
+BLANK = "\u2004"  # about as wide as a mark
+MANY = 14  # rows; a longer table is folded
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """A short form of a long table: one row for each of some columns' values, one column for each value of another.
+
+    Attributes:
+        rows: headings of the columns that name a row; a column `unit` follows the name before it, in brackets.
+        across: heading of the column whose values become columns.
+        values: headings of the numbers that are shown.
+    """
+
+    rows: tuple[str, ...]
+    across: str
+    values: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A table as it is read.
+
+    Attributes:
+        headings: of the columns that differ between rows.
+        rows: their cells.
+        words: number of left-aligned columns.
+        same: columns that are the same in all rows, as `heading: value`.
+        notes: repeated remarks, by mark.
+        folded: True if it is long.
+    """
+
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int
+    same: tuple[str, ...]
+    notes: tuple[tuple[str, str], ...]
+    folded: bool
+
+
+def notation(text: str) -> str:
+    """Returns a text in the notation of a page: 1.4·10⁻³, m/s², ±."""
+    text = POWER.sub(lambda one: f"{one[1]}·10{str(int(one[2])).translate(SUPERSCRIPT)}", text)
+    return SQUARED.sub(r"\1/s²", text).replace("+-", "±").replace(" <= ", " ≤ ").replace(" >= ", " ≥ ")
+
+
+def as_csv(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Returns a table as CSV."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([headings, *rows])
+    return text.getvalue()
+
+
+def pivoted(headings: Sequence[str], rows: Sequence[Sequence[str]], pivot: Pivot) -> tuple[list[str], list[list[str]], int]:
+    """Returns headings and rows of a table's short form, and the number of columns that name a row."""
+    at = {heading: i for i, heading in enumerate(headings)}
+    names = [heading for heading in pivot.rows if heading != "unit"]
+    across = dict.fromkeys(row[at[pivot.across]] for row in rows)
+    cells: dict[tuple[str, ...], dict[tuple[str, str], str]] = {}
+    for row in rows:
+        key = [row[at[name]] for name in names]
+        if "unit" in pivot.rows and row[at["unit"]] not in ("-", ""):
+            key[-1] += f" [{notation(row[at['unit']])}]"
+        for value in pivot.values:
+            cells.setdefault(tuple(key), {})[row[at[pivot.across]], value] = row[at[value]]
+    columns = [(one, value) for one in across for value in pivot.values]
+    several = len(pivot.values) > 1
+    titles = [f"{one}, {value}" if several else one for one, value in columns]
+    return [*names, *titles], [[*key, *(own.get(column, "-") for column in columns)] for key, own in cells.items()], len(names)
+
+
+def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, pivot: Pivot | None = None) -> Reading:
+    """Returns a table as it is read: without constant columns, with aligned numbers and repeated remarks as footnotes."""
+    if pivot is not None and rows:
+        headings, rows, words = pivoted(headings, rows, pivot)
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    constant = [i for i in range(1, len(columns)) if len(rows) > 2 and len(set(columns[i])) == 1 and columns[i][0] != ""]
+    if pivot is not None or len(constant) == len(columns) - 1:
+        constant = []
+    same = tuple(f"{headings[i]}: {notation(columns[i][0])}" for i in constant if columns[i][0] != "-")
+    marks, notes = (ascii_lowercase[k] if k < len(ascii_lowercase) else str(k) for k in count()), dict[str, str]()
+    shown = []
+    for i, column in enumerate(columns):
+        if i not in constant:
+            column = aligned(column) if pivot is None else column
+            shown.append([notation(cell) for cell in _noted(column, marks, notes)] if i else column)
+    body = [tuple(row) for row in zip(*shown, strict=True)]
+    if pivot is not None:  # a row is of one quantity
+        body = [(*row[:words], *aligned(row[words:])) for row in body]
+        body = [(*row[:words], *(notation(cell) for cell in row[words:])) for row in body]
+    kept = tuple(notation(heading) for i, heading in enumerate(headings) if i not in constant)
+    left = sum(i < words for i in range(len(headings)) if i not in constant)
+    notes_list = tuple((mark, notation(text)) for text, mark in notes.items())
+    return Reading(kept, tuple(body), left, same, notes_list, len(body) > MANY)
+
+
+def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
+    """Returns a column whose long remarks that stand in several rows are marks of footnotes."""
+    often = Counter(column)
+    iterator = iter(marks)
+    cells = []
+    for cell in column:
+        if len(cell) > LONG and often[cell] > 1:
+            notes[cell] = notes.get(cell) or next(iterator)
+            cell = f"({notes[cell]})"
+        cells.append(cell)
+    return cells
+
+
+def aligned(column: Sequence[str]) -> list[str]:
+    """Returns numbers with one number of decimals where each keeps three digits; what is rounding beside the others is 0.
+
+    Figure spaces align the decimal points of others. A column with an other word than - is unchanged.
+    """
+    if any(cell.endswith("*") for cell in column):  # the best is marked
+        cells = aligned([cell.removesuffix("*") for cell in column])
+        return [f"{cell}{'*' if marked.endswith('*') else BLANK}" for cell, marked in zip(cells, column, strict=True)]
+    found = [NUMBER.fullmatch(cell) for cell in column]
+    if not any(found) or not all(one or cell in ("-", "any", "") for one, cell in zip(found, column, strict=True)):
+        return list(column)
+    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(found, column, strict=True)]
+    least = NOTHING * max(map(abs, values))
+    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(found, values, column, strict=True)]
+    found = [NUMBER.fullmatch(cell) for cell in cells]
+    decimals = [
+        len(one[3] or "") for one, value in zip(found, values, strict=True) if one and not one[4] and one[0] != "0" and value
+    ]
+    fixed = min(decimals, default=0)
+    kept = [value for value in map(abs, values) if value > least]
+    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in kept)
+    fits = fits and not any(one and one[4] for one in found)
+    most = fixed if fits else max((len(one[3] or "") for one in found if one and not one[4]), default=0)
+    texts = []
+    for one, cell in zip(found, cells, strict=True):
+        if one is None:
+            texts.append(cell)
+            continue
+        number = cell.removesuffix(" %")
+        if one[4]:
+            texts.append(notation(number).replace("-", "−"))
+            continue
+        if fits and number != "0":
+            number = f"{float(number):.{fixed}f}"
+        elif most and not one[5]:
+            decimals = len(one[3] or "")
+            number += ("" if decimals else "\u2008") + "\u2007" * (most - decimals)  # as wide as a point, and as digits
+        texts.append(number.replace("-", "−") + (one[5] or ""))
+    return texts
