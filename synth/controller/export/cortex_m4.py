@@ -5,7 +5,6 @@ Zig's C compiler (`ziglang`) builds it, with its own routines for floating point
 """
 
 import ctypes
-import importlib
 import importlib.util
 import struct
 import subprocess
@@ -62,7 +61,8 @@ def run(law: ExportedLaw, inputs: Sequence[Sequence[float]]) -> ProcessorRun:
     """
     if not is_available():
         raise InputError("a Cortex-M4 is simulated by the extra [export]; pip install 'roadproof[export]'")
-    unicorn, arm = (importlib.import_module(name) for name in ("unicorn", "unicorn.arm_const"))  # an extra of few
+    import unicorn  # pyright: ignore[reportMissingImports] - an extra of few
+    from unicorn import arm_const as arm  # pyright: ignore[reportMissingImports]
 
     with tempfile.TemporaryDirectory() as folder:
         program = _built(law, Path(folder)).read_bytes()
