@@ -102,7 +102,7 @@ def test_values(value):
         *(
             ("[controllers.I]", f'[controllers.own]\nmeasured = ["control_force_rear_left"]\norder = {value}\n[controllers.I]',
              f"[controllers.own] order = {value.title()} is not known; known: full, static")
-            for value in ("true", "0", "[]")
+            for value in ("true", "0.5", "[]")
         ),
         ("[controllers.I]", "[implementation]\nquantisation = { heave_acc = 1.0 }\n[controllers.I]",
          "[implementation] quantisation of unknown signal 'heave_acc'; measured can be heave_acceleration, "),

@@ -110,9 +110,9 @@ BOTH = f"[controllers.mine]\n{MINE}"
 # By vehicle, and what begins the lines that are added to its file: the rest of them, what the message says.
 ADDED = {
     ("quarter_car", VELOCITY): [
-        ("stable = true", 'no law, order or design with stable = true: it is a law designed with order = "full"'),
-        ('design = "lqg"\nstable = true', 'with stable = true: it is a law designed with order = "full"'),
-        ("gain = [[1.0]]\nstable = true", 'with stable = true: it is a law designed with order = "full"'),
+        ("stable = true", "no law, order or design with stable = true: it is a law designed with an order"),
+        ('design = "lqg"\nstable = true', "with stable = true: it is a law designed with an order"),
+        ("gain = [[1.0]]\nstable = true", "with stable = true: it is a law designed with an order"),
         ('order = "full"\nstable = 1', "stable = 1 is not allowed; give true or false"),
         ('order = "half"', "order = 'half' is not known; known: full"),
         ('design = "pid"', "design = 'pid' is not known; known: h2, lqg, lqr"),

@@ -197,8 +197,8 @@ def _controller(
     for key in entry:
         if key not in CONTROLLER_KEYS:
             raise InputError(
-                f"{where} unknown key {key!r}; a controller is a static gain, u = K y, or a law with states, x_c' = A x_c + B y, "
-                f"u = C x_c + D y, or a law in Python, and designed where none is given; known: "
+                f"{where} unknown key {key!r}; a controller is a static gain, a law with states (A, B, C, D) or in Python, and "
+                "designed where none is given; known: "
                 f"{listing(CONTROLLER_KEYS)}"
             )
     if "file" in entry:

@@ -189,7 +189,7 @@ def _hidden(plant: GeneralizedPlant, states: Array) -> Array:
     A wrong decision here makes the bound weaker, but not false.
     """
     n = len(plant.A)
-    if span_all(states[n:], states[:n]):
+    if not n or span_all(states[n:], states[:n]):
         return zeros(n, 0)
     silent = Nullspace(states[n:].T)
     V, _ = without_factors(silent.complete(identity(len(silent.free))))
