@@ -10,6 +10,7 @@ from models.common.errors import InputError
 from models.common.files import whole_file
 from models.figures.axis import Axis
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
+from models.figures.reading import notation
 from models.figures.svg import Entry, legend
 
 LONGEST = 24  # letters of a name in a legend
@@ -78,7 +79,7 @@ def _drawn(figure: Figure) -> Any:
     columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
     names = [one.label if len(one.label) <= LONGEST or " " in one.label else f"{one.label[: LONGEST - 1]}…" for one in entries]
     room = width * figure.columns - 0.2
-    note = _broken(figure.title, room, NOTE) if figure.finding else ""
+    note = _broken(notation(figure.title), room, NOTE) if figure.finding else ""
     canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
     columns = max(columns, 1) if note else columns
     while columns:  # as many as fit
@@ -97,7 +98,7 @@ def _drawn(figure: Figure) -> Any:
             break
         drawn.remove()
         columns -= 1
-    canvas.suptitle(_broken(figure.finding or figure.title, room, TITLE), fontsize=TITLE)
+    canvas.suptitle(_broken(notation(figure.finding or figure.title), room, TITLE), fontsize=TITLE)
     return canvas
 
 
