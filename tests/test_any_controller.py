@@ -87,6 +87,9 @@ SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
 LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
 CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
+# A loop with an integrator has a slow pole, which a sweep cannot wait for; and without its readings it neither grows nor decays,
+# which the margins take for a disagreement (docs/how-to/margins.md).
+OPEN = {("sim.sweep", "pi"), ("sim.margins", "pi"), ("sim.margins", "pid")}
 ALIKE = ("lqg", "told_its_force", "goals", "noisy")  # to commands that take long: states, or a gain, as others have
 NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
 
@@ -124,8 +127,18 @@ def test_no_command_is_forgotten():
     [
         *((each, *one) for each in QUICK for one in CONTROLLERS),
         *(("synth", *one) for one in DESIGNED),
-        *(pytest.param(each, *one, marks=pytest.mark.attack) for each in (*QUICK, *LONG) for one in DESIGNED if each != "synth"),
-        *(pytest.param(each, *one, marks=pytest.mark.attack) for each in LONG for one in CONTROLLERS if one[1] not in ALIKE),
+        *(
+            pytest.param(each, *one, marks=pytest.mark.attack)
+            for each in (*QUICK, *LONG)
+            for one in DESIGNED
+            if each != "synth" and (each, one[1]) not in OPEN
+        ),
+        *(
+            pytest.param(each, *one, marks=pytest.mark.attack)
+            for each in LONG
+            for one in CONTROLLERS
+            if one[1] not in ALIKE and (each, one[1]) not in OPEN
+        ),
     ],
 )
 def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicle, name):

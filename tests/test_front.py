@@ -359,7 +359,9 @@ def _processor_time(pid: int) -> float:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("arguments", [["--front", "ride:travel"], ["--vehicle", "quarter_car_goals"]], ids=["front", "goals"])
+@pytest.mark.parametrize(
+    "arguments", [["--front", "ride:travel"], ["--vehicle", "quarter_car_goals", "-v"]], ids=["front", "goals"]
+)
 def test_nothing_finished_is_lost(tmp_path, arguments):
     """The later Ctrl-C comes, the more is kept: designs of a front, and controllers with goals; nothing drops what was there."""
     command, before = [sys.executable, "-m", "synth", *arguments], os.times()

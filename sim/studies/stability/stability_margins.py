@@ -34,6 +34,7 @@ SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is kn
 ANGLES = 4001  # from no lag to a whole turn; odd, so that half a turn is among them
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
 COARSER = 0.1  # radian that a pole turns by from one sample period that is tried to the next
+WIDEST = 1.0  # s; the largest step from one sample period to the next, where nothing turns any more
 LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
 
 
@@ -265,7 +266,7 @@ def _first_unstable(at_period: Callable[[float], Array], poles: Array) -> float:
         alive = np.abs(poles[-np.real(poles) * start < 25])
         if len(alive) == 0:
             break
-        h = COARSER / alive.max()
+        h = COARSER / max(alive.max(), COARSER / WIDEST)  # an integrator's pole at 0 turns nothing
         if growth(start + h) > 0:
             refined: Any = optimize.brentq(growth, max(start, 1e-3 * h), start + h, xtol=1e-13)
             return float(refined)
