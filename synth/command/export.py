@@ -1,11 +1,11 @@
 """`python -m synth --export DIR` and `--check DIR`: a controller as C99, and if it still is the one that was certified."""
 
+import hashlib
 import json
 import shutil
 import subprocess
 import tempfile
 from argparse import Namespace
-from collections.abc import Sequence
 from pathlib import Path
 
 from models.common.command import one_chosen
@@ -173,8 +173,6 @@ def _on_cortex_m4(law: ExportedLaw) -> tuple[str, bool]:
 
 def _manifest(folder: Path, there: set[str]) -> list[str]:
     """Returns the files whose checksum is not the manifest's."""
-    import hashlib
-
     if MANIFEST not in there:
         return []
     lines = [line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8", errors="replace").splitlines()]
@@ -207,6 +205,3 @@ def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
         ran = subprocess.run([program, str(folder / "test" / "vectors.csv")], capture_output=True, text=True, check=False)
     said = ran.stdout.strip() or "it crashed"
     return f"back to back: {said}", ran.returncode == 0
-
-
-__all__: Sequence[str] = ("check_folder", "export")

@@ -14,6 +14,8 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from synth.controller.controller import Controller
+from synth.design.full_order.quadratic import h2_norm
+from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
@@ -92,9 +94,9 @@ def _ratio(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     """Returns the rms of a signal of the passive car on a road whose velocity is white noise of intensity one."""
     model = designer.vehicle.linear_model
-    row = model.C[model.outputs.index(one.signal)]
-    covariance = linalg.solve_continuous_lyapunov(model.A, -model.Bw @ model.Bw.T)
-    return float(np.sqrt(row @ covariance @ row)), None
+    row = model.C[[model.outputs.index(one.signal)]]
+    nothing, (r,) = np.zeros((1, 0)), model.Bw.shape[1:]
+    return h2_norm(GeneralizedPlant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r)))), None
 
 
 def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """The folder of an exported controller: code, tables, test vectors, certificate and manifest, all from one vehicle file."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, random_inputs
@@ -54,7 +54,7 @@ def with_tables(law: ExportedLaw, tables: Mapping[str, Any]) -> ExportedLaw | No
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
-    source = CSource(law, _sha256(record))
+    source = CSource(law, sha256(record))
     texts = {
         f"{law.name}.h": source.header(),
         f"{law.name}.c": source.source(),
@@ -66,7 +66,7 @@ def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
         VEHICLE: vehicle.text,
         "README.md": _readme(vehicle, driver, law),
     }
-    texts[MANIFEST] = "".join(f"{_sha256(text)}  {name}\n" for name, text in sorted(texts.items()))
+    texts[MANIFEST] = "".join(f"{sha256(text)}  {name}\n" for name, text in sorted(texts.items()))
     return texts
 
 
@@ -80,10 +80,6 @@ def vectors(law: ExportedLaw) -> str:
 
 def _digits(law: ExportedLaw, value: Any) -> str:
     return np.format_float_scientific(NUMBERS[law.numbers](value), unique=True, trim="0")
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
