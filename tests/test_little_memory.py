@@ -22,16 +22,17 @@ BUMP = ["sim.bump", "--controller", "I", "--duration", "0.1", "--logs", "logs"]
 RUN = ["sim.campaign", "campaign.toml", "--results", "results", "--workers", "1"]
 LIMITED = [  # command, MiB, exit codes that are allowed, what it leaves
     (BUMP, 300, {2}, set()),
-    ([*BUMP, "--brief"], 512, {0}, {"mcap", "layout.json"}),
+    (BUMP, 640, {2}, set()),  # between here and 560 MiB OpenBLAS ends some runs by a fault of its own
+    ([*BUMP, "--brief"], 700, {0}, {"mcap", "layout.json"}),
     (BUMP, 1024, {0}, {"mcap", "layout.json"}),
     (BUMP, 2048, {0}, {"mcap", "layout.json", "rrd"}),
-    (RUN, 512, {2}, set()),
+    (RUN, 700, {2}, set()),
     (RUN, 1024, {0, 2}, {"json", "parquet"}),
     (RUN, 2048, {0}, {"json", "parquet"}),
-    (["sim.drive", "--controller", "I", "--duration", "0.2", "--no-logs"], 512, {0, 2}, set()),
-    (["synth", "--controller", "I", "--save", "saved.toml"], 512, {0, 2}, {"toml"}),
-    (["sim.margins", "--controller", "I"], 512, {0, 2}, set()),
-    (["sim.report", "--quick", "--out", "report.html"], 512, {0, 2}, {"html"}),
+    (["sim.drive", "--controller", "I", "--duration", "0.2", "--no-logs"], 700, {0, 2}, set()),
+    (["synth", "--controller", "I", "--save", "saved.toml"], 700, {0, 2}, {"toml"}),
+    (["sim.margins", "--controller", "I"], 700, {0, 2}, set()),
+    (["sim.report", "--quick", "--out", "report.html"], 700, {0, 2}, {"html"}),
 ]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from models.common.errors import InputError
 
-LEAST = 512_000_000  # bytes; with less, OpenBLAS asks the system for its buffers again and again, for ever
+LEAST = 700_000_000  # bytes; with less, OpenBLAS gives up, asks the system for its buffers for ever, or reads where it has none
 AMPLE = 2**32  # bytes, with which every command has room
 SHORT = 2**27  # bytes of room; with less, any error may be due to lack of memory
 
