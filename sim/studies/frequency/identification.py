@@ -132,6 +132,7 @@ IMAGES = 8  # of a line on either side of so many multiples of the sample rate; 
 ALIASED = 0.98  # of half the controller's sample rate; a line above it has images that lie on other lines, or nearly
 DEAD = 1e-12  # free motion that has decayed to this is none
 SETTLED = 1e-7  # what may be left of it where its shape is not fitted
+PATIENCE = 120.0  # s; free motion that takes longer, as an integrator's, is fitted and taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +256,12 @@ def fit(
         samples: how many samples are fitted.
         besides: other lines [rad/s] that are in it, and are not asked for.
     """
+    if steps_per_sample(vehicle.implementation, float(response.time[1] - response.time[0])) > 1 and controller.measured:
+        loop = LoopModel(vehicle, controller, float(response.time[1] - response.time[0]))
+        end = Response(response.time[-samples:], response.signals, response.values[-samples:])
+        response = without_slow_motion(loop, end, settling_of(loop, SETTLED)[1], omega * loop.period)
     time, values = response.time[-samples:], response.values[-samples:]
+    samples = len(time)
     if not np.all(np.isfinite(values)):
         return {name: np.full(len(omega), np.nan + 0j) for name in response.names}
     timestep = float(time[1] - time[0])
@@ -288,12 +294,46 @@ def lead_in(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float
     """Returns the number of periods of a run before the fitted one.
 
     Between the samples of a slower controller its force makes lines besides those of the road, which are not fitted. They
-    resemble free motion, which therefore must have decayed.
+    resemble free motion, which therefore must have decayed, but for slow motion, which is taken off.
     """
     if steps_per_sample(vehicle.implementation, timestep) == 1:
         return 1
-    slowest = max([LoopModel(vehicle, one, timestep).radius for one in controllers if one.measured], default=0.0)
-    return max(1, math.ceil(math.log(SETTLED) / math.log(slowest) / period)) if slowest else 1
+    loops = [LoopModel(vehicle, one, timestep) for one in controllers if one.measured]
+    settling = max((settling_of(loop, SETTLED)[0] for loop in loops), default=0.0)
+    return max(1, math.ceil(settling / (period * timestep)))
+
+
+def settling_of(loop: LoopModel, left: float) -> tuple[float, Array]:
+    """Returns how long a run along a periodic road settles [s], and the poles of what is left then, from sample to sample."""
+    poles = np.linalg.eigvals(loop.closed_loop.transition)
+    slow = poles[np.abs(poles) > left ** (loop.period / PATIENCE)]
+    return (PATIENCE, slow) if len(slow) else (loop.timestep * math.log(left) / math.log(loop.radius), slow)
+
+
+def without_slow_motion(loop: LoopModel, response: Response, poles: Array, turns: Array) -> Response:
+    """Returns a run along a periodic road without its mean and its slowest modes, which are fitted by least squares.
+
+    From sample to sample each line of the road turns by an angle, and a mode is multiplied by its pole, at each step of a sample
+    alike. No such decay looks like turning over many samples.
+
+    Args:
+        loop: that runs.
+        response: its end, long enough to tell the two.
+        poles: of the slow modes, from sample to sample.
+        turns: of the road's lines, from sample to sample [rad], shape (L,).
+    """
+    if not len(poles) or not np.all(np.isfinite(response.values)):
+        return response
+    count, steps = len(response.time) // loop.steps, loop.steps
+    whole = response.values[-count * steps :]
+    k = np.arange(count)
+    decay = np.exp(np.multiply.outer(k, np.log(poles.astype(complex))))
+    slow = np.hstack([np.ones((count, 1)), np.real(decay), np.imag(decay)])
+    angle = np.multiply.outer(k, turns)
+    shapes = np.hstack([slow, np.cos(angle), np.sin(angle)])
+    coefficients = np.linalg.lstsq(shapes, whole.reshape(count, -1))[0]
+    steady = whole - (slow @ coefficients[: slow.shape[1]]).reshape(whole.shape)
+    return Response(response.time[-len(whole) :], response.signals, steady)
 
 
 def check(vehicle: Vehicle, controllers: Sequence[Controller], amplitude: float, timestep: float) -> None:

@@ -51,6 +51,8 @@ from sim.studies.frequency.identification import (
     l2_gain,
     mean_square,
     settled_gain,
+    settling_of,
+    without_slow_motion,
 )
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller, has_anti_windup
@@ -136,6 +138,7 @@ class PerWheelRoad(Road):
 
 DURATION = 20.0  # s, of all roads but the worst sinusoid, which takes as long as it needs to settle
 SETTLED = 1e-6  # what is left of free motion when its gain is read; the gain is then within about as much
+TOLD_APART = 2000  # samples at the end of a run, over which it is told from the road's
 ENTRIES = 2e7  # numbers in a batch's record: a full car's roads all at once would take gigabytes
 FINEST = 2000  # samples of the worst sinusoid at least: its frequency is then within 0.03 % of the peak's
 BESIDE, DOUBLINGS = 3e-4, 6  # relative; how far below its peak it may be, and how often it has twice the samples for that at most
@@ -263,14 +266,24 @@ def _drive_worst(
     """The worst sinusoid of every controller, its last whole periods once it has settled, and the frequencies [rad/s]."""
     samples = [_next_to(one, vehicle, each, timestep, speed) for one, each in zip(worst, controllers, strict=True)]
     tried = [2 * np.pi * periods / (count * timestep) for periods, count in samples]
-    slowest = max(LoopModel(vehicle, controller, timestep).radius for controller in controllers)
-    settling = timestep * math.log(SETTLED) / math.log(slowest)
-    time = sample_times(vehicle, settling + timestep * max(count for _, count in samples), timestep)
+    loops = [LoopModel(vehicle, controller, timestep) for controller in controllers]
+    settling, slow = zip(*(settling_of(loop, SETTLED) for loop in loops), strict=True)
+    lengths = [_told(loop, poles, count) for loop, poles, (_, count) in zip(loops, slow, samples, strict=True)]
+    time = sample_times(vehicle, max(settling) + timestep * max(lengths), timestep)
     roads = [sinusoid(omega, speed).scaled(amplitude / 2) for omega in tried]
     physics = simulate(controllers, [RoadInput(vehicle, road, time) for road in roads], threads=0)
-    runs = [(physics.run(i), count) for i, (_, count) in enumerate(samples)]
-    last = [Response(time[-count:], run.signals, run.values[-count:]) for run, count in runs]
+    last = []
+    for i, (loop, poles, omega, length) in enumerate(zip(loops, slow, tried, lengths, strict=True)):
+        run = physics.run(i)
+        end = Response(time[-length:], run.signals, run.values[-length:])
+        steady, count = without_slow_motion(loop, end, poles, np.array([omega * loop.period])), samples[i][1]
+        last.append(Response(steady.time[-count:], steady.signals, steady.values[-count:]))
     return last, tried
+
+
+def _told(loop: LoopModel, poles: Array, count: int) -> int:
+    """Returns how many steps of the end of a run are looked at: where slow modes are fitted, many samples."""
+    return max(count, TOLD_APART * loop.steps) if len(poles) else count
 
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
@@ -362,14 +375,18 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     turn, steps = _turn(norm.angle), steps_per_sample(vehicle.implementation, h)
     angle, count = 2 * math.pi * float(turn), turn.denominator * steps
     predicted, waves, omega = _worst(vehicle, controller, angle, h)
-    settling = h * math.log(PERIODIC_SETTLED) / math.log(LoopModel(vehicle, controller, h).radius)
-    time = sample_times(vehicle, settling + (count + 2) * h, h)
+    loop = LoopModel(vehicle, controller, h)
+    settling, slow = settling_of(loop, PERIODIC_SETTLED)
+    length = _told(loop, slow, count + 1)
+    time = sample_times(vehicle, settling + (length + 1) * h, h)
     road = PerWheelRoad.under(vehicle, omega, waves, float(time[-1]))
     scale = amplitude / road.highest(time[: count + 1])
     response = simulate([controller], [RoadInput(vehicle, road.scaled(scale), time)], threads=0).run(0)
     # The sample before the last periods tells the first leap. Of a sinusoid the mean square is half that of its amplitude, but
     # where every one is there twice.
-    last = Response(time[-count - 1 :], response.signals, response.values[-count - 1 :])
+    end = Response(time[-length:], response.signals, response.values[-length:])
+    end = without_slow_motion(loop, end, slow, np.array([angle]))
+    last = Response(end.time[-count - 1 :], end.signals, end.values[-count - 1 :])
     size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
     gain = math.sqrt(mean_square(vehicle, last)) / size
     twisted = len(road_twist_inputs(vehicle.linear_model)) > 0

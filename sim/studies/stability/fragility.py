@@ -76,7 +76,7 @@ def find_fragility(
 
     at, at_half = (_sampled_edge(vehicle, controller, predicted, step) for step in (timestep, timestep / 2))
     coarse, fine = Bisection(trial, at, most=MOST), Bisection(trial, at_half, most=MOST)
-    edge = FragilityEdge(predicted.stable.smallest_violation, (at, at_half), coarse, fine)
+    edge = FragilityEdge(_inside(predicted.stable.smallest_violation), (at, at_half), coarse, fine)
     run_searches([coarse], timestep, progress)
     if edge.doubtful:
         run_searches([fine], timestep / 2, progress)
@@ -91,6 +91,15 @@ def with_errors(controller: Controller, predicted: Fragility, amount: float) -> 
     return replace(controller, law=controller.law.read_as(1 + size * worst.readings).scaled(1 + size * worst.forces))
 
 
+def _inside(edge: float) -> float:
+    """Returns an edge, or infinity if it is that of the errors themselves.
+
+    Without its readings the loop of a law that integrates, or of a car without dampers, neither grows nor decays; with any that
+    are left it decays.
+    """
+    return edge if edge < MOST * (1 - 2 * EXACT) else math.inf
+
+
 def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility, timestep: float) -> float:
     """Returns the margin of the loop that is sampled every timestep; infinite if it exceeds `MOST`."""
 
@@ -103,6 +112,6 @@ def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility
             while high - low > EXACT * high:
                 middle = (low + high) / 2
                 low, high = (low, middle) if grows(middle) else (middle, high)
-            return high
+            return _inside(high)
         low = high
     return math.inf

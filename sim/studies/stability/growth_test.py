@@ -197,8 +197,12 @@ def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float,
         enough = max(enough, min(CREEPS / slowest, LONGEST) if slowest else LONGEST)
     elif _still(states, round(STILL * _hold(trial, timestep) / timestep)):
         enough = duration
+    if _escaped(states):
+        return Growth(True, rate)
     grows = _grows(states, rate, last=duration >= max(LONGEST, enough))
-    return Growth(grows, rate) if grows or (grows is False and duration >= enough) else None
+    # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that.
+    sure = duration >= enough or (grows is True and not math.isnan(rate))
+    return Growth(grows, rate) if grows is not None and sure else None
 
 
 def _duration(trial: Trial, timestep: float, least: float) -> float:
@@ -252,6 +256,14 @@ def _still(states: Array, samples: int) -> bool:
     return bool(energy[-max(length, samples) :].max() <= GONE * energy[:length].max())
 
 
+def _escaped(states: Array) -> bool:
+    """Returns True if a run has diverged, or is so large in its last quarter as no decaying one becomes."""
+    length = states.shape[-1] // 4
+    with np.errstate(over="ignore"):
+        energy = (states**2).sum(axis=0)
+    return not np.all(np.isfinite(energy)) or bool(energy[-length:].max() > ESCAPED * energy[:length].max())
+
+
 def _grows(states: Array, rate: float, last: bool) -> bool | None:
     """Returns True if a run grows, False if it decays, or None if it has not settled yet.
 
@@ -263,10 +275,7 @@ def _grows(states: Array, rate: float, last: bool) -> bool | None:
     in the run: a longer run decides, and at last the rate.
     """
     length = states.shape[-1] // 4
-    with np.errstate(over="ignore"):
-        energy = (states**2).sum(axis=0)
-    if not np.all(np.isfinite(energy)) or energy[-length:].max() > ESCAPED * energy[:length].max():
-        return True
+    energy = (states**2).sum(axis=0)
     gone, hann = GONE * energy[:length].max(), _hann(length)
     first, second, third = _windows(states)
     if third <= gone:

@@ -71,15 +71,25 @@ class LateLoop:
 def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | None, timestep: float) -> LateLoop | None:
     """Returns the loop of a vehicle, as MuJoCo integrates it, with an undelayed second controller.
 
-    Returns None if the first controller is late by part of a sample, or samples seldom and is late or has states. Also returns
+    Of a controller with states that samples seldom, whose states change at samples alone, a step of the loop is a sample.
+    Returns None if the first controller is late by part of a sample, or has no states, samples seldom and is late. Also returns
     None if there is a second controller and either has states.
     """
     how = vehicle.implementation
     steps = steps_per_sample(how, timestep)
-    Phi, Gamma, G = sampled_loop_transfer(vehicle, controller, timestep, exponential=taylor4)
-    memory = len(Phi) > len(vehicle.linear_model.states) + len(G) * (vehicle.limits.actuator_bandwidth is not None)
-    if how.delay % 1 or (steps > 1 and (how.delay or memory)):
+    memory = controller.law.states > 0
+    if how.delay % 1 or (steps > 1 and how.delay and not memory):
         return None
+    if steps > 1 and memory:
+        if undelayed is not None:
+            return None
+        timestep, held, steps = steps * timestep, steps, 1
+
+        def exponential(M: Array) -> Array:
+            return np.linalg.matrix_power(taylor4(M / held), held)
+    else:
+        exponential = taylor4
+    Phi, Gamma, G = sampled_loop_transfer(vehicle, controller, timestep, exponential=exponential)
     if undelayed is not None:
         others = sampled_loop_transfer(vehicle, undelayed, timestep, exponential=taylor4)[2]
         if memory or others.shape != G.shape:
