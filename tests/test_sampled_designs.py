@@ -264,7 +264,8 @@ def test_a_fraction_of_a_sample_is_designed_for(paper, delay, measured):
 
 
 BUILT = [(0.001, 0), (0.001, 1), (0.02, 5), (0.1, 1), (0.2, 0), (0.5, 0), (0.5, 1), (0.5, 2.5), (1.0, 1)]
-CARS = [("quarter_car", name, *built) for name in ("I", "II") for built in BUILT] + [("quarter_car", "state", 0.5, 1)]
+CARS = [("quarter_car", name, *built) for name, every in (("I", 1), ("II", 2)) for built in BUILT[every - 1 :: every]]
+CARS += [("quarter_car", "state", 0.5, 1)]
 CARS += [("half_car", name, period, 0) for name in ROWS for period in (0.001, 0.05, 0.2)]
 # By two steps and by descent, at once and late, of one force and two.
 SOME = [("quarter_car", "I", 0.5, 0), ("quarter_car", "II", 0.001, 1), ("half_car", "state", 0.2, 0)]
@@ -289,7 +290,7 @@ def test_never_worse_than_what_is_there(name, controller, period, delay):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(("controller", "period"), [("state", 0.05), ("I", 0.001), ("II", 0.2)])
+@pytest.mark.parametrize(("controller", "period"), [("I", 0.001), ("II", 0.2)])
 def test_never_worse_of_a_full_car(controller, period):
     """The same of a full car."""
     never_worse("full_car", controller, period, 0)

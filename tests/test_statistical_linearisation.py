@@ -239,7 +239,7 @@ SEEDS, SETTLED, WINDOW, STEP = 200, 8.0, 9.0, 2e-3  # s; controller I leaves a m
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(("name", "road_class"), [("passive", "C"), ("I", "B"), ("II", "C"), ("II", "D")])
+@pytest.mark.parametrize(("name", "road_class"), [("passive", "C"), ("I", "B"), ("II", "D")])
 def test_it_is_within_what_two_hundred_roads_say(road_class, name):
     """Over 200 roads in MuJoCo, ride, travel and load of a quarter-car with a digressive damper have the mean squares expected.
 

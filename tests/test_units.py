@@ -126,10 +126,10 @@ def test_a_design_is_the_same_in_any_units(seed):
 
 @pytest.mark.attack
 @pytest.mark.parametrize(
-    "seeds", [(3, 7, 10, 17, 25, 270), *(range(k, k + 25) for k in range(100, 200, 25))], ids=lambda seeds: f"from {seeds[0]}"
+    "seeds", [(3, 7, 10, 17, 25, 270), range(100, 125), range(125, 150)], ids=lambda seeds: f"from {seeds[0]}"
 )
-def test_a_design_is_the_same_in_any_units_by_the_hundred(seeds):
-    """So are those of one hundred more."""
+def test_a_design_is_the_same_in_any_units_by_the_dozen(seeds):
+    """So are those of fifty more."""
     for seed in seeds:
         refuse_units(seed, 2)
 
