@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
-        lines += margins_lines(vehicle, controller, margins, fragile, box)
+        lines += margins_lines(vehicle, controller, margins, fragile, box, options.verbose)
         say([*lines, *written_lines(outputs), *log_lines(logs), "", verdict(margins, fragile, box)])
     return 0 if (box is None or box.holds) and fragile.agrees and all(one.agrees for one in margins.values()) else 1
 

@@ -553,9 +553,12 @@ def test_variations_that_are_none(smallest, largest):
 
 
 def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
-    """Every predicted and found number of the table is that of --json, in the table's units; the varied ranges are the kind's."""
+    """Every number of the table with -v is that of --json, in the table's units; without, a terminal shows all."""
     assert main(["--controller", "I", "--timestep", "4e-3"]) == 0
+    brief = capsys.readouterr().out
+    assert main(["--controller", "I", "--timestep", "4e-3", "-v"]) == 0
     printed = capsys.readouterr().out
+    assert brief.count("\n") <= 24  # what a terminal shows
     assert main(["--controller", "I", "--timestep", "4e-3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     for label, key, scale in (("gain, factor", "gain", 1), ("phase lag, rad", "phase", 1), ("delay, ms", "delay", 1e3)):

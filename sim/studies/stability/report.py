@@ -68,32 +68,55 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
 
 
 def margins_lines(
-    vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
+    vehicle: Vehicle,
+    controller: Controller,
+    margins: dict[str, LoopMargins],
+    fragile: FragilityFound,
+    box: Robustness | None,
+    verbose: bool,
 ) -> list[str]:
-    """Returns the margins of a loop, predicted and found, in lines for a terminal."""
+    """Returns the margins of a loop, predicted and found, in lines for a terminal.
+
+    Without `verbose` a part that agrees is short: loops beside the first, norms with errors and rounding, other vehicles.
+    """
     law = controller.law
     fixed = law.sample_period if law.states else None
-    lines = [COUNTERPART] if fixed is not None else []
+    lines, brief = [COUNTERPART] if fixed is not None else [], []
     for name, one in margins.items():
+        if name and one.agrees and not verbose:
+            brief += _brief_lines(name, one)
+            continue
         lines += ["", *_loop_lines(_called(name, len(margins)), one, fixed)]
         lines.append(_agreement(one.agrees))
-    lines += ["", *_fragile_lines(vehicle, controller, fragile), _agreement(fragile.agrees)]
+    lines += [*(["", f"{'gain, the others closed':{NAME + 2}}{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"] if brief else []), *brief]
+    lines += ["", *_fragile_lines(vehicle, controller, fragile, verbose), _agreement(fragile.agrees)]
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
     lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
     for corner in box.corners:
+        if corner.agrees and corner.decays and not verbose:
+            continue
         at = ", ".join(f"{name} {value:.6g}" for name, value in corner.parameters.items())
         physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
         lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
-    return lines
+    return lines if verbose else [*lines, "-v adds each loop, norms with errors, rounded numbers and each other vehicle"]
+
+
+def _brief_lines(name: str, one: LoopMargins) -> list[str]:
+    """Returns a loop's gain and delay in two lines."""
+    rows = [
+        (name, one.predicted.gain, one.gain.found, ""),
+        ("  delay, ms", 1e3 * one.predicted.delay, 1e3 * one.delay.unstable, ""),
+    ]
+    return _table("", rows)[1:]
 
 
 def _agreement(agrees: bool) -> str:
     return "  agrees" if agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"
 
 
-def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound) -> list[str]:
+def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound, verbose: bool) -> list[str]:
     """Returns lines on the loop's margin for errors of its readings and forces."""
     predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
     names = controller.measured, vehicle.linear_model.inputs
@@ -101,7 +124,9 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     rows = [("bears up to, %", 100 * edge.own, 100 * edge.found, worst)]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
     rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
-    return [*_table(f"errors of {whose(predicted)}", rows), f"  {proved_text(predicted)}", f"  {rounded}"]
+    proved = proved_text(predicted)
+    details = [f"  {proved}", f"  {rounded}"] if verbose else [f"  {proved.partition(';')[0]}"]
+    return [*_table(f"errors of {whose(predicted)}", rows), *details]
 
 
 def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
