@@ -13,8 +13,9 @@ from synth.analysis.norm import hinf_norm
 from synth.design.multi_model import SlackDesign, slack_design
 from synth.lmi.sdp import first_step, second_step
 from synth.plant.generalized import Feedback, GeneralizedPlant
-from synth.plant.numerics import DesignError
+from synth.plant.numerics import DesignError, TooLargeError
 from synth.vehicle.designer import Designer
+from tests.benchmarks.states import chain
 from tests.commands import attacks
 
 CORNERS = np.array([[1, 1, 0, 0], [0, 0, 1, 1]])
@@ -193,3 +194,10 @@ def test_bad_input(designer):
     ]:
         with pytest.raises(InputError, match=said):
             slack_design(*arguments)
+
+
+def test_what_takes_longer_than_a_minute_is_refused():
+    """A chain of 30 states would take three minutes: it is refused at once, in a line that says what is allowed."""
+    plant, Cy = chain(30)
+    with pytest.raises(TooLargeError, match="has 1395 unknowns, and those with a slack variable are solved with at most"):
+        slack_design([plant], [Cy])

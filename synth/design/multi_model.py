@@ -23,6 +23,7 @@ from models.common.errors import InputError, quoted
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.norm import hinf_norm
+from synth.lmi.central_path import fits
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import first_step, second_step, together
 from synth.plant.generalized import (
@@ -37,6 +38,7 @@ from synth.plant.generalized import (
 from synth.plant.numerics import DesignError, numerics
 from synth.plant.units import NormalisedSystem, own_units, reachable
 
+MOST = 1000  # unknowns; 26 states of one plant take a minute
 SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
 
 
@@ -86,6 +88,7 @@ def slack_design(
 
     Raises:
         InputError: the plants do not fit one another, or a C_y, the structure or an f does not fit.
+        TooLargeError: too many unknowns for an answer within a minute.
         InfeasibleError: the LMIs have no solution for any f; there may be a gain nevertheless.
         DesignError: the solver gave up, or no gain that it proposed stabilises all plants.
 
@@ -100,6 +103,8 @@ def slack_design(
         ((1, 1), '0.333')
     """
     Cys, allowed = _checked(plants, Cys, structure, f)
+    n, m = plants[0].B.shape
+    fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "those with a slack variable are solved")
     kept = independent_rows(plants[0], Cys[0])
     problem = _Problem(plants, [Cy[kept] for Cy in Cys], allowed[:, kept])
     candidates: list[tuple[float, float, float, Array]] = []
