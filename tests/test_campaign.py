@@ -399,7 +399,7 @@ def test_a_flat_tyre_is_a_row(tmp_path, capsys):
         assert through[f"linear_{name}"] == pytest.approx(through[name], rel=1e-2, abs=1e-9)
     broken, _, whole = json.loads(capsys.readouterr().out)["summary"]
     assert (broken["broke_off"], whole["broke_off"]) == (1, 0)
-    assert broken["ride"] == {"column": None, "rms": None, "p95": None, "predicted": None}
+    assert broken["ride"] == {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
     assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert sum(line.endswith("  broke off") for line in printed) == 2  # of the roads where a run did

@@ -8,6 +8,7 @@ import pytest
 
 from models.roads.choice import choose_road
 from models.vehicle.vehicle import read_vehicle
+from sim.campaign import summary
 from sim.campaign.file import parse_campaign
 from sim.campaign.plan import Plan
 from sim.campaign.summary import CONSTANT, trade_off
@@ -51,13 +52,30 @@ def test_points_are_the_numbers_of_the_table(drawn, capsys):
     assert [panel.title for panel in figure.panels] == ["iso8608:class=B at 20 m/s", "bump at 20 m/s"]
     for panel, road in zip(figure.panels, ("iso8608:class=B", "bump"), strict=True):
         circles = {
-            curve.label: (float(curve.x[0]), float(curve.y[0])) for curve in panel.curves if not curve.label.endswith("expected")
+            curve.label: (float(curve.x[0]), float(curve.y[0]))
+            for curve in panel.curves
+            if curve.label and not curve.label.endswith("expected")
         }
         said = {one["controller"]: (one["load"]["rms"], one["ride"]["rms"]) for one in result["summary"] if one["road"] == road}
         assert circles == said
     lines = [[curve.label for curve in panel.curves if curve.label.endswith("expected")] for panel in figure.panels]
     assert lines[0] == ["constant dampers, expected", "I, fully active, expected", "sky, fully active, expected"]
     assert lines[1] == []  # over a bump nothing is expected
+
+
+def test_bars_are_two_standard_errors():
+    """Through each point go bars whose half length is twice the standard error that a bootstrap finds; none of a single run."""
+    rng = np.random.default_rng(0)
+    values = rng.gamma(9.0, size=60)
+    again = np.sqrt(np.mean(rng.choice(values, (20_000, 60)) ** 2, axis=1))
+    error = summary._standard_error(values)
+    assert error == pytest.approx(again.std(), rel=0.03)  # of 60 values the two differ by a share of 1/60, and some noise
+    entry = {"controller": "I", "load": {"rms": 0.3, "standard_error": 0.01}, "ride": {"rms": 1.0, "standard_error": error}}
+    (bars,) = summary._error_bars(entry, "#000000")
+    assert (np.nanmin(bars.x), np.nanmax(bars.x)) == pytest.approx((0.28, 0.32))
+    assert np.nanmax(bars.y) - np.nanmin(bars.y) == pytest.approx(4 * error)
+    assert summary._standard_error(values[:1]) is None
+    assert summary._error_bars(entry | {"load": {"rms": 0.3, "standard_error": None}}, "#000000") == []
 
 
 def test_the_line_is_of_cars_with_those_dampers(drawn):

@@ -153,7 +153,7 @@ def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array)
     """
     there = some[np.all([np.isfinite(columns[name][some]) for name in names], axis=0)] if names else some[:0]
     if not len(there):
-        return {"column": None, "rms": None, "p95": None, "predicted": None}
+        return {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
     rms = {name: _rms(columns[name][there]) for name in names}
     worst = max(names, key=lambda name: rms[name])
     # A run over a random road has an expectation, one over another road its own linear response.
@@ -162,6 +162,7 @@ def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array)
     return {
         "column": worst,
         "rms": rms[worst],
+        "standard_error": _standard_error(columns[worst][there]),
         "p95": float(np.percentile(columns[worst][there], 95)),
         "predicted": None if known is None else _rms(known),
     }
@@ -169,6 +170,12 @@ def _statistics(columns: Mapping[str, Array], names: Sequence[str], some: Array)
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _standard_error(values: Array) -> float | None:
+    """Returns the standard error of a root mean square over runs, from the spread of their squares; None of a single run."""
+    rms = _rms(values)
+    return float(np.std(values**2, ddof=1) / np.sqrt(len(values)) / (2 * rms)) if len(values) > 1 and rms else None
 
 
 def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -249,6 +256,8 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
                 label = f"{entry['controller']}{own[entry['vehicle']]}"
                 x, y = np.array(there).T
                 curves.append(Curve(x, y, label, looks[label].color, "none", looks[label].marker))
+                if "variants" not in entry:
+                    curves += _error_bars(entry, looks[label].color)
                 measured = True
         crossed = crossed or any(curve.marker == "x" for curve in curves)
         if measured:
@@ -259,10 +268,20 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
     sentences = "; ".join(dict.fromkeys(filter(None, (_softest(panel) for panel in panels))))
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
-        "runs, of the worst point of the vehicle."
+        "runs, of the worst point of the vehicle, with two standard errors."
         + (" Crosses: with actuators that push in place of adjustable dampers." if crossed else "")
     )
     return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=sentences)
+
+
+def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
+    """Returns the bars of two standard errors through a controller's point, as one curve; none of a single run."""
+    x, y = entry[ACROSS]["rms"], entry[UP]["rms"]
+    across, up = entry[ACROSS].get("standard_error"), entry[UP].get("standard_error")
+    if across is None or up is None:
+        return []
+    ends = np.array([[x - 2 * across, y], [x + 2 * across, y], [np.nan, np.nan], [x, y - 2 * up], [x, y + 2 * up]])
+    return [Curve(ends[:, 0], ends[:, 1], "", color, width=1.0, name=f"{entry['controller']}, two standard errors")]
 
 
 def _softest(panel: Panel) -> str:
