@@ -65,7 +65,7 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
     assert main_of("sim.campaign")([str(campaign), "--json"]) == 0
     (entry,) = json.loads(capsys.readouterr().out)["summary"]
     assert entry["ride"]["predicted"] > 0
-    assert entry["travel"] == dict.fromkeys(("column", "rms", "p95", "predicted"))
+    assert entry["travel"] == dict.fromkeys(("column", "rms", "standard_error", "p95", "predicted"))
 
     monkeypatch.setattr(ride, "CLASSES", "B")
     monkeypatch.setattr(ride, "SEEDS", (0,))
