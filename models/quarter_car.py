@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.kinds import signals
+from models.kinds import tyre
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
 
@@ -22,6 +23,7 @@ PARAMETERS = (
     Parameter("suspension_stiffness", "N/m", "k_s"),
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
     Parameter("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    Parameter("tyre_damping", "N s/m", f"c_u, {tyre.DAMPING}", positive=False, optional=True),
 )
 
 STATES = (
@@ -45,7 +47,7 @@ def linear_model(p: Parameters) -> LinearModel:
     """
     m_s, m_u = p["sprung_mass"], p["unsprung_mass"]
     k_s, c_s = p["suspension_stiffness"], p["suspension_damping"]
-    k_u = p["tyre_stiffness"]
+    k_u, c_u = p["tyre_stiffness"], p.get("tyre_damping", 0.0)
 
     A = np.array(
         [
@@ -56,7 +58,11 @@ def linear_model(p: Parameters) -> LinearModel:
         ]
     )  # (31)
     B = np.array([[0], [0], [1 / m_s], [-1 / m_u]])  # (32)
-    Bw = np.array([[0], [-1], [0], [0]])  # (32)
+    Bw = np.array([[0.0], [-1.0], [0.0], [0.0]])  # (32)
+    Bt = np.array([[0.0], [0.0], [0.0], [c_u / m_u]])
+    if c_u:
+        A[3, 3] -= c_u / m_u
+        Bw = Bw + Bt
 
     # Signals: the four states, then z_s'' by the first line of (28), then u itself, then z_u'' by the second line.
     C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3]])
@@ -81,6 +87,8 @@ def linear_model(p: Parameters) -> LinearModel:
         loads=(signals.HEAVE_LOAD.name,),
         Bl=Bl,
         Dl=Dl,
+        Bt=Bt,
+        Dw=np.vstack([np.zeros((6, 1)), Bt[3]]),
     )
 
 
@@ -105,10 +113,9 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     preload = p["sprung_mass"] * GRAVITY / p["suspension_stiffness"]
     suspension.springlength = [preload, preload]
 
-    tyre = spec.tendon("tyre")
-    tyre.stiffness[0] = p["tyre_stiffness"]
     radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
-    tyre.springlength[0] = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
+    rest = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
+    tyre.write(spec, "tyre", p["tyre_stiffness"], p.get("tyre_damping", 0.0), rest)
 
 
 def motion(p: Parameters) -> "Motion":
@@ -124,6 +131,7 @@ def motion(p: Parameters) -> "Motion":
         suspension_stiffness=p["suspension_stiffness"],
         suspension_damping=p["suspension_damping"],
         tyre_stiffness=p["tyre_stiffness"],
+        tyre_damping=p.get("tyre_damping", 0.0),
     )
     body = RigidBody((corner,), p["sprung_mass"], 1.0, None, tyre_modes=np.eye(1), twist=np.zeros(1))
     return rigid_motion(body, STATES, (signals.SPRUNG_ACCELERATION, *ON_DEMAND))

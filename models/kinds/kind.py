@@ -13,7 +13,14 @@ from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive
 from models.common.errors import InputError, listing, number_range, quoted
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
-from models.kinds.signals import CONTROL_FORCE, SUSPENSION_DEFLECTION, SUSPENSION_VELOCITY, Signal
+from models.kinds.signals import (
+    CONTROL_FORCE,
+    SUSPENSION_DEFLECTION,
+    SUSPENSION_VELOCITY,
+    TYRE_DEFLECTION,
+    UNSPRUNG_VELOCITY,
+    Signal,
+)
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
@@ -165,6 +172,20 @@ class Wheel(Checked):
 
 
 @dataclass(frozen=True)
+class DampedTyre:
+    """Tyre whose force is that of its equivalent deflection t + (c / k) (z_u' - z_r') on its stiffness k, with its damping c.
+
+    Attributes:
+        hub, road: signals of the velocities z_u' and z_r'.
+        time: c / k [s].
+    """
+
+    hub: str
+    road: str
+    time: float
+
+
+@dataclass(frozen=True)
 class Suspension(Checked):
     """Suspension of the body on a wheel.
 
@@ -240,7 +261,7 @@ class VehicleKind(Checked):
         wheels: in the order of the linear model's disturbances.
         linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
         static_tyre_deflection: parameters -> compression of each tyre at rest [m], by tyre deflection signal. The wheel is off
-            the road if its tyre deflection exceeds this.
+            the road if its tyre deflection exceeds this, or its equivalent one if the tyre damps (`DampedTyre`).
         write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits its argument: no import of MuJoCo.
         folder: folder of its `.xml`.
         check_together: raises InputError if valid single parameters make no vehicle together.
@@ -361,6 +382,23 @@ class VehicleKind(Checked):
         corners, names = ending.split("_"), {known.name for known in self.parameters}
         beginnings = ("_".join((parameter, *corners[1:count])) for count in range(len(corners), 0, -1))
         return next((name for name in beginnings if name in names), "")
+
+    def invariants_of(self, parameters: Parameters) -> tuple[Invariant, ...]:
+        """Returns the invariants of a vehicle: those of its kind, or none if a tyre damps.
+
+        With c s + k in place of k the whole mass no longer rests on the tyre at any frequency: m_u s^2 + c s + k is nowhere zero.
+        """
+        return () if self.damped_tyres(parameters) else self.invariants
+
+    def damped_tyres(self, parameters: Parameters) -> "Mapping[str, DampedTyre]":
+        """Returns the tyres that damp, by their deflection signals."""
+        tyres = {}
+        for wheel in self.wheels:
+            ending = wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
+            c, k = (parameters.get(self._of_corner(part, ending), 0.0) for part in ("tyre_damping", "tyre_stiffness"))
+            if c:
+                tyres[wheel.tyre_deflection] = DampedTyre(f"{UNSPRUNG_VELOCITY.name}{ending}", wheel.road_velocity, c / k)
+        return tyres
 
     def pushed(self, force: str) -> str:
         """Returns the suspension deflection that a force pushes along; empty if the force is no suspension's."""

@@ -1,10 +1,14 @@
 """Linear vehicle model with named states, inputs and outputs.
 
-    x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Cr z_r + Dl f,
+    x' = A x + B u + Bw w + Br z_r + Bl f,     signals = C x + D u + Dw w + Cr z_r + Dl f,
 
 with the road's heights z_r under the wheels, their velocities w = z_r', and loads f on the body (`models/roads/load.py`). In the
 paper, and if the body can follow every motion of the wheels, Br and Cr are zero: only the road's velocity acts. Under four wheels
 the road's twist acts as a displacement.
+
+The road's velocity acts in two ways: Bw = J + Bt. It moves deflections by J, whatever their forces. Through tyres that damp it
+pushes the wheels by Bt, and shows in their accelerations by Dw. A vertical edge then is an impulse on the wheel. A road that is
+held over a step moves deflections between steps, and pushes by its mean velocity within them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -37,6 +41,8 @@ class LinearModel:
         loads: names of the loads on the body, l of them [N, N m].
         Bl: from the loads to x', shape (n, l); zero by default.
         Dl: from the loads to the output signals, shape (p, l); zero by default.
+        Bt: part of Bw by which the damping of tyres pushes the wheels, shape (n, r); zero by default.
+        Dw: from the road's velocities to the output signals, shape (p, r); zero by default.
 
     Raises:
         InputError: a matrix does not fit the names or is not finite, or the names are no different texts.
@@ -57,6 +63,8 @@ class LinearModel:
     loads: tuple[str, ...] = ()
     Bl: Array = field(default_factory=lambda: np.zeros((0, 0)))
     Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Bt: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Dw: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -69,7 +77,12 @@ class LinearModel:
         if not pushes:
             object.__setattr__(self, "Bl", np.zeros((n, 0)))
             object.__setattr__(self, "Dl", np.zeros((p, 0)))
+        for name, rows in (("Bt", n), ("Dw", p)):
+            if not np.size(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros((rows, r)))
         shapes = {
+            "Bt": (n, r),
+            "Dw": (p, r),
             "Bl": (n, pushes),
             "Dl": (p, pushes),
             "A": (n, n),
@@ -98,11 +111,32 @@ class LinearModel:
         """
         return tuple(name for name, of_road in zip(self.outputs, np.any(self.Cr, axis=1), strict=True) if not of_road)
 
+    @property
+    def tyres_damp(self) -> bool:
+        """True if the road's velocity pushes a wheel."""
+        return bool(self.Bt.any() or self.Dw.any())
+
+    @property
+    def jump(self) -> Array:
+        """J, by which states follow the road's height at once, shape (n, r): x - J z_r does not jump where a held road does."""
+        return self.Bw - self.Bt if self.tyres_damp else self.Bw
+
+    @property
+    def Bh(self) -> Array:
+        """Effect of what is held over a step on x', shape (n, l), or (n, l + r) if tyres damp: loads, then road velocities."""
+        return np.hstack([self.Bl, self.Bt]) if self.tyres_damp else self.Bl
+
+    @property
+    def Dh(self) -> Array:
+        """The same on the output signals, shape (p, l) or (p, l + r)."""
+        return np.hstack([self.Dl, self.Dw]) if self.tyres_damp else self.Dl
+
     def without(self, outputs: Collection[str]) -> "LinearModel":
         """Returns the model without some of its output signals."""
         kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
         names = tuple(self.outputs[i] for i in kept)
-        return replace(self, C=self.C[kept], D=self.D[kept], Cr=self.Cr[kept], Dl=self.Dl[kept], outputs=names)
+        rows = {name: getattr(self, name)[kept] for name in ("C", "D", "Cr", "Dl", "Dw")}
+        return replace(self, outputs=names, **rows)
 
     def has_rate(self, output: str) -> bool:
         """Returns True if the time derivative of an output signal is an output: the road and the forces must not act on it at
@@ -119,6 +153,7 @@ class LinearModel:
             "D": self.C[index] @ self.B,
             "Cr": self.C[index] @ self.Br,
             "Dl": self.C[index] @ self.Bl,
+            "Dw": np.zeros((len(index), len(self.disturbances))),
         }
         more = {name: np.vstack([getattr(self, name), more_rows]) for name, more_rows in rows.items()}
         return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
@@ -141,6 +176,7 @@ class LinearModel:
             Bw=np.vstack([self.Bw, np.zeros((m, r))]),
             Br=np.vstack([self.Br, np.zeros((m, r))]),
             Bl=np.vstack([self.Bl, np.zeros((m, len(self.loads)))]),
+            Bt=np.vstack([self.Bt, np.zeros((m, r))]),
             C=np.hstack([self.C, self.D]),
             D=np.zeros_like(self.D),
             states=(*self.states, *(f"lagged_{name}" for name in self.inputs)),

@@ -40,7 +40,7 @@ class Motion(Protocol):
         Args:
             inputs: forces [N], shape (T, m).
             pulls: of the suspensions, beyond their linear springs and dampers.
-            loads: on the body [N, N m], shape (T, l).
+            loads: on the body [N, N m], shape (T, l); if tyres damp, then the road's velocities [m/s], shape (T, l + r).
         """
         ...
 

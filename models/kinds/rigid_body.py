@@ -36,6 +36,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
+from models.kinds import tyre
 from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
@@ -56,9 +57,13 @@ CENTRE_HEIGHT = Parameter(
 AXLES = ("front", "rear")
 
 
-def per_axle(name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None) -> tuple[Parameter, ...]:
+def per_axle(
+    name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None, optional: bool = False
+) -> tuple[Parameter, ...]:
     """Returns a parameter of every axle."""
-    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied) for axle in AXLES)
+    return tuple(
+        Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, optional=optional) for axle in AXLES
+    )
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ class Corner:
     Attributes:
         name: suffix of its signals and of its elements in the MJCF.
         x, y: position from the centre of mass [m].
-        unsprung_mass: [kg].    suspension_stiffness, tyre_stiffness: [N/m].    suspension_damping: [N s/m].
+        unsprung_mass: [kg].    suspension_stiffness, tyre_stiffness: [N/m].    suspension_damping, tyre_damping: [N s/m].
     """
 
     name: str
@@ -78,13 +83,14 @@ class Corner:
     suspension_stiffness: float
     suspension_damping: float
     tyre_stiffness: float
+    tyre_damping: float = 0.0
 
     @classmethod
     def on_axle(cls, p: Parameters, name: str, axle: str, y: float) -> "Corner":
         """Returns a corner with the parameters of its axle."""
         x = p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"]
         own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
-        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own))
+        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own), p.get(f"tyre_damping_{axle}", 0.0))
 
 
 @dataclass(frozen=True)
@@ -204,7 +210,7 @@ def linear_model(
     n = 2 * c + p + k
     corner = {
         name: np.diag([getattr(corner, name) for corner in body.corners])
-        for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness")
+        for name in ("unsprung_mass", "suspension_damping", "tyre_stiffness", "tyre_damping")
     }
     # Rows of the identity pick out the parts of the state.
     d, Pt, q_dot, z_u_dot = np.split(np.eye(n), [c, c + p, c + p + k])
@@ -219,6 +225,11 @@ def linear_model(
     A = np.vstack([d_dot, P @ z_u_dot, lift @ f, -push @ (f + corner["tyre_stiffness"] @ t)])
     B = np.vstack([np.zeros((c + p, c)), lift, -push])
     Bw = np.vstack([np.zeros((c, c)), -P, np.zeros((k + c, c))])
+    Bt = np.zeros((n, c))
+    if corner["tyre_damping"].any():
+        Bt[c + p + k :] = push @ corner["tyre_damping"]
+        A[c + p + k :] -= push @ corner["tyre_damping"] @ z_u_dot
+        Bw = Bw + Bt
     Br = np.vstack([np.zeros((c + p + k, c)), push @ corner["tyre_stiffness"] @ N])
     Bl = np.vstack([np.zeros((c + p, k)), np.linalg.inv(M), np.zeros((c, k))])
     if body.guided:
@@ -236,6 +247,8 @@ def linear_model(
     Cr = np.zeros((len(C), c))
     Cr[n : n + len(extra_t)] = -N[: len(extra_t)]
     Cr[-c:] = Br[c + p + k :]
+    Dw = np.zeros((len(C), c))
+    Dw[-c:] = Bt[c + p + k :]
     Dl = np.zeros((len(C), Bl.shape[1]))
     Dl[-c:] = Bl[c + p + k :]
     first = n + len(extra_t)
@@ -259,6 +272,8 @@ def linear_model(
         loads=tuple(load.name for load in (*LOADS[:k], *body.wheel_loads)),
         Bl=Bl,
         Dl=Dl,
+        Bt=Bt,
+        Dw=Dw,
     )
 
 
@@ -340,13 +355,12 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
         name = f"suspension_{corner.name}"
         suspension = _guided(spec, body, corner, name) if body.guided else spec.tendon(name)
-        tyre = spec.tendon(f"tyre_{corner.name}")
         suspension.stiffness[0] = corner.suspension_stiffness
         suspension.damping[0] = corner.suspension_damping
         length = 0.0 if body.guided else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
         suspension.springlength = [length + load / corner.suspension_stiffness] * 2
-        tyre.stiffness[0] = corner.tyre_stiffness
-        tyre.springlength[0] = unsprung.pos[2] - road.pos[2] + squeeze
+        rest = unsprung.pos[2] - road.pos[2] + squeeze
+        tyre.write(spec, f"tyre_{corner.name}", corner.tyre_stiffness, corner.tyre_damping, rest)
     for bar in body.bars:
         if bar.stiffness > 0:
             torsion = spec.add_tendon(name=f"anti_roll_bar_{bar.name}", springlength=[0.0, 0.0])

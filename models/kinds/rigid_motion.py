@@ -7,7 +7,7 @@ L_i, and q = (z, theta, phi),
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
 the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and
-k_u (static - t). With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
+k_u (static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 
@@ -103,14 +103,18 @@ class RigidMotion:
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
         """See `Motion`."""
         q, hubs, rates, hub_rates = self._split(state)
-        spring, damper, tyre, unsprung = (
+        spring, damper, tyre, rubber, unsprung = (
             np.array([getattr(corner, name) for corner in self.body.corners])
-            for name in ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "unsprung_mass")
+            for name in ("suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping", "unsprung_mass")
         )
         d, v, J, up = self._struts(q, hubs, rates, hub_rates)
         resting = self.body.static_loads()
         push = resting - spring * d - damper * v - pulls(d, v) + inputs
-        tyres = np.maximum(0.0, resting + unsprung * GRAVITY - tyre * (hubs - heights))
+        under = resting + unsprung * GRAVITY - tyre * (hubs - heights)
+        if rubber.any():
+            loads, velocities = np.split(loads, [loads.shape[1] - len(rubber)], axis=1)
+            under = under + rubber * (velocities - hub_rates)
+        tyres = np.maximum(0.0, under)
         on_hubs = tyres - up * push
         on_body = (J * push[:, :, None]).sum(axis=1)
         if loads.shape[1]:

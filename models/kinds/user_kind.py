@@ -109,6 +109,8 @@ def wrong_linear_model(model: Any, kind: VehicleKind) -> str:
                 f"{name}[{row}, {column}] = {getattr(model, name)[row, column]:g}, larger than any vehicle's; at most {LARGEST:g}"
             )
 
+    if model.tyres_damp:
+        return "Bt or Dw, of tyres that damp, which only the shipped kinds have in MuJoCo; leave them out"
     for suspension in kind.suspended or ():
         if suspension.force and suspension.force not in model.inputs:
             return f"no input {suspension.force!r}, a suspension's force; add it, or leave it out of the suspension"

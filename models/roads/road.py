@@ -316,6 +316,11 @@ class RoadInput:
         """True if there are loads."""
         return self.road.loaded
 
+    @property
+    def pushed(self) -> bool:
+        """True if something held acts beside the road's heights: loads, or its velocities through tyres that damp."""
+        return self.loaded or self.vehicle.linear_model.tyres_damp
+
     @cached_property
     def heights(self) -> Array:
         """Heights under the wheels at the samples [m], shape (T, r)."""
@@ -340,6 +345,22 @@ class RoadInput:
     def held_loads(self) -> Array:
         """Loads half a step after the samples [N, N m], as MuJoCo holds them over the step, shape (T, l)."""
         return self.road.loads(self.vehicle, self.time + self.timestep / 2)
+
+    @cached_property
+    def held_velocities(self) -> Array:
+        """Mean velocities of the heights over the steps from the samples [m/s], shape (T, r), at which MuJoCo holds them.
+
+        With them a tyre's damping has the impulse c dz of every step, also over a kink or an edge.
+        """
+        end = under_wheels(self.road.displacement, self.road, self.vehicle, self.time[-1:] + self.timestep)
+        return np.diff(self.heights, axis=0, append=end) / self.timestep
+
+    @cached_property
+    def held(self) -> Array:
+        """All that is held over the steps: loads, and if tyres damp the road's velocities, shape (T, l) or (T, l + r)."""
+        if not self.vehicle.linear_model.tyres_damp:
+            return self.held_loads
+        return np.hstack([self.held_loads, self.held_velocities])
 
     def scaled(self, share: float) -> "RoadInput":
         """Returns the input with heights and loads multiplied."""

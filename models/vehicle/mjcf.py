@@ -18,6 +18,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.common.files import MIB, TEXT, open_plain
 from models.kinds.kind import GRAVITY, LOWEST_HUB
+from models.kinds.tyre import DAMPER, actuator_of
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 
@@ -139,6 +140,8 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                     else:
                         stop.wrap_site(wrap.target.name)
     for actuator in spec.actuators:
+        if actuator.name.startswith(DAMPER):
+            continue
         if limits.actuator_force is not None:
             actuator.forcelimited = True
             actuator.forcerange = [-limits.actuator_force, limits.actuator_force]
@@ -277,6 +280,14 @@ def mjcf_text(vehicle: Vehicle, timestep: float) -> str:
 def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
     """Returns the degree of freedom of each of the kind's loads."""
     return [int(model.joint(load.joint).dofadr[0]) for load in vehicle.kind.loads]
+
+
+def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Returns the wheels whose tyres damp, and the actuator of each, whose control is the road's velocity; see `kinds/tyre.py`."""
+    actuators = {model.actuator(i).name: i for i in range(model.nu)} if vehicle.linear_model.tyres_damp else {}
+    names = [actuator_of(wheel.tyre_deflection) for wheel in vehicle.kind.wheels]
+    some = [i for i, name in enumerate(names) if name in actuators]
+    return some, [actuators[names[i]] for i in some]
 
 
 def mocap_indices(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:

@@ -178,7 +178,7 @@ class Vehicle(ShownVehicle):
 
         model = self.linear_model
         weights = np.array([self.performance.get(name, 0.0) for name in model.outputs])[:, None]
-        omega, gains = gain_curve(model.A, model.Bw, weights * model.C, np.zeros((len(weights), model.Bw.shape[1])))
+        omega, gains = gain_curve(model.A, model.Bw, weights * model.C, weights * model.Dw)
         panel = gain_panel(
             "largest singular value without control, from the road's velocity to the weighted signals:", omega, gains, {}
         )

@@ -42,7 +42,7 @@ class ReferenceResponse:
     def __init__(self, runs: Sequence[PlannedRun], watched: MonitoredBatch, first: int | None, loaded: bool) -> None:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle = runs[0].vehicle
-        self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.loads
+        self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.held
         timestep = watched.timestep
         systems: dict[Any, Any] = {}
         for run in runs:
@@ -132,10 +132,10 @@ def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[
     cut = sampled(vehicle, controller, timestep)
     model, G = cut.model, cut.inputs(cut.asked)
     felt = cut.inputs(*np.split(readings_of_loads(cut, controller), [cut.forces]))
-    Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.Bw + model.Br)
-    Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bl)[1]
-    of_road = (Gamma_u @ G @ model.Bw, Gamma_r, model.Bw, model.C + model.D @ G, model.Cr)
-    return Phi + Gamma_u @ G, *of_road, Gamma_l, Gamma_u @ felt, model.Dl, model.D @ felt
+    Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.jump + model.Br)
+    Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bh)[1]
+    of_road = (Gamma_u @ G @ model.jump, Gamma_r, model.jump, model.C + model.D @ G, model.Cr)
+    return Phi + Gamma_u @ G, *of_road, Gamma_l, Gamma_u @ felt, model.Dh, model.D @ felt
 
 
 def _applied(matrix: Array, inputs: Array) -> Array:

@@ -23,7 +23,7 @@ def stretching(vehicle: Vehicle) -> Array:
         row = np.zeros(len(model.states))
         if force in vehicle.dampers:
             at = model.states.index(vehicle.kind.pushed(force))
-            if np.any(model.B[at]) or np.any(model.Bw[at]) or np.any(model.Br[at]):
+            if np.any(model.B[at]) or np.any(model.jump[at]) or np.any(model.Br[at]):
                 raise ValueError(f"the rate of {model.states[at]} has a force or the road in it")
             row = model.A[at]
         rows.append(row)

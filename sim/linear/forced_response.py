@@ -12,7 +12,14 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
-from sim.linear.sampled_response import load_forcing, recursion, response_of, road_forcing, taylor4
+from sim.linear.sampled_response import (
+    load_forcing,
+    outside_at_samples,
+    recursion,
+    response_of,
+    road_forcing,
+    taylor4,
+)
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag
 from synth.plant.discrete import held_inputs
@@ -26,10 +33,10 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator to rounding.
     """
     vehicle, time, h, model = road.vehicle, road.time, road.timestep, with_lag(road.vehicle)
-    loads = road.held_loads if road.loaded else None
-    outside = [] if loads is None else [model.Bl]
-    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
-    jump, add = road.heights @ model.Bw.T, 0.0 if loads is None else loads @ model.Dl.T
+    loads = road.held if road.pushed else None
+    outside = [] if loads is None else [model.Bh]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
+    jump, add = road.heights @ model.jump.T, 0.0 if loads is None else loads @ model.Dh.T
     if not vehicle.is_curved:
         push = road.midway @ Gamma_r.T + forces @ Gamma.T
         if loads is not None:
@@ -40,7 +47,7 @@ def forced_response(forces: Array, road: RoadInput, exponential: Callable[[Array
     steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
     xi = np.zeros((len(time), 1, len(model.A)))
     for k in range(len(time) - 1):
-        pushed = None if loads is None else loads[k : k + 1] @ model.Bl.T
+        pushed = None if loads is None else loads[k : k + 1] @ model.Bh.T
         xi[k + 1] = steps(xi[k], forces[k : k + 1], road.midway[k : k + 1], pushed=pushed)
     states = xi[:, 0] + jump
     return response_of(model, road, states, forces, steps.beyond(states, road.heights) + add)
@@ -52,6 +59,8 @@ def forced_continuous_response(forces: Array, road: RoadInput) -> Response:
     Phi, Gamma = held_inputs(model.A, road.timestep, linalg.expm, model.B)
     forcing, loads = road_forcing(model.A, model, road) + forces @ Gamma.T, None
     if road.loaded:
-        forcing, loads = forcing + load_forcing(model.A, model.Bl, road), road.loads
-    add = 0.0 if loads is None else loads @ model.Dl.T
+        forcing = forcing + load_forcing(model.A, model.Bl, road)
+    if road.pushed:
+        loads = outside_at_samples(road)
+    add = 0.0 if loads is None else loads @ model.Dh.T
     return response_of(model, road, recursion(Phi, forcing), np.asarray(forces), add)

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
 from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, steps_held, steps_per_sample
 from models.vehicle.vehicle import Vehicle
@@ -47,8 +48,16 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
     cut = continuous(vehicle, controller)
     model, G = cut.model, cut.G
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
-    x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.Br / s)
-    return (model.C + model.D @ G) @ x + model.Cr / s
+    felt = readings_of_road(cut, controller)
+    x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.B @ felt + model.Br / s)
+    return (model.C + model.D @ G) @ x + model.Dw + model.D @ felt + model.Cr / s
+
+
+def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
+    """Returns the effect of the road's velocity on all inputs by measured accelerations of wheels on tyres that damp, shape (m + k,
+    r).
+    """
+    return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
 
 
 def sampled_frequency_response(
@@ -69,7 +78,7 @@ def sampled_frequency_response(
         pulls: e forces, responses to which follow, per newton, shape (F, p, r + e).
     """
     cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential, pulls)
-    model, outside = cut.model, _outside(cut, controller, pulls)
+    model, outside = cut.model, _outside(cut, controller, pulls, omega, timestep)
     return (model.C @ mean_x + model.D @ inputs + outside.outputs) / outside.per(omega)
 
 
@@ -83,7 +92,9 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     how = vehicle.implementation
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
-    waiting = [np.exp(-s * period * late) * (cut.asked @ x) for late in range(how.pending_forces, 0, -1)]
+    felt, asked = _outside(cut, controller, None, omega, timestep).through_readings, cut.asked @ x
+    asked = asked if felt is None else asked + felt[..., : cut.forces, :]
+    waiting = [np.exp(-s * period * late) * asked for late in range(how.pending_forces, 0, -1)]
     return np.concatenate([x, *waiting], axis=1) / s
 
 
@@ -103,8 +114,8 @@ def stepwise_frequency_response(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
-    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls)
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, linalg.expm, model.B, outside.rates)
+    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls, omega, h)
+    Phi, Gamma, Gamma_r = outside.held(model, linalg.expm)
     by_step, xi, responses, per = (
         _inputs_by_step(cut, how, s, h, x, outside.through_readings),
         x - outside.jump,
@@ -132,7 +143,7 @@ def leaps_by_step(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
-    outside, turn = _outside(cut, controller, pulls), np.exp(-s * h * steps_per_sample(how, h))
+    outside, turn = _outside(cut, controller, pulls, omega, h), np.exp(-s * h * steps_per_sample(how, h))
     by_step, per = _inputs_by_step(cut, how, s, h, x, outside.through_readings), outside.per(omega)
     before = [by_step[-1] * turn, *by_step[:-1]]
     return np.stack([cut.model.D @ (now - last) / per for now, last in zip(by_step, before, strict=True)])
@@ -145,9 +156,12 @@ class _Outside:
     Attributes:
         jump: direct effect on the states, shape (n, c).
         rates: effect on the rates of the continuous states xi, shape (n, c).
-        outputs: direct effect on the output signals, shape (p, c).
-        through_readings: effect on all inputs by measured accelerations, shape (m + k, c), or None if there is no effect.
+        outputs: direct effect on the output signals, shape (p, c), or (F, p, c) if tyres damp.
+        through_readings: effect on all inputs by measured accelerations, shape (m + k, c) or (F, m + k, c), or None if there is no
+            effect.
         wheels: r.
+        omega: angular frequencies [rad/s], shape (F,).
+        timestep: h [s].
     """
 
     jump: Array
@@ -155,6 +169,22 @@ class _Outside:
     outputs: Array
     through_readings: Array | None
     wheels: int
+    omega: Array
+    timestep: float
+
+    def held(self, model: LinearModel, exponential: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+        """Returns exp(A h), and what inputs and disturbances held over a step do: shapes (n, n), (n, m) and (n, c) or (F, n, c).
+
+        A road held at exp(j omega h/2) has the mean velocity exp(j omega h/2) 2j sin(omega h/2) / h over the step.
+        """
+        h = self.timestep
+        if not model.tyres_damp:
+            Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, self.rates)
+            return Phi, Gamma, Gamma_r
+        Phi, Gamma, Gamma_r, Gamma_t = held_inputs(model.A, h, exponential, model.B, self.rates, model.Bt)
+        rate = 2j * np.sin(self.omega * h / 2)[:, None, None] / h
+        more = np.zeros((len(Gamma_t), self.jump.shape[1] - self.wheels))
+        return Phi, Gamma, Gamma_r + rate * np.hstack([Gamma_t, more])
 
     def per(self, omega: Array) -> Array:
         """Returns the unit of each response: road velocity or newton, shape (F, 1, c), or (F, 1, 1) if there are only roads."""
@@ -163,18 +193,33 @@ class _Outside:
         return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
 
 
-def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None) -> _Outside:
+def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None, omega: Array, h: float) -> _Outside:
     """Returns the disturbances by the roads under the wheels and by suspension forces."""
-    model = cut.model
-    rates, wheels = model.A @ model.Bw + model.Br, model.Bw.shape[1]
+    model, omega = cut.model, np.asarray(omega, dtype=float)
+    rates, wheels = model.A @ model.jump + model.Br, model.Bw.shape[1]
+    outputs, felt = model.Cr, None
+    if model.tyres_damp:  # held at the mean velocity of the step; a reading is taken before the next step's acts
+        turn = np.exp(1j * omega * h)[:, None, None]
+        outputs = outputs + model.Dw * (turn - 1) / h
+        felt = readings_of_road(cut, controller) * (1 - 1 / turn) / h if readings_of_road(cut, controller).any() else None
     if pulls is None:
-        return _Outside(model.Bw, rates, model.Cr, None, wheels)
+        return _Outside(model.jump, rates, outputs, felt, wheels, omega, h)
     count = pulls.outputs.shape[1]
     push = np.vstack([pulls.push, np.zeros((len(model.A) - len(pulls.push), count))])
     measured = cut.reading @ pulls.outputs[[model.outputs.index(name) for name in controller.measured]]
-    through_readings = np.hstack([np.zeros((len(measured), wheels)), measured]) if np.any(measured) else None
-    jump = np.hstack([model.Bw, np.zeros((len(model.A), count))])
-    return _Outside(jump, np.hstack([rates, push]), np.hstack([model.Cr, pulls.outputs]), through_readings, wheels)
+    through_readings = None
+    if np.any(measured) or felt is not None:
+        of_road = np.zeros((len(measured), wheels)) if felt is None else felt
+        through_readings = _beside(of_road, measured)
+    jump = np.hstack([model.jump, np.zeros((len(model.A), count))])
+    return _Outside(
+        jump, np.hstack([rates, push]), _beside(outputs, pulls.outputs), through_readings, wheels, omega, h
+    )
+
+
+def _beside(first: Array, second: Array) -> Array:
+    """Returns two matrices side by side, shape (..., k, a + b), of shapes (..., k, a) and (k, b)."""
+    return np.concatenate([first, np.broadcast_to(second, (*first.shape[:-1], second.shape[-1]))], axis=-1)
 
 
 def _inputs_by_step(
@@ -184,7 +229,8 @@ def _inputs_by_step(
     intervals, steps = steps_held(how, h), steps_per_sample(how, h)
     requested, state_rates = cut.asked @ x, cut.kept @ x
     if through_readings is not None:
-        requested, state_rates = requested + through_readings[: cut.forces], state_rates + through_readings[cut.forces :]
+        requested = requested + through_readings[..., : cut.forces, :]
+        state_rates = state_rates + through_readings[..., cut.forces :, :]
     forces = [np.exp(-s * h * steps * late) * requested for _, late in intervals]
     parts = [cut.inputs(force, state_rates, forces[-1]) for force in forces]
     return [part for (count, _), part in zip(intervals, parts, strict=True) for _ in range(count)]
@@ -203,9 +249,9 @@ def _harmonic(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
     cut = sampled(vehicle, controller, steps * h)
-    model, outside = cut.model, _outside(cut, controller, pulls)
+    model, outside = cut.model, _outside(cut, controller, pulls, omega, h)
     jump = outside.jump
-    Phi, Gamma, Gamma_r = held_inputs(model.A, h, exponential, model.B, outside.rates)
+    Phi, Gamma, Gamma_r = outside.held(model, exponential)
 
     # From xi at a sample of the controller and Z to xi after i steps, P xi + Q Z, under the inputs F (xi + Bw Z) + E Z.
     intervals = steps_held(how, h)
@@ -214,9 +260,10 @@ def _harmonic(
     of_parts: list[Array] = [cut.inputs(force, last=forces[-1]) for force in forces]
     from_readings: list[Array | float] = [0.0 for _ in intervals]
     if outside.through_readings is not None:
-        requested, state_rates = outside.through_readings[: cut.forces], outside.through_readings[cut.forces :]
+        felt = outside.through_readings
+        requested, state_rates = felt[..., : cut.forces, :], felt[..., cut.forces :, :]
         from_readings = [
-            cut.inputs(turn * requested, np.broadcast_to(state_rates, (len(s), *state_rates.shape)), turns[-1] * requested)
+            cut.inputs(turn * requested, np.broadcast_to(state_rates, (len(s), *state_rates.shape[-2:])), turns[-1] * requested)
             for turn in turns
         ]
     P, Q = np.broadcast_to(np.eye(len(model.A)), (len(s), *model.A.shape)), np.zeros((len(s), *jump.shape))

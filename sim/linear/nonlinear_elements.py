@@ -76,7 +76,7 @@ def elements(vehicle: Vehicle, model: LinearModel) -> Elements:
     push, outputs = vehicle.pulls_on([fitted.deflection for fitted in curved])
     push = np.vstack([push, np.zeros((len(model.A) - len(push), len(curved)))])
     rows, lines = model.C[index], np.zeros(len(curved))
-    return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.Bw, push, outputs)
+    return Elements(tuple(fitted.curve for fitted in curved), lines, rows, model.Cr[index] + rows @ model.jump, push, outputs)
 
 
 def with_dampers(curved: Elements, vehicle: Vehicle) -> Elements:
@@ -92,7 +92,7 @@ def with_dampers(curved: Elements, vehicle: Vehicle) -> Elements:
         ),
         np.concatenate([curved.lines, np.ones(len(some))]),
         np.concatenate([curved.rows, rows]),
-        np.concatenate([curved.of_road, rows @ model.Bw]),
+        np.concatenate([curved.of_road, rows @ model.jump]),
         np.concatenate([curved.push, -model.B[:, some]], axis=1),
         np.concatenate([curved.outputs, np.zeros((len(model.C), len(some)))], axis=1),
     )

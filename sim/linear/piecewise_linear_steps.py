@@ -65,8 +65,8 @@ class CurvedSteps:
         self.rates = np.array([adjustable.damper.bandwidth or 0.0 for adjustable in adjusted])
         self.stacked = np.ascontiguousarray(np.vstack([model.A, nonlinear.rows]).T)
         self.n, self.push = len(model.A), np.ascontiguousarray(nonlinear.push.T)
-        self.of_inputs, self.of_road = model.B.T, (model.A @ model.Bw + model.Br).T
-        self.jump = model.Bw.T
+        self.of_inputs, self.of_road = model.B.T, (model.A @ model.jump + model.Br).T
+        self.jump = model.jump.T
         self._tabulate(nonlinear)
         steepest = np.abs(self.slopes).max(axis=1, initial=0.0)
         if dampers:

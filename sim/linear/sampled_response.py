@@ -6,6 +6,9 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
+If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity over
+the step, held like a load.
+
 If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
 Loads f on the body (`models/roads/load.py`) are held over a step at their midpoint values, as the road is, and enter as
@@ -127,13 +130,13 @@ def sampled_responses(
     """
     vehicle, controller, h, period, cut = loop.vehicle, loop.controller, loop.timestep, loop.steps, loop.open_loop
     how, model, time = vehicle.implementation, cut.model, roads[0].time
-    loads = np.stack([road.held_loads for road in roads]) if any(road.loaded for road in roads) else None
-    outside = [] if loads is None else [model.Bl]
-    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.Bw + model.Br, *outside)
+    loads = np.stack([road.held for road in roads]) if any(road.pushed for road in roads) else None
+    outside = [] if loads is None else [model.Bh]
+    Phi, Gamma, Gamma_r, *Gamma_l = held_inputs(model.A, h, exponential, model.B, model.A @ model.jump + model.Br, *outside)
     now, midway = np.stack([road.heights for road in roads]), np.stack([road.midway for road in roads])
 
     measured = [model.outputs.index(name) for name in controller.measured]
-    jump, push = now @ model.Bw.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
+    jump, push = now @ model.jump.T, midway @ Gamma_r.T  # x - xi, and the road's effect on xi
     steps = None
     if vehicle.is_curved:
         from sim.linear.piecewise_linear_steps import CurvedSteps
@@ -179,10 +182,10 @@ def sampled_responses(
             if steps is None:
                 xi = xi @ Phi.T + inputs[:, k] @ Gamma.T + push[:, k]
             else:
-                xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bl.T)
+                xi = steps(xi, inputs[:, k], midway[:, k], pushed=None if loads is None else loads[:, k] @ model.Bh.T)
     beyond = steps.beyond(states, now) if steps is not None else np.zeros(len(roads))
     if loads is not None:
-        add = loads @ model.Dl.T
+        add = loads @ model.Dh.T
         beyond = add if steps is None else beyond + add
     runs = [response_of(model, road, states[i], inputs[i], beyond[i]).values for i, road in enumerate(roads)]
     last = np.arange(len(time)) // period * period
@@ -197,14 +200,17 @@ def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
     A = model.A + model.B @ G
 
     forcing, through_readings, loads = road_forcing(A, model, road), None, None
-    if road.loaded:
-        through_readings, loads = readings_of_loads(cut, controller), road.loads
-        forcing += load_forcing(A, model.Bl + model.B @ through_readings, road)
+    if road.pushed:
+        through_readings, loads = readings_of_loads(cut, controller), outside_at_samples(road)
+        of_loads = model.Bh + model.B @ through_readings
+        if model.tyres_damp:  # `road_forcing` has what the road's velocity does by itself
+            of_loads[:, len(model.loads) :] -= model.Bt
+        forcing += load_forcing(A, of_loads, road)
     states = recursion(linalg.expm(A * loop.timestep), forcing)
     inputs = states @ G.T
     if loads is not None and through_readings is not None:
         inputs += loads @ through_readings.T
-    response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dl.T)
+    response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dh.T)
     return _with_kept(response, controller.law.of_state(None) * states[:, cut.law_states])
 
 
@@ -214,11 +220,11 @@ def _with_kept(response: Response, kept: Array) -> Response:
 
 
 def readings_of_loads(cut: OpenLoop, controller: Controller) -> Array:
-    """Returns the effect of loads on all inputs by measured accelerations, shape (m + k, l), before forces add to the laws'
-    rates.
+    """Returns the effect of loads, and of the road's velocity through tyres that damp, on all inputs by measured accelerations,
+    shape (m + k, l) or (m + k, l + r), before forces add to the laws' rates.
     """
     rows = [cut.model.outputs.index(name) for name in controller.measured]
-    return cut.reading @ cut.model.Dl[rows]
+    return cut.reading @ cut.model.Dh[rows]
 
 
 def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
@@ -232,11 +238,23 @@ def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
     return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time)
 
 
-def load_forcing(A: Array, Bl: Array, road_input: RoadInput) -> Array:
-    """Returns the contribution of a road's loads over the same steps, through Bl, shape (n, l)."""
-    return _forcing(
-        A, lambda t: road_input.road.loads(road_input.vehicle, t) @ Bl.T, np.array(road_input.road.load_kinks), road_input.time
-    )
+def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
+    """Returns the contribution of loads over the same steps, through Bh, shape (n, l), and of the road's velocity, (n, l + r)."""
+    road, vehicle, l = road_input.road, road_input.vehicle, len(road_input.vehicle.kind.loads)
+
+    def push(t: Array) -> Array:
+        pushed = road.loads(vehicle, t) @ Bh[:, :l].T
+        return pushed + under_wheels(road.velocity, road, vehicle, t) @ Bh[:, l:].T if Bh[:, l:].any() else pushed
+
+    kinks = list(road.load_kinks)
+    if Bh[:, l:].any():
+        kinks += [kink + delay for kink in road.kinks for delay in delays(road, vehicle)]
+    return _forcing(A, push, np.array(kinks), road_input.time)
+
+
+def outside_at_samples(road: RoadInput) -> Array:
+    """Returns the loads at the samples and, if tyres damp, the road's velocities, shape (T, l) or (T, l + r)."""
+    return np.hstack([road.loads, road.velocities]) if road.vehicle.linear_model.tyres_damp else road.loads
 
 
 def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array) -> Array:

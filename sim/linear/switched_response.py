@@ -186,13 +186,13 @@ def switched(
     period, m = steps_per_sample(how, h), len(model.inputs)
     late = round(how.delay * period)
     C, D = model.rows(measured)
-    V, jump = stretching(vehicle), road.heights @ model.Bw.T
-    midway, loads = road.midway, road.held_loads
+    V, jump = stretching(vehicle), road.heights @ model.jump.T
+    midway, loads = road.midway, road.held
     index = [model.outputs.index(name) for name in measured]
-    load_outputs = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dl[index].T
+    load_outputs = np.concatenate([np.zeros_like(loads[:1]), loads[:-1]]) @ model.Dh[index].T
     bent = any(damper.pair is not None for damper in vehicle.dampers.values())
     step: _Steps = (_CurvedStep if bent or vehicle.is_curved else _Step)(
-        vehicle, h, as_rk4, midway, loads if road.loaded else None
+        vehicle, h, as_rk4, midway, loads if road.pushed else None
     )
     states, inputs, beyond, missing = (np.zeros((len(time), width)) for width in (len(model.A), m, m, m))
     kept = np.zeros((len(time), len(decisions.kept) if decisions is not None else 0))
@@ -211,7 +211,7 @@ def switched(
                 y = C @ x + D @ np.where(
                     dampers, -acting * moved, command[:m]
                 )  # a reading contains the forces that acted until then
-                y = y + load_outputs[k] if road.loaded else y
+                y = y + load_outputs[k] if road.pushed else y
                 y = y if step.curves is None else y + step.curves.beyond(x, road.heights[k])[index]
                 decided = decisions(y, v)
                 if k + late < len(time):
@@ -224,7 +224,7 @@ def switched(
         states[k], beyond[k], missing[k] = x, np.where(dampers, acting, 0.0), command[m:]
         inputs[k] = np.where(dampers, -acting * moved, command[:m])
         xi, acting = step(xi, acting, command[:m], k)
-    outside = loads @ model.Dl.T if step.curves is None else loads @ model.Dl.T + step.curves.beyond(states, road.heights)
+    outside = loads @ model.Dh.T if step.curves is None else loads @ model.Dh.T + step.curves.beyond(states, road.heights)
     return Switched(states, inputs, beyond, missing, outside, kept, tuple(otherwise))
 
 
@@ -306,7 +306,7 @@ class _CurvedStep:
         """Prepares T steps of h seconds over the road's heights, shape (T, r), under loads, shape (T, l)."""
         model = vehicle.linear_model
         self.curves: CurvedSteps | None = CurvedSteps(vehicle, model, h, exact=not as_rk4, dampers=True)
-        self.midway, self.pushed = midway, None if loads is None else loads @ model.Bl.T
+        self.midway, self.pushed = midway, None if loads is None else loads @ model.Bh.T
         self.some, self.lags = adjustable_inputs(vehicle), lagging(vehicle)
         self.dampers = np.isin(np.arange(len(model.inputs)), self.some)
 
@@ -335,9 +335,9 @@ class _Step:
         model = vehicle.linear_model
         self.curves: CurvedSteps | None = None
         self.h, self.as_rk4, self.A, self.B, self.V = h, as_rk4, model.A, model.B, stretching(vehicle)
-        self.push = midway @ (model.A @ model.Bw + model.Br).T
+        self.push = midway @ (model.A @ model.jump + model.Br).T
         if loads is not None:
-            self.push += loads @ model.Bl.T
+            self.push += loads @ model.Bh.T
         self.dampers = np.array([force in vehicle.dampers for force in model.inputs])
         self.lags = lagging(vehicle)
         bandwidths = [vehicle.dampers[force].bandwidth if force in vehicle.dampers else None for force in model.inputs]

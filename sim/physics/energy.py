@@ -43,7 +43,8 @@ from mujoco.batch import Batch
 from models.common.arrays import Array
 from models.common.printed import Shown
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import build_spec, mocap_indices, pushed_dofs
+from models.kinds.tyre import DAMPER
+from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
 from sim.response.regime import BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
@@ -138,6 +139,9 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     ends, moved = starts[1:].copy(), np.any(midway[1:] != midway[:-1], axis=1)
     ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
     rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
+    rubber = _DampedTyres(vehicle, model)
+    of_road, of_rubber = rubber.powers(starts, ends, road.held_velocities[: count - 1], h)
+    starts, ends, rest = (rubber.taken_out(each) for each in (starts, ends, rest))
 
     actuators, curves, stops = len(vehicle.linear_model.inputs), vehicle.fitted, _pushing_stops(vehicle)
     stored = starts[:, 0] + starts[:, 1]
@@ -166,13 +170,13 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     for i, both in enumerate(stops.values(), dampers.stop + len(curves)):
         in_springs += both.work(lengths[:, i] - rest[0, 2 + 2 * i])
 
-    by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1)]))
+    by_road = np.cumsum(np.concatenate([[stored[0] - rest[0, :2].sum()], stored[1:] - ends[:, :2].sum(axis=1) + of_road]))
     by_actuators = np.concatenate([[0.0], np.cumsum(work.sum(axis=1))])
     by_loads, pushed = np.zeros(count), 0.0
     if road.loaded:  # loads are held and act along joints, so their work is exact
         pushes = road.held_loads[: count - 1] * np.diff(qpos[:, pushed_dofs(vehicle, model)], axis=0)
         by_loads, pushed = np.concatenate([[0.0], np.cumsum(pushes.sum(axis=1))]), float(np.abs(pushes).sum())
-    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers)])
+    lost = np.concatenate([[0.0], np.cumsum(losses.sum(axis=1) + in_dampers + of_rubber)])
     change = stored + in_springs - rest[0, :2].sum()
     turnover = float(lost[-1] + np.abs(work).sum() + starts[:, 1].max()) + pushed
     scale = max(turnover, ROUNDING * abs(float(rest[0, :2].sum()))) or 1.0
@@ -185,6 +189,53 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     loads = float(by_loads[-1]) if road.loaded else None
     road_did, forces_did, changed, taken = (float(sums[-1]) for sums in (by_road, by_actuators, change, lost))
     return Energy(road_did, forces_did, changed, taken, turnover, residual, least, loads, allowed)
+
+
+class _DampedTyres:
+    """Tyres that damp, whose whole force an actuator has: it stores, it dissipates, and the road works on it.
+
+    Beyond its spring, k s^2 / 2 with the squeeze s, the force R acts between a hub and a road that move with l' and w over the road
+    at its held height. R l' is the power on the hub, R w that of the road, and R (w - l') is lost.
+    """
+
+    def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
+        """Finds them in the model of `_observed`, whose last sensors are of their lengths and speeds."""
+        self.wheels, actuators = damped_tyres(vehicle, model)
+        self.c, bias = model.actuator_gainprm[actuators, 0], model.actuator_biasprm[actuators]
+        self.k = -bias[:, 1]
+        self.rest = bias[:, 0] / self.k
+
+    def taken_out(self, seen: Array) -> Array:
+        """Returns the sensors of `_look` without theirs, with their springs' energy as potential energy."""
+        if not self.wheels:
+            return seen
+        left = seen[:, : -2 * len(self.wheels)].copy()
+        left[:, 0] += (self.k * np.maximum(self.rest - self._parts(seen)[0], 0.0) ** 2 / 2).sum(axis=1)
+        return left
+
+    def powers(self, starts: Array, ends: Array, velocities: Array, h: float) -> tuple[Array | float, Array | float]:
+        """Returns the work of the road beyond the springs', and what is lost, over every step [J], shapes (T - 1,).
+
+        Args:
+            starts, ends: sensors of `_look` at the starts of T steps, and at the ends of the first T - 1.
+            velocities: of the road over the steps [m/s], shape (T - 1, r).
+        """
+        if not self.wheels:
+            return 0.0, 0.0
+        w, ((l, v), (l_end, v_end)) = velocities[:, self.wheels], (self._parts(each) for each in (starts[:-1], ends))
+        middle = (l + l_end) / 2 + h / 8 * (v - v_end), 1.5 * (l_end - l) / h - (v + v_end) / 4
+        by_road, lost = np.zeros(len(w)), np.zeros(len(w))
+        for weight, (length, speed) in ((1, (l, v)), (4, middle), (1, (l_end, v_end))):
+            squeeze = self.rest - length
+            beyond = np.maximum(self.k * squeeze + self.c * (w - speed), 0.0) - self.k * np.maximum(squeeze, 0.0)
+            by_road += weight * h / 6 * (beyond * w).sum(axis=1)
+            lost += weight * h / 6 * (beyond * (w - speed)).sum(axis=1)
+        return by_road, lost
+
+    def _parts(self, seen: Array) -> tuple[Array, Array]:
+        """Returns their lengths and speeds, shapes (T, t)."""
+        own = seen[:, -2 * len(self.wheels) :]
+        return own[:, ::2], own[:, 1::2]
 
 
 def _has_kinks(vehicle: Vehicle, response: Response) -> bool:
@@ -233,7 +284,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     """Returns the vehicle's model with the sensors of its energy alone, and the sign of every force along its length.
 
     The sensors, in order: potential and kinetic energy; then length and speed of every actuator's direction, of every damped
-    tendon and joint, of the tendon of every curve, and of every one that has stops.
+    tendon and joint, of the tendon of every curve, of every one that has stops, and of every tyre that damps.
     """
     spec = build_spec(vehicle, timestep)
     kind, of = mujoco.mjtSensor, mujoco.mjtObj
@@ -261,6 +312,8 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     stops = _pushing_stops(vehicle)
     tendons = [fitted.tendon for fitted in vehicle.fitted] + list(stops)
     pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in tendons]
+    rubber = [actuator.target for actuator in spec.actuators if actuator.name.startswith(DAMPER)]
+    pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in rubber]
     for name, both in stops.items():
         for spring in both.springs(0.0):
             spec.tendon(f"{spring}_{name}").stiffness[:] = 0.0  # stops are counted by the vehicle file

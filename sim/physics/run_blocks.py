@@ -120,7 +120,8 @@ class BatchInputs:
             the first failure.
         accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
             are those of the sample before, which saves an evaluation.
-        loads: on the bodies half a step after the samples, where MuJoCo holds them [N, N m], shape (T, N, l), or None.
+        held: what MuJoCo holds over the steps beside the road's heights, see `RoadInput.held`, shape (T, N, l) or (T, N, l + r), or
+            None.
     """
 
     vehicles: Sequence[Vehicle]
@@ -134,7 +135,7 @@ class BatchInputs:
     beyond: Array | None = None
     failures: dict[int, drivers.Failure] | None = None
     accelerations: bool = True
-    loads: Array | None = None
+    held: Array | None = None
 
 
 def in_blocks(course: BatchInputs) -> Iterator[Block]:
@@ -254,7 +255,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
             anti_windup=anti_windup,
         )
-        push = None if course.loads is None else Push(readout.pushed, course.loads[:, runs])
+        push = None if course.held is None else _push(course.held[:, runs], readout)
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
         for start, sensed, qpos, qvel, requested, kept, acts in steps:
             some = slice(start, start + len(sensed))
@@ -287,6 +288,12 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 yield block
 
     return [functools.partial(quietly, runs) for runs in shares]
+
+
+def _push(held: Array, readout: Readout) -> Push:
+    """Returns the loads and the road's velocities that are held over the steps of some runs."""
+    count, (some, tyres) = len(readout.pushed), readout.damped_tyres
+    return Push(readout.pushed, held[..., :count], tyres, held[..., [count + i for i in some]])
 
 
 def _unclipped(vehicle: Vehicle) -> list[bool]:

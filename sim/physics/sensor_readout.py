@@ -11,7 +11,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
-from models.vehicle.mjcf import build_model, mocap_indices, pushed_dofs
+from models.vehicle.mjcf import build_model, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 
@@ -190,6 +190,7 @@ class Readout:
         stretching: from qvel to the stretching rate of the inputs' actuators, shape (m, nv); as at rest.
         lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
         pushed: degree of freedom along which each load pushes the body.
+        damped_tyres: wheels whose tyres damp, and the actuator of each.
     """
 
     names: tuple[str, ...]
@@ -204,6 +205,7 @@ class Readout:
     stretching: Array
     lagging: Array
     pushed: list[int]
+    damped_tyres: tuple[list[int], list[int]]
 
 
 @functools.lru_cache(maxsize=16)
@@ -266,6 +268,7 @@ def _readout(vehicle: Vehicle, model: mujoco.MjModel) -> Readout:
         stretching=np.stack(stretching, axis=-1),
         lagging=np.array(model.actuator_actadr[:inputs]),
         pushed=pushed_dofs(vehicle, model),
+        damped_tyres=damped_tyres(vehicle, model),
     )
 
 

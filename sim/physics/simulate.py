@@ -89,8 +89,7 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
         len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
     )  # only one thread at a time executes Python
     edges = (0, len(time))
-    loads = loads_on(inputs)
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, loads=loads)
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, edges, beyond=beyond, held=held_on(inputs))
     block = _whole(in_shares(course, shares))
 
     recorded, names = block.values, [signal.name for signal in signals]
@@ -168,9 +167,9 @@ def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:
     return [first[key] for key in keys]
 
 
-def loads_on(inputs: Sequence[RoadInput]) -> Array | None:
-    """Returns the loads that are held on the bodies of all runs [N, N m], shape (T, N, l); None if no run has any."""
-    return np.stack([road.held_loads for road in inputs], axis=1) if any(road.loaded for road in inputs) else None
+def held_on(inputs: Sequence[RoadInput]) -> Array | None:
+    """Returns `RoadInput.held` of all runs, shape (T, N, l) or (T, N, l + r); None if nothing is held in any."""
+    return np.stack([road.held for road in inputs], axis=1) if any(road.pushed for road in inputs) else None
 
 
 class MonitoredBatch:
@@ -180,7 +179,7 @@ class MonitoredBatch:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
         midway: the same half a step later, where MuJoCo holds them.
         ends: detector of the ends of their linear regime in the blocks so far.
-        loads: on their bodies [N, N m], midway through the steps, shape (T, N, l), or None.
+        held: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as laws in Python preview them.
         failures: by run, the laws in Python that have failed; such a run goes on without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
@@ -197,7 +196,10 @@ class MonitoredBatch:
         for i, road in enumerate(inputs):
             heights[:, i] = under_wheels(road.road.displacement, road.road, road.vehicle, halves)
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
-        self.loads = loads_on(inputs)
+        self.held = held_on(inputs)
+        self.velocities: Array | None = None
+        if any(vehicle.linear_model.tyres_damp for vehicle in vehicles):  # their forces decide when they leave the road
+            self.velocities = np.stack([road.velocities for road in inputs], axis=2)
         self.beyond, self.failures = heights[2 * len(time) :: 2], dict[int, Failure]()
         self.ends = EndDetector(vehicles, time, anti_windup=[has_anti_windup(one) for one in controllers])
         self.diverged = np.full(len(vehicles), np.inf)
@@ -225,12 +227,16 @@ class MonitoredBatch:
             edges,
             beyond=self.beyond,
             failures=self.failures,
-            loads=self.loads,
+            held=self.held,
         )
         for block in in_blocks(course):
             self.ran_away |= block.ran_away & np.isinf(self.diverged)
             self.diverged = np.minimum(self.diverged, block.diverged(self.time))
             if np.isfinite(self.diverged).any():
                 block.clip(np.isfinite(self.diverged))
+            if self.velocities is not None:
+                names = [signal.name for signal in self.vehicles[0].kind.signals]
+                roads = [names.index(wheel.road_velocity) for wheel in self.vehicles[0].kind.wheels]
+                block.values[:, roads] = self.velocities[block.start : block.start + len(block.values)]
             self.ends.update(block.start, block.values)
             yield block

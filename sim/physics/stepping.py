@@ -116,15 +116,19 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """Loads on the bodies of N runs, held over every step.
+    """Loads on the bodies of N runs, and velocities of the road under tyres that damp, held over every step.
 
     Attributes:
         dofs: the l degrees of freedom along which they push.
         midway: forces [N] and moments [N m] during the steps, shape (T, N, l).
+        tyres: actuators of the t tyres that damp.
+        velocities: of the road under them during the steps [m/s], shape (T, N, t).
     """
 
     dofs: list[int]
     midway: Array
+    tyres: list[int]
+    velocities: Array
 
 
 class Law(Protocol):
@@ -182,6 +186,7 @@ def step_batch(
     ramps = None if reading.ramps is None else batch.bind("ctrl")[:, -len(reading.ramps) :]
     acting, heights, sensors = batch.bind("ctrl")[:, :m], batch.bind("mocap_pos")[:, :, 2], batch.bind("sensordata")
     pushed = batch.bind("qfrc_applied") if push is not None else None
+    controls = batch.bind("ctrl") if push is not None and push.tyres else None
     qpos, qvel, measured, sensed_now = batch.bind("qpos"), batch.bind("qvel"), sensors[:, reading.sensors], sensors.T
     positions, moved, width = qpos.shape[1], qpos.shape[1] + qvel.shape[1], gain.shape[2]
     early = np.repeat(batch.model.sensor_needstage, batch.model.sensor_dim) <= stage
@@ -255,6 +260,8 @@ def step_batch(
                 acts[k - start] = activations
             if push is not None and pushed is not None:
                 pushed[:, push.dofs] = push.midway[k]
+                if controls is not None:
+                    controls[:, push.tyres] = push.velocities[k]
             if at_samples is not None:
                 if not reading.once:
                     heights[:, mocap] = at_samples[k]

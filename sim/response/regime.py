@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.kinds.kind import MOST_SQUEEZE
+from models.kinds.kind import MOST_SQUEEZE, DampedTyre
 from models.suspension import LEAVES
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
@@ -31,11 +31,19 @@ class Threshold:
         signal: its name.
         sign: of the side with the limit; 0 for both.
         value: limit of sign * signal, or of its magnitude [the signal's unit].
+        tyre: velocities that count beside the deflection of a tyre that damps; None for the signal alone.
     """
 
     signal: str
     sign: float
     value: float
+    tyre: DampedTyre | None = None
+
+    def of(self, response: Response) -> Array:
+        """Returns the signal of a response, or the equivalent deflection of a tyre that damps."""
+        if self.tyre is None:
+            return response[self.signal]
+        return response[self.signal] + self.tyre.time * (response[self.tyre.hub] - response[self.tyre.road])
 
     def towards(self, values: Array) -> Array:
         """Returns the values of the signal in the threshold's direction."""
@@ -67,14 +75,15 @@ class End:
     exact: bool = False
 
 
-def _on_every_tyre(sign: float, limit: Callable[[float], float]) -> Callable[[Vehicle], list[Threshold]]:
-    """Returns thresholds on every tyre's deflection, each from its static one."""
+def _flat(vehicle: Vehicle) -> list[Threshold]:
+    """Returns thresholds at which tyres are squeezed flat."""
+    return [Threshold(wheel.tyre_deflection, -1.0, MOST_SQUEEZE) for wheel in vehicle.kind.wheels]
 
-    def thresholds(vehicle: Vehicle) -> list[Threshold]:
-        static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
-        return [Threshold(name, sign, limit(value)) for name, value in static.items()]
 
-    return thresholds
+def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
+    """Returns thresholds at which tyres no longer push: where their deflections, or their equivalent ones, reach the static ones."""
+    static, damped = (of(vehicle.parameters) for of in (vehicle.kind.static_tyre_deflection, vehicle.kind.damped_tyres))
+    return [Threshold(name, 1.0, value, damped.get(name)) for name, value in static.items()]
 
 
 def _either_way(
@@ -129,7 +138,7 @@ LIFT_OFF = End(
     "",
     "#7aa6d8",
     ("Up", (255, 221, 0)),
-    _on_every_tyre(1.0, lambda static: static),
+    _off_the_road,
 )
 BUMP_STOP = End(
     "bump stop",
@@ -156,7 +165,7 @@ FLAT = End(  # no model of the vehicle holds from there
     "",
     "#555555",
     ("Cross", (20, 20, 20)),
-    _on_every_tyre(-1.0, lambda static: MOST_SQUEEZE),
+    _flat,
 )
 CURVE = End(
     "curve",
@@ -199,7 +208,7 @@ def utilisation(vehicle: Vehicle, response: Response, anti_windup: bool = False)
     for end in REGIME_ENDS:
         share = np.zeros(response.values.shape[:-2])
         for limit in end.thresholds(vehicle):
-            values = response[limit.signal]
+            values = limit.of(response)
             share = np.maximum(share, limit.towards(values).max(axis=-1) / limit.value)
             if way and end is SATURATION and limit.signal not in vehicle.dampers:
                 demand = values[..., :-1] + np.diff(values, axis=-1) / way
@@ -220,6 +229,8 @@ class EndDetector:
     MuJoCo reads a tyre as a length, never below zero: if a road rises through a hub within a step, the reading is that of a long
     tyre on a hub that has jumped. Therefore a tyre also counts as flat if its hub has jumped and the road is above the hub's
     extrapolated position.
+
+    A tyre that damps leaves the road where its whole force ends, by its equivalent deflection (`models/kinds/tyre.py`).
 
     Anti-windup acts from the first sample at which the demand on an actuator is clipped. Behind a lag that is before the force
     reaches its limit. The demand follows from the forces at both ends of a step, and its clipping counts as saturation.
@@ -250,11 +261,11 @@ class EndDetector:
         roads = {wheel.tyre_deflection: wheel.road_displacement for wheel in vehicles[0].kind.wheels if not predicted}
         self.road = {names.index(tyre): names.index(road) for tyre, road in roads.items()}
         self.hubs: dict[int, Array] = {}  # at the last two samples, by tyre [m], shape (2, N)
-        # (end, threshold of the first run, its signal, the value of every run)
+        # (end, threshold of the first run, its signal, the value of every run, what counts beside the signal)
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
-            (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]))
+            (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]), self._beside(limits, names))
             for end in range(len(REGIME_ENDS))
             for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
         ]
@@ -276,8 +287,12 @@ class EndDetector:
 
     def update(self, start: int, values: Array) -> None:
         """Takes the block of signals, shape (B, S, N), that starts at a sample."""
-        for end, threshold, signal, limit in self.limits:
-            towards = threshold.towards(values[:, signal])
+        for end, threshold, signal, limit, tyre in self.limits:
+            at = values[:, signal]
+            if tyre is not None:
+                hub, road, times = tyre
+                at = at + times * (values[:, hub] - values[:, road])
+            towards = threshold.towards(at)
             if REGIME_ENDS[end] is FLAT and signal in self.road:
                 towards = np.maximum(towards, self._risen(signal, values))
             self._note(end, start, towards >= limit)
@@ -285,6 +300,16 @@ class EndDetector:
                 demands = self._demands(signal, values)
                 # The first of a later block is that of the last sample before it.
                 self._note(end, start + len(values) - 1 - len(demands), threshold.towards(demands) >= limit)
+
+    @staticmethod
+    def _beside(limits: Sequence[Threshold], names: Sequence[str]) -> tuple[int, int, Array] | None:
+        """Returns indices of hub and road velocity, and c / k of every run [s], if the tyre damps in any; else None."""
+        tyres = [limit.tyre for limit in limits]
+        first = next((tyre for tyre in tyres if tyre is not None), None)
+        if first is None:
+            return None
+        times = np.array([0.0 if tyre is None else tyre.time for tyre in tyres])
+        return names.index(first.hub), names.index(first.road), times
 
     def _note(self, end: int, start: int, beyond: Array) -> None:
         """Notes the first sample of each run that is beyond a limit, shape (B, N), from a sample on."""

@@ -321,7 +321,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
     """Returns the intervals in which any tyre is off the road: first and last sample [s], in order of their start."""
     intervals = []
     for limit in LIFT_OFF.thresholds(vehicle):
-        off = np.concatenate([[False], limit.towards(physics[limit.signal]) >= AT * limit.value, [False]])
+        off = np.concatenate([[False], limit.towards(limit.of(physics)) >= AT * limit.value, [False]])
         starts, ends = np.flatnonzero(off[1:] & ~off[:-1]), np.flatnonzero(off[:-1] & ~off[1:]) - 1
         intervals += [(float(physics.time[a]), float(physics.time[b])) for a, b in zip(starts, ends, strict=True)]
     return tuple(sorted(intervals))
@@ -334,9 +334,12 @@ def _first_loose(met: RoadInput, physics: Response) -> float:
     curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
     vehicle, first = met.vehicle, np.inf
-    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
-    for wheel, held in zip(vehicle.kind.wheels, met.midway.T, strict=True):
+    static, damped = (of(vehicle.parameters) for of in (vehicle.kind.static_tyre_deflection, vehicle.kind.damped_tyres))
+    for i, (wheel, held) in enumerate(zip(vehicle.kind.wheels, met.midway.T, strict=True)):
         hub = physics[wheel.tyre_deflection] + physics[wheel.road_displacement]
+        if (tyre := damped.get(wheel.tyre_deflection)) is not None:
+            hub = hub + tyre.time * physics[tyre.hub]
+            held = held + tyre.time * met.held_velocities[:, i]
         bend = np.abs(np.diff(hub, n=2, prepend=hub[0]))
         longest = np.maximum(hub[:-1], hub[1:]) - held[: len(hub) - 1] + bend
         loose = longest >= static[wheel.tyre_deflection]

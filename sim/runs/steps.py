@@ -70,7 +70,7 @@ class LinearMotion:
             ValueError: a suspension that has a curve or a stop is no state of the linear model, or its effect is unknown.
         """
         self.model, self.names = vehicle.linear_model, vehicle.linear_model.states
-        self._jump, self._of_road = self.model.Bw.T, (self.model.A @ self.model.Bw + self.model.Br).T
+        self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
         stops = vehicle.limits.stops(vehicle.kind.suspensions)
         needed = {fitted.deflection for fitted in vehicle.fitted} | {name for name, both in stops.items() if both.acts}
         needed |= {vehicle.kind.pushed(force) for force in vehicle.dampers}
@@ -102,13 +102,13 @@ class LinearMotion:
     def rate(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Array:
         """See `Motion`."""
         x = state + heights @ self._jump
-        still = heights @ self._of_road + inputs @ self.model.B.T + loads @ self.model.Bl.T
+        still = heights @ self._of_road + inputs @ self.model.B.T + loads @ self.model.Bh.T
         return state @ self.model.A.T + still + pulls(x @ self._rows.T, x @ self._rates.T) @ self._push
 
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
         """See `Motion`."""
         model, x = self.model, state + heights @ self._jump
-        values = x @ model.C.T + heights @ model.Cr.T + inputs @ model.D.T + loads @ model.Dl.T
+        values = x @ model.C.T + heights @ model.Cr.T + inputs @ model.D.T + loads @ model.Dh.T
         values = values + pulls(x @ self._rows.T, x @ self._rates.T) @ self._shown
         return {name: column for name, column in zip(model.outputs, values.T, strict=True) if name not in model.inputs}
 
@@ -205,7 +205,7 @@ class _Starts:
         state: see `Motion`, shape (K, n).
         heights: of the road [m], those after the last step as well, shape (K + 1, r).
         midway: where the road is held during the steps, shape (K, r).
-        loads: held during the steps, shape (K, l).
+        loads: held during the steps, see `RoadInput.held`.
         there: signals of `Motion.names` at their ends, shape (K, p).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
         known: True for each step within which these are known, shape (K,).
@@ -225,7 +225,7 @@ class _Starts:
 def _starts(motion: "Motion", road: RoadInput, physics: Response, requested_force: Array | None) -> _Starts:
     """Returns the starts of all steps, up to the first whose state the equations cannot take."""
     vehicle, h, count = road.vehicle, road.timestep, max(len(physics.time), 1)
-    heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held_loads[: count - 1]
+    heights, midway, loads = road.heights[:count], road.midway[: count - 1], road.held[: count - 1]
     names, m = motion.names, len(vehicle.linear_model.inputs)
     if count == 1:
         nothing = np.zeros((0, len(names)))

@@ -138,6 +138,7 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
         Bw=np.vstack([model.Bw, np.zeros((more, model.Bw.shape[1]))]),
         Br=np.vstack([model.Br, np.zeros((more, model.Br.shape[1]))]),
         Bl=np.vstack([model.Bl, np.zeros((more, len(model.loads)))]),
+        Bt=np.vstack([model.Bt, np.zeros((more, model.Bt.shape[1]))]),
         C=np.hstack([model.C, np.zeros((len(model.C), more))]),
         D=np.hstack([model.D, np.zeros((len(model.D), more))]),
         states=(*model.states, *names),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.kinds.linear_model import LinearModel
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import DesignConditions
@@ -79,8 +80,16 @@ def problem(
     (q, _), (d, r) = Cy.shape, plant.Dw.shape
     felt = _of_loads(vehicle.linear_model, hardware.loads)[1][[vehicle.linear_model.outputs.index(name) for name in measured]]
     of_loads = np.hstack([np.zeros((q, r - felt.shape[1])), felt])
+    model = vehicle.linear_model
+    if model.tyres_damp:
+        of_loads[:, : model.Dw.shape[1]] = model.Dw[[model.outputs.index(name) for name in measured]]
+        if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
+            raise InputError(
+                "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that has "
+                "a filter in [performance] road; leave one of the three out"
+            )
     if not any(hardware.noise):
-        return Problem(plant, Cy, through, of_loads if np.any(felt) else None, forces)
+        return Problem(plant, Cy, through, of_loads if np.any(of_loads) else None, forces)
     noisy = [i for i, rms in enumerate(hardware.noise) if rms]
     k = len(noisy)
     Dyw = np.hstack([of_loads, np.diag(hardware.noise)[:, noisy]])
@@ -117,14 +126,14 @@ def generalized_plant(
     weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
     Br, Cr = _twist(model, weighted)
     Bl, Dl = _of_loads(model, loads)
-    Dl = Dl[[model.outputs.index(signal) for signal in weighted]]
+    Dl, Dw = (matrix[[model.outputs.index(signal) for signal in weighted]] for matrix in (Dl, model.Dw))
     plant = GeneralizedPlant(
         A=model.A,
         B=model.B,
         Bw=np.hstack([model.Bw, Br, Bl]),
         C=weights * C,
         D=weights * D,
-        Dw=np.hstack([np.zeros((len(C), model.Bw.shape[1])), weights * Cr, weights * Dl]),
+        Dw=np.hstack([weights * Dw, weights * Cr, weights * Dl]),
     )
     if not vehicle.filtered:
         return plant

@@ -1,5 +1,6 @@
 """A controller that is designed for the goals of its section: the problem that they are, and what it keeps of them, certified."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -93,6 +94,7 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
     model = vehicle.linear_model if bandwidth is None else vehicle.linear_model.behind_lag(bandwidth)
     (C, D), (Cy, Dyu) = model.rows([bound.signal]), model.rows(entry.measured)
     of_height = model.Cr[model.outputs.index(bound.signal)]
+    _refuse_pushed(f"[controllers.{entry.name}] over a road", vehicle, (bound.signal, *entry.measured))
 
     @cache
     def heights(times: bytes) -> Array:
@@ -110,6 +112,16 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
     return RoadLoop(model.A, model.B, Cy, Dyu, model.Bw, model.Br, C[0], D[0], of_height, drive, name)
 
 
+def _refuse_pushed(where: str, vehicle: Vehicle, names: Sequence[str]) -> None:
+    """Refuses signals that jump with the road's velocity."""
+    model = vehicle.linear_model
+    if pushed := [name for name in names if np.any(model.Dw[model.outputs.index(name)])]:
+        raise InputError(
+            f"{where}: {pushed[0]!r} has the road's velocity in it, by the damping of the tyre, and no peak or energy of it is "
+            "bounded; leave it out, or tyre_damping"
+        )
+
+
 def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyBound) -> BoundedSignal:
     """The signal of a bound for roads of given energy, on the states of what is minimised."""
     model, bandwidth = vehicle.linear_model, entry.hardware.bandwidth
@@ -123,6 +135,7 @@ def _signal(where: str, vehicle: Vehicle, entry: ControllerEntry, bound: EnergyB
             f"{where} is an energy_peak, which is of the road alone, and [controllers.{entry.name}] has noise = true; leave "
             "one out"
         )
+    _refuse_pushed(where, vehicle, (bound.signal, *entry.measured))
     c, g = measurements(vehicle, [bound.signal], bandwidth)
     name = f"{bound.signal} for roads of {bound.energy:g} m2/s <= {bound.at_most:g}"
     return BoundedSignal(c[0], g[0], bound.at_most, bound.energy**0.5, name)

@@ -27,7 +27,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import sampled_frequency_response
 from sim.linear.sampled_response import taylor4
 from sim.physics.simulate import simulate
-from sim.response.regime import ended_by
+from sim.response.regime import LIFT_OFF, ended_by
 from sim.runs.agreement import COARSEST, SLACK
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import ALIASED, HIGHEST, fit, ideal_measurements, images, lead_in
@@ -100,10 +100,16 @@ def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep:
 
 
 def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Array, timestep: float, exponential: Any) -> Array:
-    """Returns the amplitude of a wheel's tyre on a plate of its own, over the plate's, shape like omega."""
-    response = sampled_frequency_response(vehicle, controller, omega, timestep, exponential)
-    tyre = vehicle.linear_model.outputs.index(vehicle.kind.wheels[wheel].tyre_deflection)
-    return omega * np.abs(response[:, tyre, wheel])
+    """Returns the amplitude of a wheel's tyre on a plate of its own, over the plate's, shape like omega.
+
+    If the tyre damps, its equivalent deflection counts, which has the whole force.
+    """
+    response, outputs = sampled_frequency_response(vehicle, controller, omega, timestep, exponential), vehicle.linear_model.outputs
+    name = vehicle.kind.wheels[wheel].tyre_deflection
+    deflection = response[:, outputs.index(name), wheel]
+    if (tyre := vehicle.kind.damped_tyres(vehicle.parameters).get(name)) is not None:
+        deflection = deflection + tyre.time * (response[:, outputs.index(tyre.hub), wheel] - 1)
+    return omega * np.abs(deflection)
 
 
 def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float, timestep: float) -> float:
@@ -141,10 +147,14 @@ def _driven(
     ended = ended_by(vehicle, run, has_anti_windup(controller))
     curved = bool(vehicle.fitted)
     if ended or curved:
-        measured = max(0.0, 1 - float(run[tyre][-samples:].max()) / static[tyre])
+        (limit,) = (one for one in LIFT_OFF.thresholds(vehicle) if one.signal == tyre)
+        measured = max(0.0, 1 - float(limit.of(run)[-samples:].max()) / static[tyre])
     else:
         lines = fit(vehicle, controller, run, tried, samples, images(tried, vehicle, timestep))
-        measured = 1 - float(np.abs(lines[tyre][0])) / static[tyre]
+        carried = lines[tyre][0]
+        if (damped := vehicle.kind.damped_tyres(vehicle.parameters).get(tyre)) is not None:
+            carried = carried + damped.time * (lines[damped.hub][0] - lines[damped.road][0])
+        measured = 1 - float(np.abs(carried)) / static[tyre]
     allowed = share * exact * (min(SLACK * abs(integrated / exact - 1), COARSEST) + TURNING)
     if curved:
         allowed = math.inf

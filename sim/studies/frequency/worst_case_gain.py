@@ -207,7 +207,7 @@ def extremes(
         "random": random_road(2 * np.pi * np.geomspace(LOWEST, HIGHEST, LINES), 1, speed).to_height(amplitude, time),
         "bump": Bump(height=amplitude, speed=speed),
     }
-    special = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants]
+    special = [invariant.omega(vehicle.parameters) for invariant in vehicle.kind.invariants_of(vehicle.parameters)]
     if special:
         together = Multisine(tuple(special), (1.0,) * len(special), (0.0,) * len(special), speed)
         roads["invariants"] = together.to_height(amplitude, time)
@@ -309,11 +309,12 @@ def _measured(
 ) -> tuple[MeasuredInvariant, ...]:
     """The invariants of a vehicle, measured over the last samples of a run along them."""
     p, kind = vehicle.parameters, vehicle.kind
-    omega = np.array([invariant.omega(p) for invariant in kind.invariants])
+    known = kind.invariants_of(p)
+    omega = np.array([invariant.omega(p) for invariant in known])
     lines = fit(vehicle, controller, response, omega, samples, images(omega, vehicle, timestep))
     road = lines[kind.wheels[0].road_displacement]
     gains = []
-    for i, (invariant, at) in enumerate(zip(kind.invariants, omega.tolist(), strict=True)):
+    for i, (invariant, at) in enumerate(zip(known, omega.tolist(), strict=True)):
         moved = np.sum([lines[name] for name in invariant.signals], axis=0)
         allowed = 2 * (at * timestep) ** 2 / 24
         gains.append(MeasuredInvariant(invariant.name, at, invariant.magnitude(p), float(np.abs(moved[i] / road[i])), allowed))

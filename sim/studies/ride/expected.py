@@ -192,6 +192,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     poles, rounding = loop_poles(vehicle, controller, timestep, high)
     where, static = points(vehicle), vehicle.kind.static_tyre_deflection(vehicle.parameters)
     index = {name: i for i, name in enumerate(vehicle.linear_model.outputs)}
+    damped, loads = vehicle.kind.damped_tyres(vehicle.parameters), {wheel.tyre_deflection: i for i, wheel in enumerate(vehicle.kind.wheels)}
     ride, weigh = [index[name] for name in where.accelerations], sampled_wk(timestep)
     pushing = [(name, *travel) for name, *travel in where.actuators if travel]
     pushed = [[index[signal] for signal in pair] for pair in pushing]
@@ -201,6 +202,10 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         """Returns, for every step of a period, spectra of all signals, weighted accelerations and the actuators' work."""
         pulls = None if rest is None else rest.pulls
         at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep, pulls)
+        for name, tyre in damped.items():  # the deflection with the same force
+            at_steps[:, :, index[name]] += tyre.time * at_steps[:, :, index[tyre.hub]]
+            turns = np.exp(1j * omega * timestep * np.arange(len(at_steps))[:, None])
+            at_steps[:, :, index[name], loads[name]] -= tyre.time * turns
         outside = sources(vehicle, road, omega) if rest is None else rest.sources(vehicle, road, omega, timestep, at_steps)
         at_steps, jumps = at_steps @ outside, leaps_by_step(vehicle, controller, omega, timestep, pulls) @ outside
         at_steps[:-1, :, ride] -= jumps[:, :, ride] / 2  # midway, see `metrics.py`

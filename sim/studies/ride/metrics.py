@@ -275,6 +275,11 @@ class Meter:
         self.index = {name: names.index(name) for name in self.vehicle.linear_model.outputs}
         statics = [vehicle.kind.static_tyre_deflection(vehicle.parameters) for vehicle in vehicles]
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
+        tyres = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
+        self.damped = {
+            name: (names.index(tyre.hub), names.index(tyre.road), np.array([one[name].time if name in one else 0.0 for one in tyres]))
+            for name, tyre in {name: tyre for one in tyres for name, tyre in one.items()}.items()
+        }
         # Coefficients of every angle, by index of the signal, shape (N,).
         angles = [angles_of(vehicle) for vehicle in vehicles] if loaded else []
         self.angles = {
@@ -326,6 +331,9 @@ class Meter:
                 self._add(f"{name}_at_stops", np.count_nonzero(beyond, axis=1))
         for name in self.where.tyres:
             deflection, static = self._signal(values, name), self.static[name][:, None]
+            if name in self.damped:  # by its whole force
+                hub, road, time = self.damped[name]
+                deflection = deflection + time[:, None] * (values[:, hub] - values[:, road]).T
             self._add(off_ground(name), np.count_nonzero(deflection >= static, axis=1))
             carried = np.minimum(deflection, static)
             self._add(dynamic_load(name), _squares(carried))

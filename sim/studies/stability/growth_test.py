@@ -20,7 +20,7 @@ from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle
 from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.physics.sensor_readout import stage_of
-from sim.physics.simulate import met_alike, shared
+from sim.physics.simulate import held_on, met_alike, shared
 from sim.studies.stability.late_loop import LateLoop, late_loop
 from sim.studies.stability.slowest_mode import slowest_rate
 from synth.controller.controller import Controller
@@ -143,7 +143,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
         np.full(len(trials), True),
     )
     growths: dict[int, Growth] = {}
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False)
+    course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False, held=held_on(inputs))
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)

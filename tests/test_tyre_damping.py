@@ -1,0 +1,238 @@
+"""Tyres that damp: their linear model, exact responses, MuJoCo, lift-off, energy and metrics, on every kind of vehicle."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's bindings carry no type stubs.
+
+import dataclasses
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.roads.choice import choose_road
+from models.roads.road import Road, RoadInput, delays, under_wheels
+from models.vehicle.mjcf import build_model
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.linear.frequency_response import continuous_frequency_response
+from sim.linear.sampled_response import continuous_response
+from sim.response.regime import LIFT_OFF
+from sim.runs.report import verdict
+from sim.runs.run import Run, run_controllers, sample_times
+from sim.studies.ride.expected import expect
+from sim.studies.ride.metrics import measure
+from synth.controller.open_loop import LoopModel
+from synth.vehicle.designer import Designer
+from tests.faults import built_with
+
+KINDS = ("quarter_car", "half_car", "full_car")
+CORNERS = {"quarter_car": ("",), "half_car": ("_front", "_rear"), "full_car": tuple(f"_{a}_{s}" for a in ("front", "rear") for s in ("left", "right"))}
+DAMPING = {"": 1500.0, "_front": 900.0, "_rear": 1400.0}  # N s/m; the axles differ, so that none stands in for another
+HELD = {"quarter_car": "sprung_velocity", "half_car": "heave_velocity", "full_car": "heave_velocity"}
+
+
+@cache
+def damped(kind: str, more: str = "") -> Vehicle:
+    """A vehicle that ships, with tyres that damp and a given gain `held`."""
+    text = re.sub(
+        r"^tyre_stiffness(\w*) = .*$", lambda m: f"{m[0]}\ntyre_damping{m[1]} = {DAMPING[m[1]]}", read_vehicle(kind).text, flags=re.M
+    )
+    gain = [[-1500.0]] * len(CORNERS[kind])
+    return parse_vehicle(f'{text}\n[controllers.held]\nmeasured = ["{HELD[kind]}"]\ngain = {gain}\n{more}')
+
+
+def driven(vehicle: Vehicle, name: str, text: str, duration: float = 1.0, step: float = 1e-3) -> Run:
+    road = choose_road(text).build(vehicle, 12.5, 0, duration)
+    return run_controllers(vehicle, [Designer(vehicle).design(name)], road, sample_times(vehicle, duration, step))[0]
+
+
+def own_equations(vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """The equations of a passive car in absolute heights, from its parameters: M y'' = -K y - C y' + K_t z_r + C_t z_r'."""
+    p, ends = vehicle.parameters, CORNERS[vehicle.kind.name]
+    axle = ["_" + e.split("_")[1] if e else "" for e in ends]
+    if vehicle.kind.name == "quarter_car":
+        S, body = np.ones((1, 1)), [p["sprung_mass"]]
+    else:
+        x = [p["axle_distance_front"] if a == "_front" else -p["axle_distance_rear"] for a in axle]
+        S, body = np.column_stack([np.ones(len(x)), -np.array(x)]), [p["sprung_mass"], p["pitch_inertia"]]
+    if vehicle.kind.name == "full_car":
+        S = np.column_stack([S, [p["track"] / 2 if e.endswith("left") else -p["track"] / 2 for e in ends]])
+        body.append(p["roll_inertia"])
+    along = np.hstack([S, -np.eye(len(ends))])
+    of = {name: np.diag([p.get(f"{name}{a}", 0.0) for a in axle]) for name in
+          ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness", "tyre_damping")}  # fmt: skip
+    springs = of["suspension_stiffness"].copy()
+    for i, a in enumerate(("_front", "_rear")):
+        if f"anti_roll_stiffness{a}" in p and len(ends) == 4:
+            arm = np.zeros(4)
+            arm[2 * i : 2 * i + 2] = 1 / p["track"], -1 / p["track"]
+            springs += p[f"anti_roll_stiffness{a}"] * np.outer(arm, arm)
+    hubs = np.hstack([np.zeros((len(ends), S.shape[1])), np.eye(len(ends))])
+    return {
+        "M": np.diag([*body, *np.diag(of["unsprung_mass"])]),
+        "K": along.T @ springs @ along + hubs.T @ of["tyre_stiffness"] @ hubs,
+        "C": along.T @ of["suspension_damping"] @ along + hubs.T @ of["tyre_damping"] @ hubs,
+        "Kt": hubs.T @ of["tyre_stiffness"],
+        "Ct": hubs.T @ of["tyre_damping"],
+        "along": along,
+        "hubs": hubs,
+    }
+
+
+def integrated(vehicle: Vehicle, road: Road, time: np.ndarray) -> dict[str, np.ndarray]:
+    """The signals of the passive car by RK4 on these equations, in steps of at most 50 us that end at every kink of the road.
+
+    A wheel turns by 0.004 rad in such a step, whose fourth power is below 1e-9.
+    """
+    e, n = own_equations(vehicle), len(CORNERS[vehicle.kind.name])
+    size, inverse = len(e["M"]), np.linalg.inv(e["M"])
+    A = np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ e["K"], -inverse @ e["C"]]])
+    kinks = [k + d for k in road.kinks for d in delays(road, vehicle)]
+    ends = np.unique(np.concatenate([time, [k for k in kinks if 0 < k < time[-1]]]))
+    starts = np.concatenate([np.linspace(a, b, 21)[:-1] for a, b in zip(ends[:-1], ends[1:], strict=True)])
+    steps = np.diff(np.append(starts, time[-1]))
+    push = []
+    for share in (1e-7, 0.5, 1 - 1e-7):  # to the inner side of a kink
+        t = starts + share * steps
+        force = under_wheels(road.displacement, road, vehicle, t) @ e["Kt"].T + under_wheels(road.velocity, road, vehicle, t) @ e["Ct"].T
+        push.append(np.hstack([np.zeros_like(force), force @ inverse.T]))
+    y, states = np.zeros(2 * size), [np.zeros(2 * size)]
+    for h, first, middle, last in zip(steps, *push, strict=True):
+        k1 = A @ y + first
+        k2 = A @ (y + h / 2 * k1) + middle
+        k3 = A @ (y + h / 2 * k2) + middle
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + A @ (y + h * k3) + last)
+        states.append(y)
+    states = np.array(states)[np.searchsorted(np.append(starts, time[-1]), time)]
+    roads, values = under_wheels(road.displacement, road, vehicle, time), {}
+    for i, end in zip(range(n), CORNERS[vehicle.kind.name], strict=True):
+        values[f"suspension_deflection{end}"] = states[:, :size] @ e["along"][i]
+        values[f"tyre_deflection{end}"] = states[:, :size] @ e["hubs"][i] - roads[:, i]
+        values[f"unsprung_velocity{end}"] = states[:, size:] @ e["hubs"][i]
+        values[f"sprung_velocity{end}"] = states[:, size:] @ (e["along"] + e["hubs"])[i]
+    return values
+
+
+@pytest.mark.parametrize("text", ["bump:height=0.05", "iso8608:class=C"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_exact_response_is_that_of_an_own_integration(kind, text):
+    """On every car, over a bump and a rough road, to 1e-6 of each signal's peak: the continuous response is exact."""
+    vehicle, passive = damped(kind), Designer(damped(kind)).design("passive")
+    time = sample_times(vehicle, 0.5, 1e-3)
+    road = choose_road(text).build(vehicle, 12.5, 0, 0.5)
+    exact = continuous_response(LoopModel(vehicle, passive, 1e-3), RoadInput(vehicle, road, time))
+    for name, own in integrated(vehicle, road, time).items():
+        assert np.abs(exact[name] - own).max() < 1e-6 * np.abs(own).max(), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_frequency_response_is_that_of_the_own_equations(kind):
+    """From the road's velocity to hub accelerations, which it feels at once: to 1e-9, at low, resonant and high frequencies."""
+    vehicle = damped(kind)
+    ends = CORNERS[kind]
+    names = [f"unsprung_acceleration{end}" for end in ends]
+    vehicle = dataclasses.replace(vehicle, kind=vehicle.kind.naming(names))
+    e, omega = own_equations(vehicle), np.array([0.5, 7.0, 65.0, 900.0])
+    passive = Designer(vehicle).design("passive")
+    response = continuous_frequency_response(vehicle, passive, omega)
+    for k, w in enumerate(omega):
+        s = 1j * w
+        y = np.linalg.solve(e["M"] * s**2 + e["C"] * s + e["K"], e["Kt"] / s + e["Ct"])
+        own = s**2 * e["hubs"] @ y
+        found = response[k, [vehicle.linear_model.outputs.index(name) for name in names]]
+        assert np.abs(found - own).max() < 1e-9 * np.abs(own).max()
+
+
+@pytest.mark.parametrize("name", ["passive", "held"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_physics_agrees(kind, name):
+    """MuJoCo agrees throughout, step by step to rounding, and its energy balances as RK4 allows."""
+    run = driven(damped(kind), name, "iso8608:class=B")
+    assert run.passed
+    assert verdict(run).startswith("agrees throughout" if kind == "quarter_car" else "agrees to first order throughout")
+    assert run.agreement.steps is not None and run.agreement.steps.error < 1e-10
+    assert run.energy is not None and run.energy.allowed < 1e-5
+
+
+def damping_off(share: float) -> Any:
+    """A fault of the physics: the damping of the first tyre is off by a share."""
+
+    def fault(spec: Any) -> None:
+        first = next(actuator for actuator in spec.actuators if actuator.name.startswith("fitted_damped_"))
+        first.gainprm[0] *= 1 + share
+        first.biasprm[2] *= 1 + share
+
+    return fault
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damping_that_is_2_percent_off_is_found(kind):
+    """No step of such a physics is that of the vehicle file."""
+    with built_with(damping_off(0.02)):
+        run = driven(damped(kind), "passive", "bump:height=0.05", 0.4)
+    assert not run.passed
+    assert run.agreement.steps is not None and not run.agreement.steps.agrees
+
+
+def test_a_tyre_leaves_the_road_where_its_whole_force_ends():
+    """The instant of lift-off is that of k t + c t' = k static, earlier than the deflection says. In the air the hub falls free of it,
+    step by step as the equations have it."""
+    vehicle = damped("quarter_car")
+    run = driven(vehicle, "passive", "bump:height=0.2:length=2", 0.4)
+    p, physics = vehicle.parameters, run.physics
+    static = (p["sprung_mass"] + p["unsprung_mass"]) * 9.81
+    closing = physics["unsprung_velocity"] - physics["road_velocity"]
+    force = static - p["tyre_stiffness"] * physics["tyre_deflection"] - p["tyre_damping"] * closing
+    off = physics.time[(force <= 0).argmax()]
+    assert run.agreement.ended[LIFT_OFF.name] == off > 0
+    deflected = physics.time[(physics["tyre_deflection"] >= static / p["tyre_stiffness"]).argmax()]
+    assert off < deflected
+    assert run.passed and run.agreement.steps is not None and run.agreement.steps.error < 1e-10
+
+
+def test_metrics_of_the_tyre_are_of_its_whole_force():
+    """Dynamic load and time off the ground, of physics and expected: by k t + c t', written out."""
+    vehicle = damped("quarter_car")
+    p = vehicle.parameters
+    run = driven(vehicle, "passive", "iso8608:class=C", 2.0)
+    got = measure(vehicle, run.physics, 500)
+    static = (p["sprung_mass"] + p["unsprung_mass"]) * 9.81
+    r = run.physics
+    force = p["tyre_stiffness"] * r["tyre_deflection"] + p["tyre_damping"] * (r["unsprung_velocity"] - r["road_velocity"])
+    assert got["dynamic_load"] == pytest.approx(np.sqrt(np.mean(np.minimum(force[500:], static) ** 2)) / static, rel=1e-12)
+    road = choose_road("iso8608:class=B").build(vehicle, 12.5, 0, 10.0)
+    passive = Designer(vehicle).design("passive")
+    expected = expect(vehicle, passive, road.spectrum, 1e-3, 10.0)
+    omega = np.linspace(*road.spectrum.band, 100_001)
+    response = continuous_frequency_response(vehicle, passive, omega)[:, :, 0]
+    row = dict(zip(vehicle.linear_model.outputs, response.T, strict=True))
+    t = p["tyre_stiffness"] * row["tyre_deflection"] + p["tyre_damping"] * (row["unsprung_velocity"] - 1)
+    power = road.spectrum.density * np.trapezoid(np.abs(t) ** 2, omega / (2 * np.pi))
+    # The expectation is of the sampled loop at 1 ms, which differs by the square of the step from the continuous one.
+    assert expected.mean["dynamic_load"] == pytest.approx(np.sqrt(power) / static, rel=2e-4)
+
+
+def test_the_damping_is_in_the_model_of_no_vehicle_without_it():
+    """Without the key nothing is added to a vehicle: its physics has the tendon's spring alone, and its parameters do not grow."""
+    plain = read_vehicle("quarter_car")
+    model = build_model(plain, 1e-3)
+    assert "tyre_damping" not in plain.parameters and model.nu == 1 and not plain.linear_model.tyres_damp
+    zero = parse_vehicle(plain.text.replace("[parameters]", "[parameters]\ntyre_damping = 0.0"))
+    assert build_model(zero, 1e-3).nu == 1
+    ran = [driven(each, "I", "iso8608:class=C", 0.5).physics.values for each in (plain, zero)]
+    assert np.array_equal(*ran)
+
+
+def test_negative_damping_is_refused():
+    with pytest.raises(InputError, match=r"tyre_damping = -1\.0 is not allowed; give"):
+        parse_vehicle(read_vehicle("quarter_car").text.replace("[parameters]", "[parameters]\ntyre_damping = -1.0"))
+
+
+def test_the_open_loop_of_the_bus_has_the_poles_that_ctms_prints():
+    """CTMS, bus suspension: -23.9758 +- 35.1869i and -0.1098 +- 5.2504i, all printed digits."""
+    bus = {"sprung_mass": 2500.0, "unsprung_mass": 320.0, "suspension_stiffness": 80000.0, "suspension_damping": 350.0, "tyre_stiffness": 500000.0, "tyre_damping": 15020.0}  # fmt: skip
+    vehicle = dataclasses.replace(read_vehicle("quarter_car"), parameters=bus)
+    poles = sorted((p for p in np.linalg.eigvals(vehicle.linear_model.A) if p.imag > 0), key=lambda p: p.real)
+    assert np.allclose(np.round(poles, 4), [-23.9758 + 35.1869j, -0.1098 + 5.2504j], atol=1e-12)
