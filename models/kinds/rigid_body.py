@@ -61,9 +61,7 @@ def per_axle(
     name: str, unit: str, meaning: str, positive: bool = True, varied: Variation | None = None, optional: bool = False
 ) -> tuple[Parameter, ...]:
     """Returns a parameter of every axle."""
-    return tuple(
-        Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, optional=optional) for axle in AXLES
-    )
+    return tuple(Parameter(f"{name}_{axle}", unit, f"{meaning}, {axle}", positive, varied, optional=optional) for axle in AXLES)
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,8 @@ class Corner:
         """Returns a corner with the parameters of its axle."""
         x = p["axle_distance_front"] if axle == "front" else -p["axle_distance_rear"]
         own = ("unsprung_mass", "suspension_stiffness", "suspension_damping", "tyre_stiffness")
-        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own), p.get(f"tyre_damping_{axle}", 0.0))
+        damping = p.get(f"tyre_damping_{axle}", 0.0)
+        return cls(name, x, y, *(p[f"{parameter}_{axle}"] for parameter in own), tyre_damping=damping)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ A tyre with damping pushes its hub up with
 
     F = max(0, k (l_0 - l) + c (z_r' - l')),
 
-its length l on a road that MuJoCo holds over a step, and the road's velocity z_r', likewise held. A mocap body has no velocity of its
-own, so l' is the hub's. The tyre leaves the road where its whole force ends. That is where its equivalent deflection
+its length l on a road that MuJoCo holds over a step, and the road's velocity z_r', likewise held. A mocap body has no velocity of
+its own, so l' is the hub's. The tyre leaves the road where its whole force ends. That is where its equivalent deflection
 t + (c / k) t', which of a tyre without damping is its deflection, exceeds the static one. In the air it neither pulls nor damps:
 its rubber is taken to return at once, without a force on the hub.
 """

@@ -54,8 +54,9 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
 
 
 def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
-    """Returns the effect of the road's velocity on all inputs by measured accelerations of wheels on tyres that damp, shape (m + k,
-    r).
+    """Returns the effect of the road's velocity on all inputs, by measured accelerations of wheels on tyres that damp.
+
+    Its shape is (m + k, r).
     """
     return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
 
@@ -157,8 +158,7 @@ class _Outside:
         jump: direct effect on the states, shape (n, c).
         rates: effect on the rates of the continuous states xi, shape (n, c).
         outputs: direct effect on the output signals, shape (p, c), or (F, p, c) if tyres damp.
-        through_readings: effect on all inputs by measured accelerations, shape (m + k, c) or (F, m + k, c), or None if there is no
-            effect.
+        through_readings: effect on all inputs by measured accelerations, shape (m + k, c) or (F, m + k, c); None for no effect.
         wheels: r.
         omega: angular frequencies [rad/s], shape (F,).
         timestep: h [s].
@@ -173,7 +173,7 @@ class _Outside:
     timestep: float
 
     def held(self, model: LinearModel, exponential: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
-        """Returns exp(A h), and what inputs and disturbances held over a step do: shapes (n, n), (n, m) and (n, c) or (F, n, c).
+        """Returns exp(A h) and the effects of inputs and disturbances held over a step: (n, n), (n, m) and (n, c) or (F, n, c).
 
         A road held at exp(j omega h/2) has the mean velocity exp(j omega h/2) 2j sin(omega h/2) / h over the step.
         """
@@ -212,9 +212,7 @@ def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None, omeg
         of_road = np.zeros((len(measured), wheels)) if felt is None else felt
         through_readings = _beside(of_road, measured)
     jump = np.hstack([model.jump, np.zeros((len(model.A), count))])
-    return _Outside(
-        jump, np.hstack([rates, push]), _beside(outputs, pulls.outputs), through_readings, wheels, omega, h
-    )
+    return _Outside(jump, np.hstack([rates, push]), _beside(outputs, pulls.outputs), through_readings, wheels, omega, h)
 
 
 def _beside(first: Array, second: Array) -> Array:

@@ -6,8 +6,8 @@ everything on the right but xi is constant:
 
     xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
-If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity over
-the step, held like a load.
+If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity
+over the step, held like a load.
 
 If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
@@ -240,14 +240,14 @@ def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
 
 def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
     """Returns the contribution of loads over the same steps, through Bh, shape (n, l), and of the road's velocity, (n, l + r)."""
-    road, vehicle, l = road_input.road, road_input.vehicle, len(road_input.vehicle.kind.loads)
+    road, vehicle, count = road_input.road, road_input.vehicle, len(road_input.vehicle.kind.loads)
 
     def push(t: Array) -> Array:
-        pushed = road.loads(vehicle, t) @ Bh[:, :l].T
-        return pushed + under_wheels(road.velocity, road, vehicle, t) @ Bh[:, l:].T if Bh[:, l:].any() else pushed
+        pushed = road.loads(vehicle, t) @ Bh[:, :count].T
+        return pushed + under_wheels(road.velocity, road, vehicle, t) @ Bh[:, count:].T if Bh[:, count:].any() else pushed
 
     kinks = list(road.load_kinks)
-    if Bh[:, l:].any():
+    if Bh[:, count:].any():
         kinks += [kink + delay for kink in road.kinks for delay in delays(road, vehicle)]
     return _forcing(A, push, np.array(kinks), road_input.time)
 

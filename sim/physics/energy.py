@@ -42,8 +42,8 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.common.printed import Shown
-from models.roads.road import RoadInput
 from models.kinds.tyre import DAMPER
+from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
@@ -194,8 +194,8 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
 class _DampedTyres:
     """Tyres that damp, whose whole force an actuator has: it stores, it dissipates, and the road works on it.
 
-    Beyond its spring, k s^2 / 2 with the squeeze s, the force R acts between a hub and a road that move with l' and w over the road
-    at its held height. R l' is the power on the hub, R w that of the road, and R (w - l') is lost.
+    Its spring has the energy k s^2 / 2 at the squeeze s. The rest R of its force acts between the road, at its velocity w, and the
+    hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
     """
 
     def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
@@ -222,10 +222,11 @@ class _DampedTyres:
         """
         if not self.wheels:
             return 0.0, 0.0
-        w, ((l, v), (l_end, v_end)) = velocities[:, self.wheels], (self._parts(each) for each in (starts[:-1], ends))
-        middle = (l + l_end) / 2 + h / 8 * (v - v_end), 1.5 * (l_end - l) / h - (v + v_end) / 4
+        w, (first, last) = velocities[:, self.wheels], [self._parts(each) for each in (starts[:-1], ends)]
+        (length, v), (l_end, v_end) = first, last
+        middle = (length + l_end) / 2 + h / 8 * (v - v_end), 1.5 * (l_end - length) / h - (v + v_end) / 4
         by_road, lost = np.zeros(len(w)), np.zeros(len(w))
-        for weight, (length, speed) in ((1, (l, v)), (4, middle), (1, (l_end, v_end))):
+        for weight, (length, speed) in ((1, first), (4, middle), (1, last)):
             squeeze = self.rest - length
             beyond = np.maximum(self.k * squeeze + self.c * (w - speed), 0.0) - self.k * np.maximum(squeeze, 0.0)
             by_road += weight * h / 6 * (beyond * w).sum(axis=1)

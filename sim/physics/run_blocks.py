@@ -120,8 +120,8 @@ class BatchInputs:
             the first failure.
         accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
             are those of the sample before, which saves an evaluation.
-        held: what MuJoCo holds over the steps beside the road's heights, see `RoadInput.held`, shape (T, N, l) or (T, N, l + r), or
-            None.
+        held: effects that MuJoCo holds over the steps beside the road's heights, see `RoadInput.held`, shape (T, N, l) or
+            (T, N, l + r); None if there are none.
     """
 
     vehicles: Sequence[Vehicle]

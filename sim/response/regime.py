@@ -81,8 +81,9 @@ def _flat(vehicle: Vehicle) -> list[Threshold]:
 
 
 def _off_the_road(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds at which tyres no longer push: where their deflections, or their equivalent ones, reach the static ones."""
-    static, damped = (of(vehicle.parameters) for of in (vehicle.kind.static_tyre_deflection, vehicle.kind.damped_tyres))
+    """Returns thresholds at which tyres no longer push: their deflections, or equivalent ones, reach the static ones."""
+    damped = vehicle.kind.damped_tyres(vehicle.parameters)
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     return [Threshold(name, 1.0, value, damped.get(name)) for name, value in static.items()]
 
 
@@ -265,7 +266,13 @@ class EndDetector:
         once = {id(vehicle): vehicle for vehicle in vehicles}  # most are of one vehicle
         thresholds = {key: [kind.thresholds(vehicle) for kind in REGIME_ENDS] for key, vehicle in once.items()}
         self.limits = [
-            (end, limits[0], names.index(limits[0].signal), AT * np.array([limit.value for limit in limits]), self._beside(limits, names))
+            (
+                end,
+                limits[0],
+                names.index(limits[0].signal),
+                AT * np.array([limit.value for limit in limits]),
+                self._beside(limits, names),
+            )
             for end in range(len(REGIME_ENDS))
             for limits in zip(*(thresholds[id(vehicle)][end] for vehicle in vehicles), strict=True)
         ]

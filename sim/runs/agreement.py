@@ -334,7 +334,8 @@ def _first_loose(met: RoadInput, physics: Response) -> float:
     curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
     vehicle, first = met.vehicle, np.inf
-    static, damped = (of(vehicle.parameters) for of in (vehicle.kind.static_tyre_deflection, vehicle.kind.damped_tyres))
+    static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
+    damped = vehicle.kind.damped_tyres(vehicle.parameters)
     for i, (wheel, held) in enumerate(zip(vehicle.kind.wheels, met.midway.T, strict=True)):
         hub = physics[wheel.tyre_deflection] + physics[wheel.road_displacement]
         if (tyre := damped.get(wheel.tyre_deflection)) is not None:

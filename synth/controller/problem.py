@@ -85,8 +85,8 @@ def problem(
         of_loads[:, : model.Dw.shape[1]] = model.Dw[[model.outputs.index(name) for name in measured]]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
-                "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that has "
-                "a filter in [performance] road; leave one of the three out"
+                "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
+                "velocity has a filter in [performance] road; leave one of the three out"
             )
     if not any(hardware.noise):
         return Problem(plant, Cy, through, of_loads if np.any(of_loads) else None, forces)

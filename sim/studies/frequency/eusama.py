@@ -104,7 +104,10 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
 
     If the tyre damps, its equivalent deflection counts, which has the whole force.
     """
-    response, outputs = sampled_frequency_response(vehicle, controller, omega, timestep, exponential), vehicle.linear_model.outputs
+    response, outputs = (
+        sampled_frequency_response(vehicle, controller, omega, timestep, exponential),
+        vehicle.linear_model.outputs,
+    )
     name = vehicle.kind.wheels[wheel].tyre_deflection
     deflection = response[:, outputs.index(name), wheel]
     if (tyre := vehicle.kind.damped_tyres(vehicle.parameters).get(name)) is not None:

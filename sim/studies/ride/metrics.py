@@ -277,7 +277,11 @@ class Meter:
         self.static = {name: np.array([static[name] for static in statics]) for name in self.where.tyres}
         tyres = [vehicle.kind.damped_tyres(vehicle.parameters) for vehicle in vehicles]
         self.damped = {
-            name: (names.index(tyre.hub), names.index(tyre.road), np.array([one[name].time if name in one else 0.0 for one in tyres]))
+            name: (
+                names.index(tyre.hub),
+                names.index(tyre.road),
+                np.array([one[name].time if name in one else 0.0 for one in tyres]),
+            )
             for name, tyre in {name: tyre for one in tyres for name, tyre in one.items()}.items()
         }
         # Coefficients of every angle, by index of the signal, shape (N,).

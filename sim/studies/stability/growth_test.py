@@ -143,7 +143,9 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
         np.full(len(trials), True),
     )
     growths: dict[int, Growth] = {}
-    course = BatchInputs(vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False, held=held_on(inputs))
+    course = BatchInputs(
+        vehicles, controllers, now, midway, timestep, (0, *ends), undelayed, going, accelerations=False, held=held_on(inputs)
+    )
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)
