@@ -4,10 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.kinds import links, rigid_body, signals, tyre
+from models.kinds import links, rigid_body, signals
 from models.kinds.kind import BodyLoad, Parameter, Parameters, Variation, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Corner, RigidBody
+from models.kinds.tyre import TYRE_DAMPING
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
@@ -21,7 +22,7 @@ PARAMETERS = (
     *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s"),
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s", positive=False),
     *rigid_body.per_axle("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
-    *rigid_body.per_axle("tyre_damping", "N s/m", f"c_u, {tyre.DAMPING}", positive=False, optional=True),
+    *rigid_body.per_axle("tyre_damping", "N s/m", f"c_u, {TYRE_DAMPING}", positive=False, optional=True),
     rigid_body.CENTRE_HEIGHT,
     *links.LENGTHWAYS,
 )

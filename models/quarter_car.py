@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.kinds import signals, tyre
+from models.kinds import signals
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
+from models.kinds.tyre import TYRE_DAMPING, write_tyre
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion
@@ -22,7 +23,7 @@ PARAMETERS = (
     Parameter("suspension_stiffness", "N/m", "k_s"),
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
     Parameter("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
-    Parameter("tyre_damping", "N s/m", f"c_u, {tyre.DAMPING}", positive=False, optional=True),
+    Parameter("tyre_damping", "N s/m", f"c_u, {TYRE_DAMPING}", positive=False, optional=True),
 )
 
 STATES = (
@@ -114,7 +115,7 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
 
     radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
     rest = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]
-    tyre.write(spec, "tyre", p["tyre_stiffness"], p.get("tyre_damping", 0.0), rest)
+    write_tyre(spec, "tyre", p["tyre_stiffness"], p.get("tyre_damping", 0.0), rest)
 
 
 def motion(p: Parameters) -> "Motion":

@@ -391,9 +391,9 @@ class VehicleKind(Checked):
         return () if self.damped_tyres(parameters) else self.invariants
 
     def damped_tyres(self, parameters: Parameters) -> "Mapping[str, DampedTyre]":
-        """Returns the tyres that damp, by their deflection signals."""
+        """Returns the tyres that damp, by their deflection signals; none of a user's own kind."""
         tyres = {}
-        for wheel in self.wheels:
+        for wheel in self.wheels if self.folder == HERE else ():
             ending = wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
             c, k = (parameters.get(self._of_corner(part, ending), 0.0) for part in ("tyre_damping", "tyre_stiffness"))
             if c:

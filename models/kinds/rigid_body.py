@@ -36,7 +36,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds import tyre
 from models.kinds.kind import GRAVITY, BodyLoad, Parameter, Parameters, Variation
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import (
@@ -48,6 +47,7 @@ from models.kinds.signals import (
     TYRE_DEFLECTION,
     Signal,
 )
+from models.kinds.tyre import write_tyre
 
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))
@@ -359,7 +359,7 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
         length = 0.0 if body.guided else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
         suspension.springlength = [length + load / corner.suspension_stiffness] * 2
         rest = unsprung.pos[2] - road.pos[2] + squeeze
-        tyre.write(spec, f"tyre_{corner.name}", corner.tyre_stiffness, corner.tyre_damping, rest)
+        write_tyre(spec, f"tyre_{corner.name}", corner.tyre_stiffness, corner.tyre_damping, rest)
     for bar in body.bars:
         if bar.stiffness > 0:
             torsion = spec.add_tendon(name=f"anti_roll_bar_{bar.name}", springlength=[0.0, 0.0])

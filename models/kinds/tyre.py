@@ -14,7 +14,7 @@ from typing import Any
 
 from models.kinds.signals import TYRE_DEFLECTION
 
-DAMPING = "of a tyre on the road, between hub and road; in the air it has none"
+TYRE_DAMPING = "of a tyre on the road, between hub and road; in the air it has none"
 DAMPER = "fitted_damped_"  # prefix of the actuator of a tyre with damping, after its tendon
 MOST_FORCE = 1e9  # N; above any tyre's force, and below the limit at which MuJoCo reports a mistake
 TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; no kind imports MuJoCo
@@ -25,7 +25,7 @@ def actuator_of(tyre_deflection: str) -> str:
     return f"{DAMPER}tyre{tyre_deflection.removeprefix(TYRE_DEFLECTION.name)}"
 
 
-def write(spec: Any, tendon: str, stiffness: float, damping: float, rest: float) -> None:
+def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: float) -> None:
     """Writes a tyre into an MjSpec.
 
     Without damping its tendon is its spring. Else the tendon is only drawn, and an actuator on it has the whole force, which

@@ -194,8 +194,8 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
 class _DampedTyres:
     """Tyres that damp, whose whole force an actuator has: it stores, it dissipates, and the road works on it.
 
-    Its spring has the energy k s^2 / 2 at the squeeze s. The rest R of its force acts between the road, at its velocity w, and the
-    hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
+    Its spring has the energy k s^2 / 2 at the squeeze s. The rest R of its force acts between the road, at its velocity w, and
+    the hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
     """
 
     def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
