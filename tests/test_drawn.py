@@ -1,4 +1,5 @@
-"""Vehicles drawn at random, with curves, stops, limits, links and loads: over random roads none disagrees with its analysis."""
+"""Vehicles drawn at random, with curves, stops, limits, links, loads and tyres that damp: over random roads none disagrees with its
+analysis."""
 
 import dataclasses
 from contextlib import suppress
@@ -84,6 +85,9 @@ def drawn(kind: str, seed: int, only: str = "") -> tuple[Vehicle, str, tuple[str
     given = {one.name for one in vehicle.kind.parameters if one.usual is None} - {*curves}
     spread = 0.3 if only else SPREAD
     changed = {name: value * rng.uniform(1 - spread, 1 + spread) for name, value in vehicle.parameters.items() if name in given}
+    apart = np.random.default_rng([seed, len(kind), 1])  # so that all else is drawn as without tyres that damp
+    if not only and apart.random() < 0.5:
+        changed |= {f"tyre_damping{axle}": apart.uniform(50.0, 3000.0) for axle in AXLES[kind] if apart.random() < 0.8}
     vehicle = dataclasses.replace(vehicle, parameters={**vehicle.parameters, **changed})
     return vehicle, str(rng.choice(["passive", "held"])), road(rng, kind, rng.random() < (0.6 if only else 0.4))
 
