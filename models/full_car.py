@@ -80,7 +80,12 @@ ACCELERATIONS = (
     *_at_corners(signals.SPRUNG_ACCELERATION),
 )
 OUTPUTS = (*STATES, *_at_corners(signals.TYRE_DEFLECTION), *ACCELERATIONS, *FORCES)
-ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
+HEIGHTS = (
+    signals.HEAVE_DISPLACEMENT,
+    *_at_corners(signals.SPRUNG_DISPLACEMENT),
+    *_at_corners(signals.UNSPRUNG_DISPLACEMENT),
+)
+ON_DEMAND = (*_at_corners(signals.UNSPRUNG_ACCELERATION), *HEIGHTS)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 

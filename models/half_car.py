@@ -47,7 +47,12 @@ ACCELERATIONS = (
     *_at_corners(signals.SPRUNG_ACCELERATION),
 )
 OUTPUTS = (*STATES, *ACCELERATIONS, *FORCES)
-ON_DEMAND = _at_corners(signals.UNSPRUNG_ACCELERATION)
+HEIGHTS = (
+    signals.HEAVE_DISPLACEMENT,
+    *_at_corners(signals.SPRUNG_DISPLACEMENT),
+    *_at_corners(signals.UNSPRUNG_DISPLACEMENT),
+)
+ON_DEMAND = (*_at_corners(signals.UNSPRUNG_ACCELERATION), *HEIGHTS)
 ROAD_VELOCITIES = _at_corners(signals.ROAD_VELOCITY)
 
 

@@ -33,7 +33,8 @@ STATES = (
     signals.UNSPRUNG_VELOCITY,
 )
 OUTPUTS = (*STATES, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
-ON_DEMAND = (signals.UNSPRUNG_ACCELERATION,)
+HEIGHTS = (signals.SPRUNG_DISPLACEMENT, signals.UNSPRUNG_DISPLACEMENT)
+ON_DEMAND = (signals.UNSPRUNG_ACCELERATION, *HEIGHTS)
 
 
 def linear_model(p: Parameters) -> LinearModel:
@@ -43,7 +44,7 @@ def linear_model(p: Parameters) -> LinearModel:
         p: parameters by name [SI].
 
     Returns:
-        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 7 output signals.
+        The model: 4 states (30), 1 input [N], 1 disturbance (road velocity) [m/s], 9 output signals.
     """
     m_s, m_u = p["sprung_mass"], p["unsprung_mass"]
     k_s, c_s = p["suspension_stiffness"], p["suspension_damping"]
@@ -65,12 +66,13 @@ def linear_model(p: Parameters) -> LinearModel:
         Bw = Bw + Bt
 
     # Signals: the four states, then z_s'' by the first line of (28), then u itself, then z_u'' by the second line.
-    C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3]])
-    D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3]])
+    # Heights are sums of deflections and the road's height.
+    C = np.vstack([np.eye(4), A[2], np.zeros(4), A[3], [1, 1, 0, 0], [0, 1, 0, 0]])
+    D = np.vstack([np.zeros((4, 1)), B[2], [[1]], B[3], np.zeros((2, 1))])
 
     # A vertical force on the body acts by the first line of (28), as u does, but not on the wheel.
     Bl = np.array([[0], [0], [1 / m_s], [0]])
-    Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3]])
+    Dl = np.vstack([np.zeros((4, 1)), Bl[2], [[0]], Bl[3], np.zeros((2, 1))])
 
     return LinearModel(
         A=A,
@@ -83,12 +85,13 @@ def linear_model(p: Parameters) -> LinearModel:
         disturbances=(signals.ROAD_VELOCITY.name,),
         outputs=tuple(signal.name for signal in (*OUTPUTS, *ON_DEMAND)),
         Br=np.zeros((4, 1)),
-        Cr=np.zeros((7, 1)),
+        Cr=np.vstack([np.zeros((7, 1)), np.ones((2, 1))]),
         loads=(signals.HEAVE_LOAD.name,),
         Bl=Bl,
         Dl=Dl,
         Bt=Bt,
-        Dw=np.vstack([np.zeros((6, 1)), Bt[3]]),
+        Dw=np.vstack([np.zeros((6, 1)), Bt[3], np.zeros((2, 1))]),
+        heights=tuple(signal.name for signal in HEIGHTS),
     )
 
 

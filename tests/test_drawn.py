@@ -1,5 +1,4 @@
-"""Vehicles drawn at random, with curves, stops, limits, links, loads and tyres that damp: over random roads none disagrees with its
-analysis."""
+"""Vehicles drawn at random, with curves, stops, limits, links, loads, damped tyres: none disagrees with its analysis."""
 
 import dataclasses
 from contextlib import suppress

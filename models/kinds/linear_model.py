@@ -43,6 +43,8 @@ class LinearModel:
         Dl: from the loads to the output signals, shape (p, l); zero by default.
         Bt: part of Bw by which the damping of tyres pushes the wheels, shape (n, r); zero by default.
         Dw: from the road's velocities to the output signals, shape (p, r); zero by default.
+        heights: output signals that are heights over the datum of a flat road. The state has deflections alone, so they are
+            read from these and, by Cr, the road's height.
 
     Raises:
         InputError: a matrix does not fit the names or is not finite, or the names are no different texts.
@@ -65,6 +67,7 @@ class LinearModel:
     Dl: Array = field(default_factory=lambda: np.zeros((0, 0)))
     Bt: Array = field(default_factory=lambda: np.zeros((0, 0)))
     Dw: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    heights: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -136,7 +139,7 @@ class LinearModel:
         kept = [i for i, name in enumerate(self.outputs) if name not in outputs]
         names = tuple(self.outputs[i] for i in kept)
         rows = {name: getattr(self, name)[kept] for name in ("C", "D", "Cr", "Dl", "Dw")}
-        return replace(self, outputs=names, **rows)
+        return replace(self, outputs=names, heights=tuple(name for name in self.heights if name in names), **rows)
 
     def has_rate(self, output: str) -> bool:
         """Returns True if the time derivative of an output signal is an output: the road and the forces must not act on it at

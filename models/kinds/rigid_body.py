@@ -202,7 +202,8 @@ def linear_model(
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
         outputs: in this order: the states, the tyre deflections if they are no states, q'', the body's velocity and
-            acceleration above each corner, the control forces, the wheels' accelerations.
+            acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above each
+            corner, and of the wheels.
     """
     S, M, P = body.shape, body.inertia, body.tyre_modes
     c, k, p = len(S), len(M), len(P)
@@ -254,6 +255,12 @@ def linear_model(
     for direct, acting in ((Cr, Br), (Dl, Bl)):
         direct[first : first + k] = acting[c + p : c + p + k]
         direct[first + k + c : first + k + 2 * c] = S @ acting[c + p : c + p + k]
+    # Heights: q = S+ (d + t + z_r) of the body, S q above the corners, t + z_r of the wheels.
+    q, held = np.linalg.pinv(S)[:1], np.eye(c) - N
+    over_datum = np.vstack([q @ (d + t), d + t, t])
+    C, Cr = np.vstack([C, over_datum]), np.vstack([Cr, q @ held, held, held])
+    D, Dw, Dl = (np.vstack([part, np.zeros((len(over_datum), part.shape[1]))]) for part in (D, Dw, Dl))
+    names = tuple(signal.name for signal in outputs)
     rate = np.sqrt(np.mean(np.diag(corner["tyre_stiffness"]) / np.diag(corner["unsprung_mass"])))
     return LinearModel(
         A=A,
@@ -264,7 +271,7 @@ def linear_model(
         states=tuple(signal.name for signal in states),
         inputs=tuple(signal.name for signal in inputs),
         disturbances=tuple(signal.name for signal in disturbances),
-        outputs=tuple(signal.name for signal in outputs),
+        outputs=names,
         Br=Br,
         Cr=Cr,
         twist_rate=float(rate),
@@ -273,6 +280,7 @@ def linear_model(
         Dl=Dl,
         Bt=Bt,
         Dw=Dw,
+        heights=names[len(names) - len(over_datum) :],
     )
 
 

@@ -62,7 +62,8 @@ class RigidMotion:
         yaw_inertia: I_z; it counts only if a body pitches and rolls at once.
         names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs. Of a body that only heaves they are its acceleration and that of its hub.
+            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. Of a body that only
+            heaves they are its acceleration and that of its hub, and both heights.
     """
 
     body: RigidBody
@@ -133,10 +134,10 @@ class RigidMotion:
     def outputs(self, state: Array, heights: Array, inputs: Array, pulls: "Pulls", loads: Array) -> Mapping[str, Array]:
         """See `Motion`."""
         k = self.shape.shape[1]
-        q, _, rates, _ = self._split(state)
+        q, hubs, rates, _ = self._split(state)
         _, _, second, hub_second = self._split(self.rate(state, heights, inputs, pulls, loads))
         turning = second.copy()
-        columns = [turning, hub_second]
+        columns, heights_now = [turning, hub_second], [q[:, :1], hubs]
         if k > 1:
             # The body's centre of mass, then its points above the hubs, at z - c - x sin theta + (y sin phi + s) cos theta.
             x, y = (np.array([0.0, *(getattr(corner, axis) for corner in self.body.corners)]) for axis in "xy")
@@ -150,11 +151,13 @@ class RigidMotion:
             bent = pitch_rate**2 * (x * sin - over * cos) + roll_rate**2 * bend * cos - 2 * pitch_rate * roll_rate * side * sin
             velocity, acceleration = ((by_q * column[:, None]).sum(axis=-1) for column in (rates, second))
             acceleration = acceleration + bent
+            over_datum = q[:, :1] - c - x * sin + over * cos
+            heights_now = [over_datum, hubs]
             turning[:, :1] = acceleration[:, :1]
             columns[1:1] = [velocity[:, 1:], acceleration[:, 1:]]
             if k > 2:
                 turning[:, 2:] = turning[:, 2:] * cos - roll_rate * pitch_rate * sin
-        return dict(zip(self.further, np.concatenate(columns, axis=1).T, strict=True))
+        return dict(zip(self.further, np.concatenate([*columns, *heights_now], axis=1).T, strict=True))
 
     def _turned(self, q: Array, rates: Array, push: Array) -> Array:
         """Returns q'' under generalized forces, shape (T, k)."""

@@ -42,13 +42,9 @@ TYRE_DEFLECTION = Signal("tyre_deflection", "z_u - z_r", "m", "tyre extension, n
 SPRUNG_VELOCITY = Signal("sprung_velocity", "z_s'", "m/s", "vertical velocity of the sprung mass, up")
 UNSPRUNG_VELOCITY = Signal("unsprung_velocity", "z_u'", "m/s", "vertical velocity of the unsprung mass, up")
 SPRUNG_ACCELERATION = Signal("sprung_acceleration", "z_s''", "m/s2", "vertical acceleration of the sprung mass, up")
-SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass, up, over its rest on a flat road")
-UNSPRUNG_DISPLACEMENT = Signal(
-    "unsprung_displacement", "z_u", "m", "height of the unsprung mass, up, over its rest on a flat road"
-)
-HEAVE_DISPLACEMENT = Signal(
-    "heave_displacement", "z", "m", "height of the body's centre of mass, up, over its rest on a flat road"
-)
+SPRUNG_DISPLACEMENT = Signal("sprung_displacement", "z_s", "m", "height of the sprung mass over its rest on a flat road")
+UNSPRUNG_DISPLACEMENT = Signal("unsprung_displacement", "z_u", "m", "height of the unsprung mass over its rest on a flat road")
+HEAVE_DISPLACEMENT = Signal("heave_displacement", "z", "m", "height of the body's centre of mass over its rest on a flat road")
 UNSPRUNG_ACCELERATION = Signal("unsprung_acceleration", "z_u''", "m/s2", "vertical acceleration of the unsprung mass, up")
 HEAVE_VELOCITY = Signal("heave_velocity", "z'", "m/s", "vertical velocity of the body's centre of mass, up")
 PITCH_RATE = Signal("pitch_rate", "theta'", "rad/s", "pitch velocity of the body, nose down")

@@ -222,6 +222,11 @@ def _controller(
         if measured.count(signal) > 1:
             raise InputError(f"{where} measures {signal!r} twice; name it once")
         if signal not in model.measurable:
+            if signal in model.heights:
+                raise InputError(
+                    f"{where} {signal!r} is a height over the datum of a flat road, which no sensor on a car has; give signals "
+                    f"out of: {measurable}"
+                )
             raise InputError(
                 f"{where} {signal!r} has the road's height in it beside the state, and loops are closed through the state alone; "
                 f"give signals out of: {measurable}"

@@ -135,11 +135,37 @@ def generalized_plant(
         D=weights * D,
         Dw=np.hstack([weights * Dw, weights * Cr, weights * Dl]),
     )
+    over_datum = [signal for signal in weighted if signal in model.heights]
+    if over_datum:
+        _check_heights(vehicle, over_datum[0])
     if not vehicle.filtered:
         return plant
     outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
     roads = [_system(vehicle.road_filter)] * (plant.Bw.shape[1] - len(loads))
-    return with_weights(plant, outputs, append(*roads, *[gain(1.0)] * len(loads)))
+    disturbances = append(*roads, *[gain(1.0)] * len(loads))
+    if not over_datum:
+        return with_weights(plant, outputs, disturbances)
+    # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 in place of C.
+    of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
+    states = len(disturbances.A) // len(roads)
+    height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
+    return with_weights(plant, outputs, disturbances, weights * of_height @ height)
+
+
+def _check_heights(vehicle: Vehicle, signal: str) -> None:
+    """Refuses to weigh a height that no norm bounds, or that a twist of the road moves.
+
+    Raises:
+        InputError: see above.
+    """
+    model, road = vehicle.linear_model, vehicle.road_filter
+    if np.any(model.Br):
+        raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which feels the road's twist, has no norm; give 0")
+    if road is None or all(above[-1] for above, _ in road.sections):
+        raise InputError(
+            f"[performance] {signal} is a height over the datum of a flat road, which a road of bounded velocity moves without "
+            "bound: it has no norm; give 0 to have it in logs, or road = a filter that is 0 at 0 rad/s, whose height is bounded"
+        )
 
 
 def _system(one: "Filter | None") -> System:
@@ -187,11 +213,13 @@ def _twist(model: LinearModel, signals: Sequence[str]) -> tuple[Array, Array]:
     scaled by the rate of wheel hop (`LinearModel.twist_rate`): the bound holds for both together.
     """
     Cr = model.Cr[[model.outputs.index(signal) for signal in signals]]
+    Cr = Cr * np.array([[signal not in model.heights] for signal in signals]).reshape(-1, 1)
     directions = road_twist_inputs(model)
     return model.Br @ directions.T / model.twist_rate, Cr @ directions.T / model.twist_rate
 
 
 def road_twist_inputs(model: LinearModel) -> Array:
     """Returns the combinations of road heights under the wheels that act by their height, orthonormal, shape (k, r)."""
-    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr]))
+    by_road = [i for i, name in enumerate(model.outputs) if name not in model.heights]
+    _, sizes, directions = np.linalg.svd(np.vstack([model.Br, model.Cr[by_road]]))
     return directions[: int(np.sum(sizes > 1e-12 * sizes.max(initial=0.0)))] if np.any(sizes) else directions[:0]

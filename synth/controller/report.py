@@ -198,7 +198,7 @@ def gain_lines(gain: Array, start: str) -> list[str]:
 def twist_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the second disturbance, road twist, if the vehicle has one."""
     model = vehicle.linear_model
-    if not np.any(model.Br) and not np.any(model.Cr):
+    if not len(road_twist_inputs(model)):
         return []
     axes = {
         "roll": "roll_centre_height_front",

@@ -200,7 +200,7 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
     return plant, system.C[d:], system.D[d:, :r]
 
 
-def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System) -> GeneralizedPlant:
+def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System, beside: Array | None = None) -> GeneralizedPlant:
     """The plant whose z goes through one system, and whose w comes out of another.
 
     Its states come first, then those of z, then those of w: what it measures the whole measures with columns of zeros.
@@ -209,10 +209,11 @@ def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System)
         plant: n states, r disturbances, d outputs.
         outputs: of d inputs.
         disturbances: of r outputs.
+        beside: from their j states to z before its own system, shape (d, j), beside what w does; None for nothing.
     """
     z, w = outputs, disturbances
     n, k, j = len(plant.A), len(z.A), len(w.A)
-    through = plant.Dw @ w.C
+    through = plant.Dw @ w.C if beside is None else plant.Dw @ w.C + beside
     return GeneralizedPlant(
         A=np.block(
             [
