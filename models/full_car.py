@@ -38,7 +38,7 @@ PARAMETERS = (
     Parameter("track", "m", "from a left wheel to the right one"),
     *rigid_body.per_axle("axle_distance", "m", "from the centre of mass to the axle"),
     *rigid_body.per_axle("unsprung_mass", "kg", "m_u of one wheel with hub and brake"),
-    *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel"),
+    *rigid_body.per_axle("suspension_stiffness", "N/m", "k_s at one wheel; 0 for a purely active strut", positive=False),
     *rigid_body.per_axle("suspension_damping", "N s/m", "c_s at one wheel", positive=False),
     *rigid_body.per_axle("tyre_stiffness", "N/m", "k_u of one tyre", varied=Variation("tyre stiffness", 0.75, 1.25)),
     *rigid_body.per_axle("tyre_damping", "N s/m", f"c_u, {TYRE_DAMPING}", positive=False, optional=True),

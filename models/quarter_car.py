@@ -12,6 +12,7 @@ import numpy as np
 from models.kinds import signals
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
+from models.kinds.strut import write_strut
 from models.kinds.tyre import TYRE_DAMPING, write_tyre
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 PARAMETERS = (
     Parameter("sprung_mass", "kg", "m_s, what one wheel carries of the body", varied=Variation("sprung mass", 0.7, 1.4)),
     Parameter("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
-    Parameter("suspension_stiffness", "N/m", "k_s"),
+    Parameter("suspension_stiffness", "N/m", "k_s; 0 for a purely active strut", positive=False),
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
     Parameter("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
     Parameter("tyre_damping", "N s/m", f"c_u, {TYRE_DAMPING}", positive=False, optional=True),
@@ -110,11 +111,8 @@ def write_mjcf(spec: Any, p: Parameters) -> None:
     spec.body("sprung").mass = p["sprung_mass"]
     spec.body("unsprung").mass = p["unsprung_mass"]
 
-    suspension = spec.tendon("suspension")
-    suspension.stiffness[0] = p["suspension_stiffness"]
-    suspension.damping[0] = p["suspension_damping"]
-    preload = p["sprung_mass"] * GRAVITY / p["suspension_stiffness"]
-    suspension.springlength = [preload, preload]
+    suspension, weight = spec.tendon("suspension"), p["sprung_mass"] * GRAVITY
+    write_strut(spec, suspension, p["suspension_stiffness"], p["suspension_damping"], weight)
 
     radius = spec.body("unsprung").pos[2] - spec.body("road").pos[2]
     rest = radius + static_tyre_deflection(p)[signals.TYRE_DEFLECTION.name]

@@ -47,6 +47,7 @@ from models.kinds.signals import (
     TYRE_DEFLECTION,
     Signal,
 )
+from models.kinds.strut import write_strut
 from models.kinds.tyre import write_tyre
 
 # External loads on the body, along the joints of its modes q, in their order.
@@ -323,7 +324,10 @@ def check_stands(body: RigidBody) -> None:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness
     in_series = stiffness - stiffness @ np.linalg.solve(stiffness + tyres, stiffness)
-    freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+    try:
+        freed = np.linalg.inv(body.shape.T @ in_series @ body.shape)  # the angle per moment, all else free
+    except np.linalg.LinAlgError:
+        raise InputError("the body falls over: nothing holds it against its weight; give it springs, or no axis") from None
     for i, (turns, centres) in enumerate((("pitches", "pitch centre"), ("rolls", "roll centres"))[: len(freed) - 1], start=1):
         holding, turning = 1 / freed[i, i], body.weight[i, i]
         if holding <= turning:
@@ -362,10 +366,8 @@ def write_mjcf(spec: Any, body: RigidBody) -> None:
 
         name = f"suspension_{corner.name}"
         suspension = _guided(spec, body, corner, name) if body.guided else spec.tendon(name)
-        suspension.stiffness[0] = corner.suspension_stiffness
-        suspension.damping[0] = corner.suspension_damping
         length = 0.0 if body.guided else sprung.pos[2] + spec.site(f"{name}_top").pos[2] - unsprung.pos[2]
-        suspension.springlength = [length + load / corner.suspension_stiffness] * 2
+        write_strut(spec, suspension, corner.suspension_stiffness, corner.suspension_damping, load, length)
         rest = unsprung.pos[2] - road.pos[2] + squeeze
         write_tyre(spec, f"tyre_{corner.name}", corner.tyre_stiffness, corner.tyre_damping, rest)
     for bar in body.bars:

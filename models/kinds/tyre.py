@@ -13,11 +13,11 @@ its rubber is taken to return at once, without a force on the hub.
 from typing import Any
 
 from models.kinds.signals import TYRE_DEFLECTION
+from models.kinds.strut import AFFINE, TENDON
 
 TYRE_DAMPING = "of a tyre on the road, between hub and road; in the air it has none"
 DAMPER = "fitted_damped_"  # prefix of the actuator of a tyre with damping, after its tendon
 MOST_FORCE = 1e9  # N; above any tyre's force, and below the limit at which MuJoCo reports a mistake
-TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; no kind imports MuJoCo
 
 
 def actuator_of(tyre_deflection: str) -> str:

@@ -18,7 +18,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.common.files import MIB, TEXT, open_plain
 from models.kinds.kind import GRAVITY, LOWEST_HUB
-from models.kinds.tyre import DAMPER, actuator_of
+from models.kinds.tyre import actuator_of
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 
@@ -140,7 +140,7 @@ def _write_limits(spec: mujoco.MjSpec, vehicle: Vehicle) -> None:
                     else:
                         stop.wrap_site(wrap.target.name)
     for actuator in spec.actuators:
-        if actuator.name.startswith(DAMPER):
+        if actuator.name.startswith(FITTED):
             continue
         if limits.actuator_force is not None:
             actuator.forcelimited = True

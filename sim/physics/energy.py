@@ -42,6 +42,7 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.common.printed import Shown
+from models.kinds.strut import STATIC_LOAD
 from models.kinds.tyre import DAMPER
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
@@ -139,7 +140,7 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     ends, moved = starts[1:].copy(), np.any(midway[1:] != midway[:-1], axis=1)
     ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
     rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
-    rubber = _DampedTyres(vehicle, model)
+    rubber = _FittedForces(vehicle, model)
     of_road, of_rubber = rubber.powers(starts, ends, road.held_velocities[: count - 1], h)
     starts, ends, rest = (rubber.taken_out(each) for each in (starts, ends, rest))
 
@@ -191,11 +192,11 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     return Energy(road_did, forces_did, changed, taken, turnover, residual, least, loads, allowed)
 
 
-class _DampedTyres:
-    """Tyres that damp, whose whole force an actuator has: it stores, it dissipates, and the road works on it.
+class _FittedForces:
+    """Tyres that damp, and constant forces of struts without springs: what actuators beside the inputs store and dissipate.
 
-    Its spring has the energy k s^2 / 2 at the squeeze s. The rest R of its force acts between the road, at its velocity w, and
-    the hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
+    A tyre's spring has the energy k s^2 / 2 at the squeeze s. The rest R of the force acts between the road, at its velocity w,
+    and the hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
     """
 
     def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
@@ -204,13 +205,17 @@ class _DampedTyres:
         self.c, bias = model.actuator_gainprm[actuators, 0], model.actuator_biasprm[actuators]
         self.k = -bias[:, 1]
         self.rest = bias[:, 0] / self.k
+        names = [model.actuator(i).name for i in range(model.nu)]
+        self.loads = model.actuator_biasprm[[i for i, name in enumerate(names) if name.startswith(STATIC_LOAD)], 0]
+        self.count = len(self.wheels) + len(self.loads)
 
     def taken_out(self, seen: Array) -> Array:
-        """Returns the sensors of `_look` without theirs, with their springs' energy as potential energy."""
-        if not self.wheels:
+        """Returns the sensors of `_look` without theirs, with the energy of springs and constant forces as potential energy."""
+        if not self.count:
             return seen
-        left = seen[:, : -2 * len(self.wheels)].copy()
+        left = seen[:, : -2 * self.count].copy()
         left[:, 0] += (self.k * np.maximum(self.rest - self._parts(seen)[0], 0.0) ** 2 / 2).sum(axis=1)
+        left[:, 0] -= seen[:, seen.shape[1] - 2 * len(self.loads) :: 2] @ self.loads
         return left
 
     def powers(self, starts: Array, ends: Array, velocities: Array, h: float) -> tuple[Array | float, Array | float]:
@@ -235,7 +240,8 @@ class _DampedTyres:
 
     def _parts(self, seen: Array) -> tuple[Array, Array]:
         """Returns their lengths and speeds, shapes (T, t)."""
-        own = seen[:, -2 * len(self.wheels) :]
+        first = seen.shape[1] - 2 * self.count
+        own = seen[:, first : first + 2 * len(self.wheels)]
         return own[:, ::2], own[:, 1::2]
 
 
@@ -285,7 +291,8 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     """Returns the vehicle's model with the sensors of its energy alone, and the sign of every force along its length.
 
     The sensors, in order: potential and kinetic energy; then length and speed of every actuator's direction, of every damped
-    tendon and joint, of the tendon of every curve, of every one that has stops, and of every tyre that damps.
+    tendon and joint, of the tendon of every curve, of every one that has stops, of every tyre that damps, and of every strut
+    without a spring.
     """
     spec = build_spec(vehicle, timestep)
     kind, of = mujoco.mjtSensor, mujoco.mjtObj
@@ -314,6 +321,7 @@ def _observed(vehicle: Vehicle, timestep: float) -> tuple[mujoco.MjModel, Array]
     tendons = [fitted.tendon for fitted in vehicle.fitted] + list(stops)
     pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in tendons]
     rubber = [actuator.target for actuator in spec.actuators if actuator.name.startswith(DAMPER)]
+    rubber += [actuator.target for actuator in spec.actuators if actuator.name.startswith(STATIC_LOAD)]
     pairs += [(kind.mjSENS_TENDONPOS, kind.mjSENS_TENDONVEL, of.mjOBJ_TENDON, tendon) for tendon in rubber]
     for name, both in stops.items():
         for spring in both.springs(0.0):
