@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from models.common.errors import InputError
 from sim.gallery import main
@@ -116,3 +117,20 @@ def test_entries_that_are_none(tmp_path, monkeypatch, old, new, said):
         main(["mine"])
     with pytest.raises(InputError, match="unknown entry 'nothing'; the gallery has"):
         main(["nothing"])
+
+
+def test_quansers_gain_is_that_of_its_earlier_rig(printed):
+    """By a Riccati equation of matrices written out: the factory gain belongs to the tyre of 2500 N/m, not to that of 1250."""
+    _, found = printed
+    numbers = {one["number"]: one["exact"] for one in found["quanser"]["numbers"]}
+    ms, mu, ks, bs, bt = 2.45, 1.0, 900.0, 7.5, 5.0
+    for kt, ending in ((2500.0, ""), (1250.0, ", later")):
+        A = np.array(
+            [[0, 1, 0, -1], [-ks / ms, -bs / ms, 0, bs / ms], [0, 0, 0, 1], [ks / mu, bs / mu, -kt / mu, -(bs + bt) / mu]]
+        )
+        B = np.array([[0], [1 / ms], [0], [-1 / mu]])
+        P = linalg.solve_continuous_are(A, B, np.diag([450.0, 30.0, 5.0, 0.01]), [[0.01]])
+        K = (B.T @ P)[0] / 0.01
+        ours = {f"gain lqr[0, {i}]{ending}": K[j] for i, j in ((0, 0), (2, 1), (1, 2), (3, 3))}
+        for name in ours.keys() & numbers.keys():
+            assert numbers[name] == pytest.approx(ours[name], rel=1e-8)

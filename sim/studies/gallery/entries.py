@@ -30,7 +30,7 @@ class PrintedNumber:
         signal: output signal.
         at: row and column of an entry of a matrix, from 0; empty for a scalar.
         hertz: frequency [Hz].
-        road: of a bump, by the names of `models.roads.road.Bump`.
+        road: of a bump, by the names of `models.roads.road.Bump`; with an `edge` of a step, by those of `Step`.
         unit: unit of the value.
         scale: factor from SI units to `unit`.
         symbol: quantity of the paper.

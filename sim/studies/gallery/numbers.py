@@ -8,18 +8,21 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError, listing, quoted
+from models.roads.obstacles import Step
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from synth.controller.controller import Controller
+from synth.controller.open_loop import continuous
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
 DURATION, TIMESTEP = 3.0, 1e-3  # s; a car has settled after a bump
+STEP_DURATION, STEP_TIMESTEP = 1.0, 1e-4  # s; a tyre that damps answers a step within milliseconds
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
 
@@ -99,13 +102,26 @@ def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     return h2_norm(GeneralizedPlant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r)))), None
 
 
-def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
-    """Returns the largest size of a signal over a bump, of the continuous loop and of MuJoCo."""
-    vehicle = designer.vehicle
-    time = sample_times(vehicle, DURATION, TIMESTEP)
-    (run,) = run_controllers(vehicle, [_linear(designer, one)], Bump(**one.road), time)
+def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
+    """Returns the largest size of a signal over a bump or a step, of the continuous loop and of MuJoCo.
+
+    There is none of MuJoCo if the linear regime ends, as where a step lifts a wheel.
+    """
+    vehicle, step = designer.vehicle, "edge" in one.road
+    road = Step(**one.road) if step else Bump(**one.road)
+    time = sample_times(vehicle, STEP_DURATION, STEP_TIMESTEP) if step else sample_times(vehicle, DURATION, TIMESTEP)
+    (run,) = run_controllers(vehicle, [_linear(designer, one)], road, time)
     exact, mujoco = (float(np.abs(each[one.signal]).max()) for each in (run.continuous, run.physics))
-    return exact, mujoco
+    return exact, mujoco if np.isinf(run.agreement.until) else None
+
+
+def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns a part of a pole of the loop: `at` is its number by rising real part, of each pair one, and 0 or 1 for the part."""
+    cut = continuous(designer.vehicle, _linear(designer, one))
+    poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
+    upper = sorted((pole for pole in poles if pole.imag >= 0), key=lambda pole: pole.real)
+    number, part = one.at
+    return float(upper[number].imag if part else upper[number].real), None
 
 
 @cache
@@ -125,6 +141,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
     "ratio": _ratio,
     "white": _white,
     "peak": _peak,
+    "pole": _pole,
     "paper": _paper,
 }
 
