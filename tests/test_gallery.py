@@ -99,7 +99,7 @@ def test_what_is_not_reproduced(tmp_path, monkeypatch, capsys):
     ("old", "new", "said"),
     [
         ("where =", "were =", "'were' means nothing"),
-        ('what = "zero"', 'what = "pole"', "what = 'pole' is not allowed"),
+        ('what = "zero"', 'what = "root"', "what = 'root' is not allowed"),
         ("sprung_acceleration", "heave", "unknown signal 'heave'"),
         ("licence =", "license =", "license"),
         ("VEHICLE", "none.toml", "none.toml"),

@@ -105,7 +105,7 @@ def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
     """Returns the largest size of a signal over a bump or a step, of the continuous loop and of MuJoCo.
 
-    There is none of MuJoCo if the linear regime ends, as where a step lifts a wheel.
+    MuJoCo's is None if the linear regime ends, as where a step lifts a wheel.
     """
     vehicle, step = designer.vehicle, "edge" in one.road
     road = Step(**one.road) if step else Bump(**one.road)
