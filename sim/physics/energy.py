@@ -141,7 +141,7 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     ends[moved] = _look(vehicle, model, qpos[1:][moved], qvel[1:][moved], midway[:-1][moved])
     rest = _look(vehicle, model, np.zeros_like(qpos[:1]), np.zeros_like(qvel[:1]), np.zeros_like(midway[:1]))
     rubber = _FittedForces(vehicle, model)
-    of_road, of_rubber = rubber.powers(starts, ends, road.held_velocities[: count - 1], h)
+    of_road, of_rubber = rubber.powers(starts, ends, road)
     starts, ends, rest = (rubber.taken_out(each) for each in (starts, ends, rest))
 
     actuators, curves, stops = len(vehicle.linear_model.inputs), vehicle.fitted, _pushing_stops(vehicle)
@@ -218,16 +218,17 @@ class _FittedForces:
         left[:, 0] -= seen[:, seen.shape[1] - 2 * len(self.loads) :: 2] @ self.loads
         return left
 
-    def powers(self, starts: Array, ends: Array, velocities: Array, h: float) -> tuple[Array | float, Array | float]:
+    def powers(self, starts: Array, ends: Array, road: RoadInput) -> tuple[Array | float, Array | float]:
         """Returns the work of the road beyond the springs', and what is lost, over every step [J], shapes (T - 1,).
 
         Args:
             starts, ends: sensors of `_look` at the starts of T steps, and at the ends of the first T - 1.
-            velocities: of the road over the steps [m/s], shape (T - 1, r).
+            road: its velocities are held over the steps.
         """
         if not self.wheels:
             return 0.0, 0.0
-        w, (first, last) = velocities[:, self.wheels], [self._parts(each) for each in (starts[:-1], ends)]
+        h, w = road.timestep, road.held_velocities[: len(ends), self.wheels]
+        first, last = [self._parts(each) for each in (starts[:-1], ends)]
         (length, v), (l_end, v_end) = first, last
         middle = (length + l_end) / 2 + h / 8 * (v - v_end), 1.5 * (l_end - length) / h - (v + v_end) / 4
         by_road, lost = np.zeros(len(w)), np.zeros(len(w))
