@@ -8,18 +8,19 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError, listing, quoted
-from models.roads.road import Bump
+from models.roads.obstacles import OBSTACLES
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.runs.run import run_controllers, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
+from sim.studies.ride.between_samples import exact as between_samples
 from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
-DURATION, TIMESTEP = 3.0, 1e-3  # s; a car has settled after a bump
+TIMESTEP = 1e-3  # s
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
 
@@ -31,11 +32,13 @@ class ComparedNumber:
         printed: the number of the source.
         exact: of linear analysis, in the unit of the source.
         mujoco: in a run of MuJoCo, likewise; None if no run shows it.
+        grid: of linear analysis at the samples of the source's own grid, likewise; None if the entry says none.
     """
 
     printed: PrintedNumber
     exact: float
     mujoco: float | None = None
+    grid: float | None = None
 
     @property
     def reproduced(self) -> bool:
@@ -47,6 +50,16 @@ class ComparedNumber:
         """True if it differs by no more than the entry's reason explains."""
         most = self.printed.half_digit + self.printed.within * abs(self.printed.value)
         return bool(self.printed.reason) and abs(self.exact - self.printed.value) <= most
+
+    @property
+    def wrong(self) -> bool:
+        """True if it is neither reproduced nor explained."""
+        return not self.reproduced and not self.explained
+
+    @property
+    def shown_exact(self) -> str:
+        """The exact number with 9 digits, or with all if the source prints more."""
+        return f"{self.exact:.{17 if self.printed.digits > 12 else 9}g}"
 
     @property
     def verdict(self) -> str:
@@ -61,12 +74,17 @@ def _designer(path: str) -> Designer:
     return Designer(read_vehicle(path))
 
 
+def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
+    """Returns the designs of the vehicle that a number is of."""
+    return _designer(one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle))
+
+
 def _norm(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    return _linear(designer, one).certificate.norm.value, None
+    return linear_of(designer, one).certificate.norm.value, None
 
 
 def _gain(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    return float(_linear(designer, one).law.D[one.at]), None
+    return float(linear_of(designer, one).law.D[one.at]), None
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
@@ -87,7 +105,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 def _ratio(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     """Returns the amplitude of a signal over that of the road's velocity under the first wheel."""
     omega = np.array([2 * np.pi * one.hertz])
-    response = continuous_frequency_response(designer.vehicle, _linear(designer, one), omega)
+    response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), omega)
     return float(np.abs(response[0, designer.vehicle.linear_model.outputs.index(one.signal), 0])), None
 
 
@@ -99,13 +117,62 @@ def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     return h2_norm(GeneralizedPlant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r)))), None
 
 
-def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
-    """Returns the largest size of a signal over a bump, of the continuous loop and of MuJoCo."""
+def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns the real (0) or imaginary (1) part of a pole of the continuous loop: of those not below the real axis, in the
+    order of their sizes.
+    """
+    loop = linear_of(designer, one).loop(designer.vehicle)
+    poles = np.linalg.eigvals(loop.A)
+    poles = poles[poles.imag >= 0]
+    if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
+        raise InputError(
+            f"at = {list(one.at)} is no pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
+        )
+    k, part = one.at
+    pole = poles[np.argsort(np.abs(poles))][k]
+    return float(pole.imag if part else pole.real), None
+
+
+def _static(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns a tyre's deflection at rest, from where it carries nothing."""
     vehicle = designer.vehicle
-    time = sample_times(vehicle, DURATION, TIMESTEP)
-    (run,) = run_controllers(vehicle, [_linear(designer, one)], Bump(**one.road), time)
-    exact, mujoco = (float(np.abs(each[one.signal]).max()) for each in (run.continuous, run.physics))
+    return -vehicle.kind.static_tyre_deflection(vehicle.parameters)[one.signal], None
+
+
+def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
+    """Returns the largest size of a signal over a road, of the continuous loop between samples, and of MuJoCo."""
+    run = driven(designer, one)
+    pieces = between_samples(run, (one.signal,))[one.signal]
+    exact = max(pieces.largest()[0], pieces.times(-1.0).largest()[0])
+    return exact, float(np.abs(run.physics[one.signal]).max())
+
+
+def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
+    """Returns the root mean square of a signal over a road, of the continuous loop and of MuJoCo."""
+    run = driven(designer, one)
+    exact, mujoco = (float(each.rms(one.signal)) for each in (run.continuous, run.physics))
     return exact, mujoco
+
+
+def driven(designer: Designer, one: PrintedNumber) -> Run:
+    """Returns the run that a number is of."""
+    key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration)
+    if key not in _runs:
+        numbers = dict(one.road)
+        road = OBSTACLES[numbers.pop("type", "bump")](**numbers)
+        time = sample_times(designer.vehicle, one.duration, TIMESTEP)
+        (_runs[key],) = run_controllers(designer.vehicle, [linear_of(designer, one)], road, time)
+    return _runs[key]
+
+
+_runs: dict[tuple, Run] = {}
+
+
+def _on_grid(designer: Designer, one: PrintedNumber) -> float:
+    """Returns a number of a run as the source sees it, at the samples of its own grid."""
+    every = round(one.grid / TIMESTEP)
+    values = driven(designer, one).continuous[one.signal][::every]
+    return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
 
 
 @cache
@@ -125,11 +192,19 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
     "ratio": _ratio,
     "white": _white,
     "peak": _peak,
+    "rms": _rms,
+    "pole": _pole,
+    "static": _static,
     "paper": _paper,
 }
 
 
-def _linear(designer: Designer, one: PrintedNumber) -> Controller:
+def linear_of(designer: Designer, one: PrintedNumber) -> Controller:
+    """Returns the controller that a number is of.
+
+    Raises:
+        InputError: it is not linear.
+    """
     controller = designer.design(one.controller)
     if not isinstance(controller, Controller):
         raise InputError(f"controller {one.controller!r} is not linear, and has no {one.what}; name a linear one")
@@ -146,11 +221,11 @@ def compared(entry: Entry) -> list[ComparedNumber]:
     for one in entry.printed:
         if one.what not in KINDS:
             raise InputError(f"{entry.name}: what = {quoted(one.what)} is not allowed; one of {listing(KINDS)}")
-        path = one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle)
-        designer = _designer(path)
+        designer = designer_of(entry, one)
         _check_signal(entry, designer.vehicle, one)
         exact, mujoco = KINDS[one.what](designer, one)
-        numbers.append(ComparedNumber(one, one.scale * exact, None if mujoco is None else one.scale * mujoco))
+        grid = one.scale * _on_grid(designer, one) if one.grid else None
+        numbers.append(ComparedNumber(one, one.scale * exact, None if mujoco is None else one.scale * mujoco, grid))
     return numbers
 
 
