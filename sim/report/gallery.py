@@ -13,7 +13,7 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.gallery.numbers import ComparedNumber, designer_of, driven, linear_of
-from sim.studies.gallery.summary import Result, columns, counts, last_lines, reasons
+from sim.studies.gallery.summary import BRACKETS, Result, columns, counts, last_lines, reasons
 from synth.analysis.norm import largest_singular_values, transfer_matrix
 
 POINTS, MARKS = 800, 25  # points of a drawn line, and of MuJoCo's markers, about
@@ -50,6 +50,7 @@ def _section(entry: Entry, numbers: Sequence[ComparedNumber]) -> Section:
     """Returns the section of an entry."""
     text = [f"{entry.about} Source: {entry.source}. Licence: {entry.licence}.".strip()]
     text += [f"{reason[0].upper()}{reason[1:]}." for reason in reasons(numbers)]
+    text += [f"{BRACKETS[0].upper()}{BRACKETS[1:]}."] if any(one.printed.derived for one in numbers) else []
     text += [f"Not expressible: {one.what}: {one.why}." for one in entry.missing]
     if not numbers:
         return Section(entry.title, entry.name, tuple(text))

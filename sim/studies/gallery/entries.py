@@ -38,6 +38,7 @@ class PrintedNumber:
         symbol: quantity of the paper.
         reason: why it differs here; empty if it does not.
         within: the largest difference that the reason explains, relative.
+        derived: True if the source prints data or a formula alone, from which the value follows as `where` says.
     """
 
     what: str
@@ -57,6 +58,7 @@ class PrintedNumber:
     symbol: str = ""
     reason: str = ""
     within: float = 0.0
+    derived: bool = False
 
     @property
     def half_digit(self) -> float:
@@ -73,8 +75,9 @@ class PrintedNumber:
 
     @property
     def shown(self) -> str:
-        """The printed value with its digits and unit."""
-        return f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+        """The printed value with its digits and unit, in brackets if it is derived."""
+        text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+        return f"({text})" if self.derived else text
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
 TIMESTEP = 1e-3  # s
+ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
 
@@ -130,7 +131,8 @@ def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
         )
     k, part = one.at
     pole = poles[np.argsort(np.abs(poles))][k]
-    return float(pole.imag if part else pole.real), None
+    value = float(pole.imag if part else pole.real)
+    return value if abs(value) > ON_AXIS * abs(pole) else 0.0, None
 
 
 def _static(designer: Designer, one: PrintedNumber) -> tuple[float, None]:

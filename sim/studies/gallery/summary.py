@@ -9,6 +9,7 @@ from sim.studies.gallery.numbers import ComparedNumber
 
 Result = tuple[Entry, Sequence[ComparedNumber]]
 
+BRACKETS = "in brackets: the source prints data or a formula, from which the number follows"
 COLUMNS: tuple[Column[ComparedNumber], ...] = (
     Column("number", lambda one: one.printed.text, key="number"),
     Column("printed", lambda one: one.printed.shown),
@@ -31,6 +32,7 @@ def entry_lines(entry: Entry, numbers: Sequence[ComparedNumber]) -> list[str]:
         shown = columns(numbers)
         lines += table([[column.title for column in shown], *([column.cell(one) for column in shown] for one in numbers)])
     lines += [f"  {reason}" for reason in reasons(numbers)]
+    lines += [f"  {BRACKETS}"] if any(one.printed.derived for one in numbers) else []
     return [*lines, *(f"  not expressible: {one.what}: {one.why}" for one in entry.missing), ""]
 
 
@@ -58,8 +60,9 @@ def brief_lines(results: Sequence[Result]) -> list[str]:
 def last_lines(results: Sequence[Result]) -> list[str]:
     """Returns how many numbers are reproduced, and which sources are there."""
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*(counts(*one) for one in results), strict=True))
-    last = f"{reproduced} numbers reproduced to all printed digits, {differ} differ for a reason, {wrong} NOT REPRODUCED"
-    lines = [f"{last}; {missing} not expressible"]
+    derived = sum(one.printed.derived for _, numbers in results for one in numbers)
+    last = f"{reproduced} numbers reproduced to all digits, {differ} differ for a reason, {wrong} NOT REPRODUCED"
+    lines = [f"{last}; {missing} not expressible; {derived} follow from a source's data or formula, the others are printed"]
     entries = [entry for entry, _ in results]
     if any(entry.name == PAPER for entry in entries):
         with_numbers, without = sources(entries)
@@ -101,6 +104,7 @@ def entry_object(entry: Entry, numbers: Sequence[ComparedNumber]) -> dict[str, A
                 "digits": one.printed.digits,
                 "unit": one.printed.unit,
                 "reason": one.printed.reason,
+                "derived": one.printed.derived,
             }
             for one in numbers
         ],
