@@ -9,7 +9,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, optimize
 
 from models.common.errors import InputError
 from models.figures.reading import notation
@@ -20,6 +20,7 @@ from sim.report.__main__ import main as report
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.gallery import entries
 from sim.studies.gallery.entries import names
+from sim.studies.gallery.numbers import OF_A_RUN
 from sim.studies.ride.step_response import measure_step
 from synth.vehicle.designer import Designer
 from tests.commands import prose
@@ -39,7 +40,7 @@ where = "here"
 """
 
 
-PICTURED = ("peak", "rms", "ratio", "norm")  # kinds of numbers that are of a response
+PICTURED = (*OF_A_RUN, "ratio", "norm")  # kinds of numbers that are of a response
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +240,7 @@ def test_half_car_on_the_road(printed):
     """The half-car that stands on the road rests where Simulink's does, to 1e-15; poles and height over a step are an own
     solution's, MuJoCo follows, and energy balances."""
     _, found = printed
-    front, rear, *poles, peak = (one["exact"] for one in found["simulink_half_car"]["numbers"])
+    front, rear, *poles, peak, overshoot, settling = (one["exact"] for one in found["simulink_half_car"]["numbers"])
     at_rest = -1200 * 9.81 / (2 * (28000 + 21000))
     assert front == pytest.approx(at_rest, rel=1e-15)
     assert rear == pytest.approx(at_rest, rel=1e-15)
@@ -267,6 +268,14 @@ def test_half_car_on_the_road(printed):
     now = step(now, np.array([height, height / 2]), 1, edge)[:4]
     heights = [step(now, np.full(2, height), None, t)[0] for t in np.arange(0.3, 0.36, 1e-4)]
     assert peak == pytest.approx(1e3 * max(heights), rel=1e-7)  # 1e-4 s from a flat top
+    assert overshoot == pytest.approx(100 * (max(heights) / height - 1), rel=1e-6)
+
+    def outside(t):
+        return abs(step(now, np.full(2, height), None, t - late - edge)[0] - height) - 0.02 * height
+
+    grid = np.arange(0.5, 2.0, 2e-3)
+    last = grid[[outside(t) > 0 for t in grid]][-1]
+    assert settling == pytest.approx(optimize.brentq(outside, last, last + 2e-3, xtol=1e-14), rel=1e-9)
 
     vehicle = read_vehicle(str(entries.FOLDER / "simulink_half_car" / "car.toml"))
     (run,) = run_controllers(
@@ -279,7 +288,7 @@ def test_half_car_on_the_road(printed):
     metrics = measure_step(run)["heave_displacement"]
     assert metrics.final == height
     assert metrics.continuous is not None
-    assert metrics.continuous.overshoot == pytest.approx(max(heights) / height - 1, rel=1e-6)
+    assert 100 * metrics.continuous.overshoot == pytest.approx(overshoot, rel=1e-9)
 
 
 def test_sources(printed):

@@ -12,7 +12,7 @@ from models.figures.page import Page, Section, Table
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
-from sim.studies.gallery.numbers import ComparedNumber, designer_of, driven, linear_of
+from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of
 from sim.studies.gallery.summary import BRACKETS, Result, columns, counts, last_lines, reasons
 from synth.analysis.norm import largest_singular_values, transfer_matrix
 
@@ -71,14 +71,14 @@ def _first_of_each(numbers: Sequence[ComparedNumber]) -> list[ComparedNumber]:
     found: dict[tuple, ComparedNumber] = {}
     for one in numbers:
         of = one.printed
-        found.setdefault((of.what in ("peak", "rms"), of.vehicle, of.controller, of.signal, str(of.road), of.hertz), one)
+        found.setdefault((of.what in OF_A_RUN, of.vehicle, of.controller, of.signal, str(of.road), of.hertz), one)
     return [*found.values()]
 
 
 def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) -> Panel | None:
     """Returns the response that a number is of; None if it is of none."""
     designer = designer_of(entry, one)
-    if one.what in ("peak", "rms"):
+    if one.what in OF_A_RUN:
         same = [each.printed for each in numbers if (each.printed.signal, each.printed.road) == (one.signal, one.road)]
         return _over_time(driven(designer, one), [each for each in same if each.what == "peak"], one)
     if one.what == "ratio":

@@ -14,6 +14,7 @@ from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.ride.between_samples import exact as between_samples
+from sim.studies.ride.step_response import measure_step
 from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import GeneralizedPlant
@@ -21,6 +22,8 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
 TIMESTEP = 1e-3  # s
+OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
+OF_A_RUN = ("peak", "rms", *OF_A_STEP)
 ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
@@ -156,6 +159,19 @@ def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
     return exact, mujoco
 
 
+def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float | None]]:
+    """Returns how a metric of a signal's response to a step is found, of the continuous loop and of MuJoCo."""
+
+    def found(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
+        metrics = measure_step(driven(designer, one), one.band)[one.signal]
+        exact, mujoco = (None if each is None else getattr(each, key) for each in (metrics.continuous, metrics.mujoco))
+        if exact is None:
+            raise InputError(f"{one.text}: it is {metrics.continuous and metrics.continuous.settled}; say so as what is missing")
+        return exact, mujoco
+
+    return found
+
+
 def driven(designer: Designer, one: PrintedNumber) -> Run:
     """Returns the run that a number is of."""
     key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration)
@@ -195,6 +211,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
     "white": _white,
     "peak": _peak,
     "rms": _rms,
+    **{key: _of_step(key) for key in OF_A_STEP},
     "pole": _pole,
     "static": _static,
     "paper": _paper,
