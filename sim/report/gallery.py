@@ -32,15 +32,16 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
     headings = ("source", "what it is", "reproduced", "differ for a reason", "not reproduced", "not expressible")
     rows = tuple((entry.title, entry.about or "-", *map(str, counts(entry, numbers))) for entry, numbers in results)
     table = Table("gallery", "Every source, and how many of its numbers come out here.", headings, rows, words=2)
-    reproduced, *_ = last_lines(results)
+    reproduced, *others = last_lines(results)
+    headline, _, derived = reproduced.rpartition("; ")
     return Page(
         "Published results of suspensions, reproduced or refuted",
         tuple(f"{name}: {text}" for name, text in about.items()),
         Section("", "", (), (table,)),
         tuple(_section(*each) for each in results),
         state="fails" if wrong else "holds",
-        headline=f"{reproduced}.",
-        lead=tuple(f"{line}." for line in last_lines(results)[1:]),
+        headline=f"{headline}.",
+        lead=tuple(f"{line[0].upper()}{line[1:]}." for line in (derived, *others)),
         warnings=tuple(f"{sentence}." for sentence in wrong),
         verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
     )
