@@ -13,10 +13,12 @@ from models.common.errors import InputError
 from models.roads.obstacles import Step
 from models.vehicle.vehicle import read_vehicle
 from sim.drive import main
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.between_samples import DEGREE, Pieces
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics
 from tests.commands import prose
 from tests.shared import ran
+from tests.test_python_laws import GAIN, vehicle_of
 
 ROAD, DURATION, STEP = Step(height=0.005, edge=0.2, speed=8.0), 2.0, 1e-3
 
@@ -166,6 +168,25 @@ def test_of_a_run(name):
             else:  # the road at its height midway: the second
                 assert coarse == pytest.approx(true, rel=1e-3)
         assert metrics[signal].mujoco.peak == pytest.approx(metrics[signal].sampled.peak, rel=1e-6)  # RK4, small and on the road
+
+
+def test_of_a_law_in_python(tmp_path):
+    """The exact response to a law's held forces is MuJoCo's to the second power of the step, and a held force is a staircase."""
+    vehicle = read_vehicle(vehicle_of(tmp_path, GAIN))
+    law = vehicle.controllers["mine"].driver()
+    (run,) = run_controllers(vehicle, [law], ROAD, sample_times(vehicle, 1.0, STEP))
+    metrics: Any = measure_step(run)
+    for name, one in metrics.items():
+        for key in ("peak", "iae", "itae") if name != "sprung_acceleration" else ():
+            assert getattr(one.continuous, key) == pytest.approx(getattr(one.mujoco, key), rel=1e-3)
+    # A held force leaves a sawtooth in the acceleration, whose value before the next sample no sample has.
+    jumps = np.diff(run.prediction.requested_force[:, 0]) / vehicle.parameters["sprung_mass"]
+    before = run.continuous["sprung_acceleration"][1:] - jumps
+    assert abs(metrics["sprung_acceleration"].continuous.peak) == pytest.approx(np.abs(before).max(), rel=1e-9)
+    assert np.abs(before).max() > 1.02 * np.abs(run.continuous["sprung_acceleration"]).max()
+    force = run.prediction.requested_force[:-1, 0]
+    assert metrics["control_force"].continuous.iae == pytest.approx(np.abs(force).sum() * STEP, rel=1e-9)
+    assert abs(metrics["control_force"].continuous.peak) == pytest.approx(np.abs(force).max(), rel=1e-12)
 
 
 def test_command(capsys):
