@@ -14,6 +14,7 @@ from scipy import linalg, optimize
 from models.common.errors import InputError
 from models.figures.reading import notation
 from models.roads.obstacles import Step
+from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.gallery import main
 from sim.report.__main__ import main as report
@@ -109,6 +110,32 @@ def test_what_is_not_reproduced(tmp_path, monkeypatch, capsys):
         (tmp_path / "mine" / "entry.toml").write_text(text.replace("VALUE", value) + more)
         assert main(["mine"]) == code
         assert word in prose(capsys.readouterr().out)
+
+
+def test_a_source_with_a_grid(tmp_path, monkeypatch, capsys):
+    """A peak that a source sees at the samples of a plot is what the exact response is there, and no more than its peak."""
+    pytest.importorskip("jinja2", reason="needs the extra [report]")
+    source = entries.FOLDER / "afc_replication"
+    monkeypatch.setattr(entries, "FOLDER", tmp_path)
+    monkeypatch.setattr("sim.studies.gallery.entries.names", lambda: ["mine"])
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "car.toml").write_text((source / "car.toml").read_text())
+    text = ENTRY.replace("VEHICLE", "car.toml").replace('"zero"', '"peak"').replace("VALUE", "7.09")
+    (tmp_path / "mine" / "entry.toml").write_text(f"{text}grid = 0.0405\n")
+    assert main(["mine", "--json"]) == 0
+    ((one,),) = (each["numbers"] for each in json.loads(capsys.readouterr().out)["entries"])
+    vehicle = read_vehicle(tmp_path / "mine" / "car.toml")
+    passive = Designer(vehicle).design("passive")
+    (run,) = run_controllers(vehicle, [passive], Bump(), sample_times(vehicle, 3.0, 5e-4))
+    assert one["grid"] == pytest.approx(np.abs(run.continuous["sprung_acceleration"][::81]).max(), rel=1e-9)
+    assert one["grid"] < one["exact"]
+    assert main(["mine"]) == 0
+    assert "grid" in capsys.readouterr().out
+    assert report(["--gallery", "--out", str(tmp_path / "mine.html")]) == 0
+    assert "the source's grid" in html.unescape((tmp_path / "mine.html").read_text(encoding="utf-8"))
+    (tmp_path / "mine" / "entry.toml").write_text(f"{text}grid = 1e-6\n")
+    with pytest.raises(InputError, match="grid = 1e-06 s is of a peak or an rms"):
+        main(["mine"])
 
 
 @pytest.mark.parametrize(

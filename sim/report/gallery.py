@@ -33,15 +33,14 @@ def gallery_page(results: Sequence[Result], about: dict[str, str]) -> Page:
     rows = tuple((entry.title, entry.about or "-", *map(str, counts(entry, numbers))) for entry, numbers in results)
     table = Table("gallery", "Every source, and how many of its numbers come out here.", headings, rows, words=2)
     reproduced, *others = last_lines(results)
-    headline, _, derived = reproduced.rpartition("; ")
     return Page(
         "Published results of suspensions, reproduced or refuted",
         tuple(f"{name}: {text}" for name, text in about.items()),
         Section("", "", (), (table,)),
         tuple(_section(*each) for each in results),
         state="fails" if wrong else "holds",
-        headline=f"{headline}.",
-        lead=tuple(f"{line[0].upper()}{line[1:]}." for line in (derived, *others)),
+        headline=f"{reproduced}.",
+        lead=tuple(f"{line[0].upper()}{line[1:]}." for line in others),
         warnings=tuple(f"{sentence}." for sentence in wrong),
         verdict="numbers are NOT REPRODUCED" if wrong else "every number is reproduced, or differs for a reason",
     )
@@ -112,8 +111,9 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     curves += [_level(time, side * peak.value) for peak in peaks]
     for peak in peaks:
         if peak.grid:
-            step = round(peak.grid / (time[1] - time[0]))
-            curves.append(Curve(time[::step], exact[::step], "the source's grid", BLACK, "none", "x", name="the source's grid"))
+            seen = np.arange(0, time[-1], peak.grid)
+            values = np.interp(seen, time, exact)
+            curves.append(Curve(seen, values, "the source's grid", BLACK, "none", "x", name="the source's grid"))
     label = f"{one.signal.replace('_', ' ')} [{unit.replace('s2', 's²')}]"
     return Panel(one.signal.replace("_", " "), "time [s]", label, tuple(curves))
 

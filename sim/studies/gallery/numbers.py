@@ -188,8 +188,10 @@ _runs: dict[tuple, Run] = {}
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     """Returns a number of a run as the source sees it, at the samples of its own grid."""
-    every = round(one.grid / TIMESTEP)
-    values = driven(designer, one).continuous[one.signal][::every]
+    if one.what not in ("peak", "rms") or not TIMESTEP / 10 <= one.grid <= one.duration:
+        raise InputError(f"grid = {one.grid:g} s is of a peak or an rms, from {TIMESTEP / 10:g} s to the duration; leave it out")
+    times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
+    values = between_samples(driven(designer, one), (one.signal,))[one.signal].at(times)
     return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
 
 

@@ -62,7 +62,9 @@ def last_lines(results: Sequence[Result]) -> list[str]:
     reproduced, differ, wrong, missing = (sum(each) for each in zip(*(counts(*one) for one in results), strict=True))
     derived = sum(one.printed.derived for _, numbers in results for one in numbers)
     last = f"{reproduced} numbers reproduced to all digits, {differ} differ for a reason, {wrong} NOT REPRODUCED"
-    lines = [f"{last}; {missing} not expressible; {derived} follow from a source's data or formula, the others are printed"]
+    lines = [f"{last}; {missing} not expressible"]
+    if derived:
+        lines.append(f"{derived} of them follow from a source's data or formula, the others are printed")
     entries = [entry for entry, _ in results]
     if any(entry.name == PAPER for entry in entries):
         with_numbers, without = sources(entries)

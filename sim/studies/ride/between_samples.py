@@ -61,6 +61,14 @@ class Pieces:
         """Returns the time [s] of a point of a step, from -1 to 1."""
         return float(self.start[k] + self.length * (x + 1) / 2)
 
+    def at(self, times: Array) -> Array:
+        """Returns the values at times within the steps [s], same shape."""
+        k = np.clip(np.floor((times - self.start[0]) / self.length + ROUNDING).astype(int), 0, len(self.start) - 1)
+        x = 2 * (times - self.start[k]) / self.length - 1
+        points = self.values.shape[1]
+        coefficients = self.values[k] @ _fit(points).T
+        return (chebyshev.chebvander(x, points - 1) * coefficients).sum(axis=-1)
+
     def largest(self) -> tuple[float, float]:
         """Returns the largest value and its time [s]."""
         most, spread = self.values.max(axis=1), np.ptp(self.values, axis=1)
