@@ -223,10 +223,10 @@ def optimum(ms, mu, ks, cs, kt, weights):
 
 
 def upper(A):
-    """Returns real and imaginary parts of the poles that are not below the real axis, by their sizes."""
+    """Returns real and imaginary parts of the poles that are not below the real axis, by falling sizes."""
     poles = np.linalg.eigvals(A)
     poles = poles[poles.imag >= 0]
-    return [part for pole in poles[np.argsort(np.abs(poles))] for part in (pole.real, pole.imag)]
+    return [part for pole in poles[np.argsort(-np.abs(poles))] for part in (pole.real, pole.imag)]
 
 
 def test_derived_numbers(printed):

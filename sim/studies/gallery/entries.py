@@ -30,8 +30,9 @@ class PrintedNumber:
         signal: output signal.
         at: row and column of an entry of a matrix, from 0; empty for a scalar.
         hertz: frequency [Hz].
-        road: a road's numbers by name, and its `type` out of `models.roads.obstacles.OBSTACLES`; without one it is a bump.
-        duration: of the run [s].
+        road: a road's numbers by name, and its `type` out of `models.roads.obstacles.OBSTACLES`; without one it is a
+            bump, or with an `edge` a step.
+        duration, timestep: of the run [s].
         band: half the width of the band of a settling time, as `sim.drive` has it [%].
         grid: step of the samples at which the source looks at its response [s]; 0 if that is not known.
         unit: unit of the value.
@@ -53,6 +54,7 @@ class PrintedNumber:
     hertz: float = 0.0
     road: Mapping[str, Any] = field(default_factory=dict)
     duration: float = 3.0
+    timestep: float = 1e-3
     band: float = 2.0
     grid: float = 0.0
     unit: str = ""

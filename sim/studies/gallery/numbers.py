@@ -1,5 +1,6 @@
 """Numbers of the gallery, computed here: exactly, and in MuJoCo where a run shows them."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -21,7 +22,6 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
-TIMESTEP = 1e-3  # s
 OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
 OF_A_RUN = ("peak", "rms", *OF_A_STEP)
 ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
@@ -122,8 +122,9 @@ def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 
 
 def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    """Returns the real (0) or imaginary (1) part of a pole of the continuous loop: of those not below the real axis, in the
-    order of their sizes.
+    """Returns a part of a pole of the continuous loop.
+
+    `at` is its number by rising real part, then by size, of each pair one; and 0 for the real or 1 for the imaginary part.
     """
     loop = linear_of(designer, one).loop(designer.vehicle)
     poles = np.linalg.eigvals(loop.A)
@@ -133,7 +134,8 @@ def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
             f"at = {list(one.at)} is no pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
-    pole = poles[np.argsort(np.abs(poles))][k]
+    level = np.round(poles.real / np.abs(poles).max(), 9)  # of marginal poles rounding decides no order
+    pole = poles[np.lexsort((np.abs(poles), level))][k]
     value = float(pole.imag if part else pole.real)
     return value if abs(value) > ON_AXIS * abs(pole) else 0.0, None
 
@@ -144,12 +146,15 @@ def _static(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     return -vehicle.kind.static_tyre_deflection(vehicle.parameters)[one.signal], None
 
 
-def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
-    """Returns the largest size of a signal over a road, of the continuous loop between samples, and of MuJoCo."""
+def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
+    """Returns the largest size of a signal over a road, of the continuous loop between samples, and of MuJoCo.
+
+    MuJoCo's is None if the linear regime ends, as where a step lifts a wheel.
+    """
     run = driven(designer, one)
     pieces = between_samples(run, (one.signal,))[one.signal]
     exact = max(pieces.largest()[0], pieces.times(-1.0).largest()[0])
-    return exact, float(np.abs(run.physics[one.signal]).max())
+    return exact, float(np.abs(run.physics[one.signal]).max()) if math.isinf(run.agreement.until) else None
 
 
 def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
@@ -174,11 +179,11 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float
 
 def driven(designer: Designer, one: PrintedNumber) -> Run:
     """Returns the run that a number is of."""
-    key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration)
+    key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration, one.timestep)
     if key not in _runs:
         numbers = dict(one.road)
-        road = OBSTACLES[numbers.pop("type", "bump")](**numbers)
-        time = sample_times(designer.vehicle, one.duration, TIMESTEP)
+        road = OBSTACLES[numbers.pop("type", "step" if "edge" in numbers else "bump")](**numbers)
+        time = sample_times(designer.vehicle, one.duration, one.timestep)
         (_runs[key],) = run_controllers(designer.vehicle, [linear_of(designer, one)], road, time)
     return _runs[key]
 
@@ -188,8 +193,10 @@ _runs: dict[tuple, Run] = {}
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
     """Returns a number of a run as the source sees it, at the samples of its own grid."""
-    if one.what not in ("peak", "rms") or not TIMESTEP / 10 <= one.grid <= one.duration:
-        raise InputError(f"grid = {one.grid:g} s is of a peak or an rms, from {TIMESTEP / 10:g} s to the duration; leave it out")
+    if one.what not in ("peak", "rms") or not one.timestep / 10 <= one.grid <= one.duration:
+        raise InputError(
+            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; leave it out"
+        )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
     values = between_samples(driven(designer, one), (one.signal,))[one.signal].at(times)
     return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
