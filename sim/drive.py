@@ -23,12 +23,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.ride import run_metrics
     from sim.studies.ride.metrics import DEFINITIONS
     from sim.studies.ride.standing import standing_lines, standings_object
+    from sim.studies.ride.step_response import check_band, measure_step, step_lines, step_object, step_of
     from synth.vehicle.designer import Designer
 
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
     road = requested_road(vehicle, options, time)
+    check_band(road, options.band, "band" in options.given)
     comparison.check_view(options)
     check_outputs({"logs": options.logs}, vehicle.files)
 
@@ -48,11 +50,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "definitions": DEFINITIONS,
         "iri": run_metrics.roughness_object(roughness),
     }
+    steps = [measure_step(run, options.band) for run in runs] if step_of(road) else []
     logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive, first, measured)
     if options.json:
-        print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
+        step = {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
+        print(json.dumps({**result, "step": step, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
@@ -66,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for run, one in zip(runs, measured, strict=True):
                 lines += run_metrics.angle_lines(run.controller.name, one)
                 lines += [f"{run.controller.name}: {line}" for line in run_metrics.broken_lines(run)]
+        if steps and not options.brief:
+            lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         lines += ["", *standing_lines(standings, f"MuJoCo, from {time[first]:.4g} s on")]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)

@@ -4,12 +4,13 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import Parser, run_command
-from models.common.printed import Column, Stages, json_object, say, table, titled
+from models.common.printed import Stages, say
 
 EPILOG = """
 Each row has the number that a source prints, ours by linear analysis, and the one
 of a run in MuJoCo where a run shows it. A number is reproduced if ours rounds to
-all its printed digits. Where it differs, the row says why.
+all its printed digits. Where it differs, the row says why. The grid's number is ours at
+the samples of the source's own plot. `sim.report --gallery` is a page of it.
 
 exit code: 0 every number is reproduced or differs for a reason, 1 some does not,
 2 bad input, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal
@@ -24,7 +25,9 @@ def parser() -> Parser:
     """Returns the command-line parser."""
     parser = Parser("sim.gallery", "Compares numbers that others printed of suspensions with ours.", EPILOG)
     parser.add_argument("name", nargs="*", metavar="NAME", help="entry of the gallery (default: all)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    printed = parser.add_mutually_exclusive_group()
+    printed.add_argument("--brief", action="store_true", help="print a line for each entry")
+    printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
 
 
@@ -36,60 +39,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     from sim.studies.gallery.entries import names, read_entry
-    from sim.studies.gallery.numbers import ComparedNumber, compared
+    from sim.studies.gallery.numbers import compared
+    from sim.studies.gallery.summary import brief_lines, entry_lines, entry_object, last_lines, sources_object
 
-    columns: list[Column[ComparedNumber]] = [
-        Column("number", lambda one: one.printed.text, key="number"),
-        Column("printed", lambda one: one.printed.shown),
-        Column("exact", lambda one: one.exact, ".9g", key="exact"),
-        Column("MuJoCo", lambda one: one.mujoco, ".7g", key="mujoco"),
-        Column("verdict", lambda one: one.verdict.partition(":")[0], key="verdict"),
-        Column("where", lambda one: one.printed.where, key="where"),
-    ]
     entries = [read_entry(name) for name in dict.fromkeys(options.name or names())]
-    stage, lines, objects, counts = Stages(*(entry.name for entry in entries)), list[str](), [], [0, 0, 0, 0]
+    stage, results = Stages(*(entry.name for entry in entries)), []
     for entry in entries:
         stage(entry.name)
-        numbers = compared(entry)
-        objects.append(
-            {
-                "name": entry.name,
-                "title": entry.title,
-                "source": entry.source,
-                "numbers": [
-                    {
-                        **json_object(columns, one),
-                        "printed": one.printed.value,
-                        "digits": one.printed.digits,
-                        "unit": one.printed.unit,
-                        "reason": one.printed.reason,
-                    }
-                    for one in numbers
-                ],
-                "missing": [vars(one) for one in entry.missing],
-            }
-        )
-        lines += [*titled(f"{entry.name}: {entry.title}", entry.source)]
-        if numbers:
-            shown = [column for column in columns if column.title != "where"]
-            rows = [[column.cell(one) for column in shown] for one in numbers]
-            lines += table([[column.title for column in shown], *rows])
-        reasons = dict.fromkeys(one.verdict for one in numbers if not one.reproduced)
-        lines += [f"  {reason}" for reason in reasons]
-        lines += [f"  not expressible: {one.what}: {one.why}" for one in entry.missing]
-        lines.append("")
-        counts[0] += sum(one.reproduced for one in numbers)
-        counts[1] += sum(not one.reproduced and one.explained for one in numbers)
-        counts[2] += sum(not one.reproduced and not one.explained for one in numbers)
-        counts[3] += len(entry.missing)
+        results.append((entry, compared(entry)))
     stage.end()
     if options.json:
-        print(json.dumps({"entries": objects}, allow_nan=False))
+        print(json.dumps({"entries": [entry_object(*each) for each in results], **sources_object(entries)}, allow_nan=False))
+    elif options.brief:
+        say([*brief_lines(results), "", *last_lines(results)])
     else:
-        reproduced, differ, wrong, missing = counts
-        last = f"{reproduced} numbers reproduced to all printed digits, {differ} differ for a reason, {wrong} NOT REPRODUCED"
-        say([*lines, f"{last}; {missing} not expressible"])
-    return 1 if counts[2] else 0
+        say([*(line for each in results for line in entry_lines(*each)), *last_lines(results)])
+    return 1 if any(one.wrong for _, numbers in results for one in numbers) else 0
 
 
 if __name__ == "__main__":

@@ -127,6 +127,7 @@ def run(one: Section, folder: Path) -> None:
     (folder / "models").mkdir()
     for path in (ROOT / "models").glob("*.toml"):
         shutil.copy(path, folder / "models")
+    shutil.copytree(ROOT / "models" / "gallery", folder / "models" / "gallery")
     for campaign in one.blocks("toml"):
         (folder / "campaign.toml").write_text(thinner(campaign), encoding="utf-8", newline="\n")
     for line in one.commands:

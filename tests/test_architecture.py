@@ -14,7 +14,9 @@ from sim.inspect.command_line import COMMANDS
 from sim.recording.run_log import RESULTS
 
 ROOT = Path(__file__).parent.parent
-FILES = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+FILES = sorted(
+    path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py") if "gallery" not in path.parts[:-2]
+)
 NAMES = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES}
 MODULES = {name: path for path, name in NAMES.items()}
 

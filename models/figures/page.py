@@ -148,6 +148,7 @@ class Page:
         headline: the answer in a line.
         lead: who is best at what, at which cost, a sentence each.
         warnings: sentences of the answer that do not hold throughout.
+        verdict: the state in words; empty for those of a report on a vehicle file.
     """
 
     title: str
@@ -158,6 +159,7 @@ class Page:
     headline: str = ""
     lead: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    verdict: str = ""
 
     @property
     def parts(self) -> tuple[Section, ...]:
@@ -185,7 +187,7 @@ def render(page: Page) -> str:
         notation=notation,
         brief=BRIEF,
         page=page,
-        verdict=VERDICTS[page.state],
+        verdict=page.verdict or VERDICTS[page.state],
         mark=MARKS[page.state],
         style=_resource("page.css") + _colors(page),
         script=_resource("page.js"),

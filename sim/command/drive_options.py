@@ -24,6 +24,7 @@ diverged or on a flat tyre, is judged until then, and has no metrics.
 examples:
   python -m sim.drive --controller I --class C --speed 20
   python -m sim.drive --controller passive --controller I --road pothole:depth=0.06:length=1.5 --speed 10
+  python -m sim.drive --controller I --road step:height=0.04 --band 5
   python -m sim.drive --controller I --road measured.csv --speed 15 --json
   python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
   python -m sim.drive --vehicle full_car --controller I --class B --seed 7
@@ -47,6 +48,9 @@ def parser() -> Parser:
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
     add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle")
+    parser.add_number(
+        "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
+    )
     add_run_options(parser, 20.0)
     return parser
 

@@ -147,14 +147,15 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     actuators, curves, stops = len(vehicle.linear_model.inputs), vehicle.fitted, _pushing_stops(vehicle)
     stored = starts[:, 0] + starts[:, 1]
     lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
-    middle = 1.5 * np.diff(lengths, axis=0) / h - (speeds[:-1] + speeds[1:]) / 4
+    grown = ends[:, 2::2] - lengths[:-1]  # within a step, over its road, which may carry a damper or an actuator
+    middle = 1.5 * grown / h - (speeds[:-1] + speeds[1:]) / 4
     most = vehicle.limits.actuator_force or np.inf
     forces = np.stack([runs.response[name][index, :count] for name in vehicle.linear_model.inputs], axis=-1)
     forces = along * np.clip(forces, -most, most)
     before, between, after = _forces(vehicle, forces, h)
     work = (before * speeds[:-1, :actuators] + 4 * between * middle[:, :actuators] + after * speeds[1:, :actuators]) * h / 6
     if vehicle.limits.actuator_bandwidth is None:
-        work = forces[:-1] * np.diff(lengths[:, :actuators], axis=0)  # the work of a held force is exact
+        work = forces[:-1] * grown[:, :actuators]  # the work of a held force is exact
     least = None
     if vehicle.dampers:
         response = runs.response.run(index).until(float(time[count - 1]) + h / 2)

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
 COPY = "_printed"  # ends the name of a copy of another controller
 
 EPILOG = """
-exit code: 0 the report is written, 2 bad input
+exit code: 0 the report is written, 2 bad input; with --gallery 1 if a number is not reproduced
 
 examples:
   python -m sim.report --out report.html
   python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
   python -m sim.report --quick --out quick.html
   python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
+  python -m sim.report --gallery --out gallery.html
 """
 
 
@@ -50,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.ride.standing import standing_lines
 
     check_page()
+    if options.gallery:
+        return _gallery(options)
     vehicle = read_vehicle(options.vehicle)
     names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
     others = omitted_controllers(vehicle, options.controller, names)
@@ -82,9 +85,6 @@ def _reported(
     options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
-    from models.common.command import versions
-    from models.common.files import made_folder, together
-    from models.figures.page import write_page
     from sim.command.comparison import controllers_of, say_false_claims
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
@@ -109,23 +109,75 @@ def _reported(
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads)
-    about = {
-        "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "command": shlex.join(["python", *sys.orig_argv[1:]]),
-        "vehicle file": vehicle.source,
-        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
-    }
-    result = report(scope, about, beside)
+    result = report(scope, _about(vehicle.source), beside)
     stage("the page")
-    with ExitStack() as stack:  # all of it, or nothing
-        if options.figures is not None:
-            stack.enter_context(made_folder(options.figures, "figures"))
-        stack.enter_context(together())
-        write_page(result.page, options.out)
-        if options.figures is not None:
-            _write_figures(result.page, options.figures)
+    _write(result.page, options.out, options.figures)
     stage.end()
     return result
+
+
+OF_A_VEHICLE = ("controller", "vehicle", "quick", "front", "load", "timestep")  # options without a meaning for the gallery
+
+
+def _gallery(options: argparse.Namespace) -> int:
+    """Writes the page of the gallery; returns the exit code."""
+    from models.common.errors import InputError
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.figures.picture import check_drawing
+    from sim.report.gallery import gallery_page
+    from sim.studies.gallery.entries import names, read_entry
+    from sim.studies.gallery.numbers import compared
+    from sim.studies.gallery.summary import entry_object, last_lines, sources_object
+
+    repeated = {name for name in ("controller", "load") if getattr(options, "loads" if name == "load" else name)}
+    if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
+        raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
+    outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
+    check_outputs(outputs, (), options.json)
+    if options.figures is not None:
+        check_drawing()
+    stage, results = Stages(*names(), "the page"), []
+    for name in names():
+        stage(name)
+        entry = read_entry(name)
+        results.append((entry, compared(entry)))
+    stage("the page")
+    page = gallery_page(results, _about("models/gallery"))
+    _write(page, outputs["report"], options.figures)
+    stage.end()
+    if options.json:
+        entries = [entry_object(*each) for each in results]
+        whole = {"entries": entries, **sources_object([entry for entry, _ in results]), **written(outputs)}
+        print(json.dumps(whole, allow_nan=False))
+    else:
+        say([*written_lines(outputs)[1:], "", *last_lines(results)])
+    return 1 if page.state == "fails" else 0
+
+
+def _about(source: str) -> dict[str, str]:
+    """Returns when and how a page is made."""
+    from models.common.command import versions
+
+    return {
+        "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "command": shlex.join(["python", *sys.orig_argv[1:]]),
+        "vehicle file": source,
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+    }
+
+
+def _write(page: "Page", out: Path, figures: Path | None) -> None:
+    """Writes a page, with its figures where they are asked for: all of it, or nothing."""
+    from models.common.files import made_folder, together
+    from models.figures.page import write_page
+
+    with ExitStack() as stack:
+        if figures is not None:
+            stack.enter_context(made_folder(figures, "figures"))
+        stack.enter_context(together())
+        write_page(page, out)
+        if figures is not None:
+            _write_figures(page, figures)
 
 
 def _usual(vehicle: "Vehicle") -> list[str]:
@@ -137,7 +189,8 @@ def _usual(vehicle: "Vehicle") -> list[str]:
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle("default: all but printed copies of others, as I_printed is of I")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html)")
+    parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
     parser.add_argument("--quick", action="store_true", help="without margins, map and ride: seconds instead of a minute")
     parser.add_argument(

@@ -30,12 +30,17 @@ class PrintedNumber:
         signal: output signal.
         at: row and column of an entry of a matrix, from 0; empty for a scalar.
         hertz: frequency [Hz].
-        road: of a bump, by the names of `models.roads.road.Bump`; with an `edge` of a step, by those of `Step`.
+        road: a road's numbers by name, and its `type` out of `models.roads.obstacles.OBSTACLES`; without one it is a
+            bump, or with an `edge` a step.
+        duration, timestep: of the run [s].
+        band: half the width of the band of a settling time, as `sim.drive` has it [%].
+        grid: step of the samples at which the source looks at its response [s]; 0 if that is not known.
         unit: unit of the value.
         scale: factor from SI units to `unit`.
         symbol: quantity of the paper.
         reason: why it differs here; empty if it does not.
         within: the largest difference that the reason explains, relative.
+        derived: True if the source prints data or a formula alone, from which the value follows as `where` says.
     """
 
     what: str
@@ -48,11 +53,16 @@ class PrintedNumber:
     at: tuple[int, ...] = ()
     hertz: float = 0.0
     road: Mapping[str, Any] = field(default_factory=dict)
+    duration: float = 3.0
+    timestep: float = 1e-3
+    band: float = 2.0
+    grid: float = 0.0
     unit: str = ""
     scale: float = 1.0
     symbol: str = ""
     reason: str = ""
     within: float = 0.0
+    derived: bool = False
 
     @property
     def half_digit(self) -> float:
@@ -69,8 +79,9 @@ class PrintedNumber:
 
     @property
     def shown(self) -> str:
-        """The printed value with its digits and unit."""
-        return f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+        """The printed value with its digits and unit, in brackets if it is derived."""
+        text = f"{self.value:.{max(self.digits, 0)}f}{f' {self.unit}' if self.unit else ''}"
+        return f"({text})" if self.derived else text
 
 
 @dataclass(frozen=True)
@@ -80,10 +91,12 @@ class MissingNumber:
     Attributes:
         what: the number, in words.
         why: what it needs, in a line.
+        source: that of `SOURCES` which has no number here for this reason; empty if others of it have.
     """
 
     what: str
     why: str
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +111,8 @@ class Entry:
         printed: the numbers that can be compared.
         missing: those that cannot.
         folder: of its vehicle files.
+        about: what it is, in a sentence.
+        sources: those of `SOURCES` whose numbers it has.
     """
 
     name: str
@@ -107,6 +122,31 @@ class Entry:
     printed: tuple[PrintedNumber, ...]
     missing: tuple[MissingNumber, ...]
     folder: Path
+    about: str = ""
+    sources: tuple[str, ...] = ()
+
+
+# Published results that the gallery is about. An entry says which it holds, with numbers or with the reason why there are none.
+SOURCES = (
+    "MathWorks, H-infinity",
+    "MathWorks, robust",
+    "CTMS bus",
+    "control-lab bus",
+    "Quanser rig",
+    "Ulsoy, Peng and Cakmakci",
+    "Thompson",
+    "Simulink half-car",
+    "AFC replication",
+    "Na et al.",
+    "eFMI M06",
+    "INTO-CPS",
+    "ACADO",
+    "Herber and Allison",
+    "Adams co-simulation",
+    "opty",
+    "robust regret",
+    "one mass, LQ",
+)
 
 
 def names() -> list[str]:
@@ -128,8 +168,11 @@ def read_entry(name: str) -> Entry:
     tables = parse_toml(path.read_text(encoding="utf-8"))
     printed = tuple(_read(PrintedNumber, path, one) for one in tables.pop("printed", []))
     missing = tuple(_read(MissingNumber, path, one) for one in tables.pop("missing", []))
+    sources = tuple(tables.pop("sources", ()))
+    if unknown := [one for one in (*sources, *(lack.source for lack in missing if lack.source)) if one not in SOURCES]:
+        raise InputError(f"{path.name} of {name}: unknown source {quoted(unknown[0])}; one of {listing(SOURCES)}")
     try:
-        return Entry(name, printed=printed, missing=missing, folder=path.parent, **tables)
+        return Entry(name, printed=printed, missing=missing, folder=path.parent, sources=sources, **tables)
     except TypeError as error:
         raise InputError(f"{path.name} of {name}: {error}; give title, source, licence, printed and missing") from error
 
@@ -159,7 +202,8 @@ def _paper() -> Entry:
     )
     title = "Static output-feedback H-infinity controllers for vehicle suspensions, equations (40) to (60)"
     source = "Palacios-Quinonero, Rubio-Massegu, Rossell and Karimi"
-    return Entry(PAPER, title, source, "numbers alone are quoted", printed, (), HERE)
+    about = "The paper that this project carries out: its gains, norms and bounds, each in its equation."
+    return Entry(PAPER, title, source, "numbers alone are quoted", printed, (), HERE, about)
 
 
 def _decimals(digit: float) -> int:

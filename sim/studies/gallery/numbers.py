@@ -1,5 +1,6 @@
 """Numbers of the gallery, computed here: exactly, and in MuJoCo where a run shows them."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -8,21 +9,22 @@ import numpy as np
 from scipy import linalg
 
 from models.common.errors import InputError, listing, quoted
-from models.roads.obstacles import Step
-from models.roads.road import Bump
+from models.roads.obstacles import OBSTACLES
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.runs.run import run_controllers, sample_times
+from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
+from sim.studies.ride.between_samples import exact as between_samples
+from sim.studies.ride.step_response import measure_step
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
-DURATION, TIMESTEP = 3.0, 1e-3  # s; a car has settled after a bump
-STEP_DURATION, STEP_TIMESTEP = 1.0, 1e-4  # s; a tyre that damps answers a step within milliseconds
+OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
+OF_A_RUN = ("peak", "rms", *OF_A_STEP)
+ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
 
@@ -34,11 +36,13 @@ class ComparedNumber:
         printed: the number of the source.
         exact: of linear analysis, in the unit of the source.
         mujoco: in a run of MuJoCo, likewise; None if no run shows it.
+        grid: of linear analysis at the samples of the source's own grid, likewise; None if the entry says none.
     """
 
     printed: PrintedNumber
     exact: float
     mujoco: float | None = None
+    grid: float | None = None
 
     @property
     def reproduced(self) -> bool:
@@ -50,6 +54,16 @@ class ComparedNumber:
         """True if it differs by no more than the entry's reason explains."""
         most = self.printed.half_digit + self.printed.within * abs(self.printed.value)
         return bool(self.printed.reason) and abs(self.exact - self.printed.value) <= most
+
+    @property
+    def wrong(self) -> bool:
+        """True if it is neither reproduced nor explained."""
+        return not self.reproduced and not self.explained
+
+    @property
+    def shown_exact(self) -> str:
+        """The exact number with 9 digits, or with all if the source prints more."""
+        return f"{self.exact:.{17 if self.printed.digits > 12 else 9}g}"
 
     @property
     def verdict(self) -> str:
@@ -64,12 +78,17 @@ def _designer(path: str) -> Designer:
     return Designer(read_vehicle(path))
 
 
+def designer_of(entry: Entry, one: PrintedNumber) -> Designer:
+    """Returns the designs of the vehicle that a number is of."""
+    return _designer(one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle))
+
+
 def _norm(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    return _linear(designer, one).certificate.norm.value, None
+    return linear_of(designer, one).certificate.norm.value, None
 
 
 def _gain(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    return float(_linear(designer, one).law.D[one.at]), None
+    return float(linear_of(designer, one).law.D[one.at]), None
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
@@ -90,7 +109,7 @@ def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 def _ratio(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     """Returns the amplitude of a signal over that of the road's velocity under the first wheel."""
     omega = np.array([2 * np.pi * one.hertz])
-    response = continuous_frequency_response(designer.vehicle, _linear(designer, one), omega)
+    response = continuous_frequency_response(designer.vehicle, linear_of(designer, one), omega)
     return float(np.abs(response[0, designer.vehicle.linear_model.outputs.index(one.signal), 0])), None
 
 
@@ -102,26 +121,85 @@ def _white(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     return h2_norm(GeneralizedPlant(model.A, model.B[:, :0], model.Bw, row, nothing, np.zeros((1, r)))), None
 
 
+def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns a part of a pole of the continuous loop.
+
+    `at` is its number by rising real part, then by size, of each pair one; and 0 for the real or 1 for the imaginary part.
+    """
+    loop = linear_of(designer, one).loop(designer.vehicle)
+    poles = np.linalg.eigvals(loop.A)
+    poles = poles[poles.imag >= 0]
+    if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
+        raise InputError(
+            f"at = {list(one.at)} is no pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
+        )
+    k, part = one.at
+    level = np.round(poles.real / np.abs(poles).max(), 9)  # of marginal poles rounding decides no order
+    pole = poles[np.lexsort((np.abs(poles), level))][k]
+    value = float(pole.imag if part else pole.real)
+    return value if abs(value) > ON_AXIS * abs(pole) else 0.0, None
+
+
+def _static(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns a tyre's deflection at rest, from where it carries nothing."""
+    vehicle = designer.vehicle
+    return -vehicle.kind.static_tyre_deflection(vehicle.parameters)[one.signal], None
+
+
 def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
-    """Returns the largest size of a signal over a bump or a step, of the continuous loop and of MuJoCo.
+    """Returns the largest size of a signal over a road, of the continuous loop between samples, and of MuJoCo.
 
     MuJoCo's is None if the linear regime ends, as where a step lifts a wheel.
     """
-    vehicle, step = designer.vehicle, "edge" in one.road
-    road = Step(**one.road) if step else Bump(**one.road)
-    time = sample_times(vehicle, STEP_DURATION, STEP_TIMESTEP) if step else sample_times(vehicle, DURATION, TIMESTEP)
-    (run,) = run_controllers(vehicle, [_linear(designer, one)], road, time)
-    exact, mujoco = (float(np.abs(each[one.signal]).max()) for each in (run.continuous, run.physics))
-    return exact, mujoco if np.isinf(run.agreement.until) else None
+    run = driven(designer, one)
+    pieces = between_samples(run, (one.signal,))[one.signal]
+    exact = max(pieces.largest()[0], pieces.times(-1.0).largest()[0])
+    return exact, float(np.abs(run.physics[one.signal]).max()) if math.isinf(run.agreement.until) else None
 
 
-def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
-    """Returns a part of a pole of the loop: `at` is its number by rising real part, of each pair one, and 0 or 1 for the part."""
-    cut = continuous(designer.vehicle, _linear(designer, one))
-    poles = np.linalg.eigvals(cut.model.A + cut.model.B @ cut.G)
-    upper = sorted((pole for pole in poles if pole.imag >= 0), key=lambda pole: pole.real)
-    number, part = one.at
-    return float(upper[number].imag if part else upper[number].real), None
+def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
+    """Returns the root mean square of a signal over a road, of the continuous loop and of MuJoCo."""
+    run = driven(designer, one)
+    exact, mujoco = (float(each.rms(one.signal)) for each in (run.continuous, run.physics))
+    return exact, mujoco
+
+
+def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float | None]]:
+    """Returns how a metric of a signal's response to a step is found, of the continuous loop and of MuJoCo."""
+
+    def found(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
+        metrics = measure_step(driven(designer, one), one.band)[one.signal]
+        exact, mujoco = (None if each is None else getattr(each, key) for each in (metrics.continuous, metrics.mujoco))
+        if exact is None:
+            raise InputError(f"{one.text}: it is {metrics.continuous and metrics.continuous.settled}; say so as what is missing")
+        return exact, mujoco
+
+    return found
+
+
+def driven(designer: Designer, one: PrintedNumber) -> Run:
+    """Returns the run that a number is of."""
+    key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration, one.timestep)
+    if key not in _runs:
+        numbers = dict(one.road)
+        road = OBSTACLES[numbers.pop("type", "step" if "edge" in numbers else "bump")](**numbers)
+        time = sample_times(designer.vehicle, one.duration, one.timestep)
+        (_runs[key],) = run_controllers(designer.vehicle, [linear_of(designer, one)], road, time)
+    return _runs[key]
+
+
+_runs: dict[tuple, Run] = {}
+
+
+def _on_grid(designer: Designer, one: PrintedNumber) -> float:
+    """Returns a number of a run as the source sees it, at the samples of its own grid."""
+    if one.what not in ("peak", "rms") or not one.timestep / 10 <= one.grid <= one.duration:
+        raise InputError(
+            f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; leave it out"
+        )
+    times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
+    values = between_samples(driven(designer, one), (one.signal,))[one.signal].at(times)
+    return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
 
 
 @cache
@@ -141,12 +219,20 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
     "ratio": _ratio,
     "white": _white,
     "peak": _peak,
+    "rms": _rms,
+    **{key: _of_step(key) for key in OF_A_STEP},
     "pole": _pole,
+    "static": _static,
     "paper": _paper,
 }
 
 
-def _linear(designer: Designer, one: PrintedNumber) -> Controller:
+def linear_of(designer: Designer, one: PrintedNumber) -> Controller:
+    """Returns the controller that a number is of.
+
+    Raises:
+        InputError: it is not linear.
+    """
     controller = designer.design(one.controller)
     if not isinstance(controller, Controller):
         raise InputError(f"controller {one.controller!r} is not linear, and has no {one.what}; name a linear one")
@@ -163,11 +249,11 @@ def compared(entry: Entry) -> list[ComparedNumber]:
     for one in entry.printed:
         if one.what not in KINDS:
             raise InputError(f"{entry.name}: what = {quoted(one.what)} is not allowed; one of {listing(KINDS)}")
-        path = one.vehicle if one.what == "paper" else str(entry.folder / one.vehicle)
-        designer = _designer(path)
+        designer = designer_of(entry, one)
         _check_signal(entry, designer.vehicle, one)
         exact, mujoco = KINDS[one.what](designer, one)
-        numbers.append(ComparedNumber(one, one.scale * exact, None if mujoco is None else one.scale * mujoco))
+        grid = one.scale * _on_grid(designer, one) if one.grid else None
+        numbers.append(ComparedNumber(one, one.scale * exact, None if mujoco is None else one.scale * mujoco, grid))
     return numbers
 
 

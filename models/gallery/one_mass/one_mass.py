@@ -1,0 +1,42 @@
+"""Mass on a spring and a force that stand on the road: one degree of freedom, for laws in closed form."""
+
+import numpy as np
+
+from models import GRAVITY, LinearModel, Parameter, Suspension, VehicleKind, Wheel, signals
+
+FREE = 0.6  # m, from the road to the mass at rest
+STATES = (signals.SUSPENSION_DEFLECTION.name, signals.SPRUNG_VELOCITY.name)
+OUTPUTS = (signals.SUSPENSION_DEFLECTION, signals.SPRUNG_VELOCITY, signals.SPRUNG_ACCELERATION, signals.CONTROL_FORCE)
+
+
+def linear_model(p):
+    """Returns the linear model: d' = v - w, m v' = -k d + u."""
+    A = np.array([[0, 1], [-p["stiffness"] / p["mass"], 0]])
+    B = np.array([[0], [1 / p["mass"]]])
+    C, D = np.vstack([np.eye(2), A[1], [0, 0]]), np.vstack([[0], [0], B[1], [1]])
+    names = ((signals.CONTROL_FORCE.name,), (signals.ROAD_VELOCITY.name,), tuple(one.name for one in OUTPUTS))
+    return LinearModel(A, B, np.array([[-1], [0]]), C, D, STATES, *names, Br=np.zeros((2, 1)), Cr=np.zeros((4, 1)))
+
+
+def static_tyre_deflection(p):
+    """Returns how much the spring is squeezed at rest [m]."""
+    return {STATES[0]: p["mass"] * GRAVITY / p["stiffness"]}
+
+
+def write_mjcf(spec, p):
+    """Writes the parameters into the MJCF."""
+    spec.body("sprung").mass = p["mass"]
+    spec.tendon("suspension").stiffness[0] = p["stiffness"]
+    spec.tendon("suspension").springlength[0] = FREE + static_tyre_deflection(p)[STATES[0]]
+
+
+KIND = VehicleKind(
+    name="one_mass",
+    parameters=(Parameter("mass", "kg", "all of it"), Parameter("stiffness", "N/m", "of its spring")),
+    signals=(signals.ROAD_DISPLACEMENT, signals.ROAD_VELOCITY, *OUTPUTS),
+    wheels=(Wheel("road", signals.ROAD_DISPLACEMENT.name, signals.ROAD_VELOCITY.name, STATES[0]),),
+    suspended=(Suspension(STATES[0], "suspension", signals.CONTROL_FORCE.name, stiffness="stiffness"),),
+    linear_model=linear_model,
+    static_tyre_deflection=static_tyre_deflection,
+    write_mjcf=write_mjcf,
+)

@@ -1,0 +1,212 @@
+"""Signals between their samples, as polynomials: extrema, crossings and integrals by location, and not by the nearest sample.
+
+A piece is one timestep. A linear response is exact at any time, so that it gives as many points of each step as a polynomial
+takes: one of degree 8 follows a mode of 1 rad a step to 1e-11. Samples alone, as MuJoCo's, are joined by cubics through the four
+nearest; a held force is constant from one sample to the next.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from models.common.arrays import Array
+from models.laws.python_law import Programmed
+from models.roads.road import RoadInput
+from sim.linear.forced_response import forced_continuous_response
+from sim.linear.sampled_response import continuous_response
+from sim.response.response import Response
+from sim.runs.run import Run
+
+DEGREE = 8  # of the polynomial of a step
+CUBIC = 3
+MOST_POINTS = 2_000_000  # of a response between samples; of longer runs a polynomial has a lower degree
+BULGE = 0.1  # of its range: by more than this a polynomial of a step does not exceed its points
+ROUNDING = 1e-13  # of the largest value: less is no change of sign
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Signal as one polynomial per step.
+
+    Attributes:
+        start: of every step [s], shape (K,).
+        length: of every step [s].
+        values: at equidistant points of every step, both ends included, shape (K, d + 1).
+    """
+
+    start: Array
+    length: float
+    values: Array
+
+    def less(self, value: float) -> "Pieces":
+        """Returns the signal less a constant."""
+        return replace(self, values=self.values - value)
+
+    def times(self, factor: float) -> "Pieces":
+        """Returns the multiplied signal."""
+        return replace(self, values=self.values * factor)
+
+    def since(self, time: float) -> "Pieces":
+        """Returns the steps that begin at a time [s] or later."""
+        later = self.start >= time
+        return replace(self, start=self.start[later], values=self.values[later])
+
+    def polynomial(self, k: int) -> Array:
+        """Returns the Chebyshev coefficients of a step, over -1..1."""
+        return _fit(self.values.shape[1]) @ self.values[k]
+
+    def time(self, k: int, x: float) -> float:
+        """Returns the time [s] of a point of a step, from -1 to 1."""
+        return float(self.start[k] + self.length * (x + 1) / 2)
+
+    def at(self, times: Array) -> Array:
+        """Returns the values at times within the steps [s], same shape."""
+        k = np.clip(np.floor((times - self.start[0]) / self.length + ROUNDING).astype(int), 0, len(self.start) - 1)
+        x = 2 * (times - self.start[k]) / self.length - 1
+        points = self.values.shape[1]
+        coefficients = self.values[k] @ _fit(points).T
+        return (chebyshev.chebvander(x, points - 1) * coefficients).sum(axis=-1)
+
+    def largest(self) -> tuple[float, float]:
+        """Returns the largest value and its time [s]."""
+        most, spread = self.values.max(axis=1), np.ptp(self.values, axis=1)
+        floor = float(most.max())
+        possible = np.flatnonzero(most + BULGE * spread >= floor)
+        found = (floor, self.time(first := int(most.argmax()), self._point(int(self.values[first].argmax()))))
+        for k in possible[np.argsort(-(most + BULGE * spread)[possible])][:8]:
+            found = max(found, self._largest_in(int(k)), key=lambda one: one[0])
+        return found
+
+    def last_above(self, value: float) -> float | None:
+        """Returns the last time [s] at which the signal's size exceeds a value: infinite at the end, None if it never does."""
+        size = np.abs(self.values)
+        outside = size.max(axis=1) > value
+        last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
+        bulging = np.flatnonzero(size.max(axis=1) + BULGE * np.ptp(self.values, axis=1) > value)
+        for k in bulging[bulging > last][::-1].tolist():
+            if max(self._largest_in(k)[0], self.times(-1.0)._largest_in(k)[0]) > value:
+                last = k
+                break
+        if last < 0:
+            return None
+        if size[last, -1] > value:
+            return np.inf if last == len(self.start) - 1 else self.time(last, 1.0)
+        crossings = [x for side in (value, -value) for x in _roots(_shifted(self.polynomial(last), -side))]
+        return self.time(last, max(crossings, default=1.0))
+
+    def integral_of_size(self) -> tuple[float, float]:
+        """Returns the integrals of the signal's size, and of its product with time, over all steps."""
+        points = self.values.shape[1]
+        weights = _integral(points) * self.length / 2
+        at = self.start[:, None] + self.length * (np.linspace(-1, 1, points) + 1) / 2
+        plain, timed = self.values @ weights, (self.values * at) @ weights
+        size, signed = np.abs(self.values), np.sign(self.values)
+        turning = (size.min(axis=1) < BULGE * np.ptp(self.values, axis=1)) | (signed.min(axis=1) != signed.max(axis=1))
+        turning &= size.max(axis=1) > ROUNDING * size.max(initial=0.0)
+        plain, timed = np.abs(plain), np.abs(timed)
+        nodes, node_weights = np.polynomial.legendre.leggauss(6)
+        for k in np.flatnonzero(turning).tolist():
+            coefficients = self.polynomial(k)
+            edges = np.array([-1.0, *_roots(coefficients), 1.0])
+            half = np.diff(edges) / 2
+            x = (edges[:-1] + half)[:, None] + half[:, None] * nodes
+            part = np.abs(chebyshev.chebval(x, coefficients)) * half[:, None] * node_weights * self.length / 2
+            plain[k] = part.sum()
+            timed[k] = (part * (self.start[k] + self.length * (x + 1) / 2)).sum()
+        return float(plain.sum()), float(timed.sum())
+
+    def _point(self, i: int) -> float:
+        return 2 * i / (self.values.shape[1] - 1) - 1
+
+    def _largest_in(self, k: int) -> tuple[float, float]:
+        """Returns the largest value in a step, and its time [s]."""
+        coefficients = self.polynomial(k)
+        at = np.array([-1.0, *_roots(chebyshev.chebder(coefficients)), 1.0])
+        values = chebyshev.chebval(at, coefficients)
+        best = int(values.argmax())
+        return float(values[best]), self.time(k, float(at[best]))
+
+
+def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
+    """Returns signals of a run's continuous linear response, exact between samples; empty if there is no such response.
+
+    A polynomial of a step within which the road's velocity has a kink is off by 1e-3 of what the kink does in that step.
+    """
+    prediction, time = run.prediction, run.prediction.time
+    if run.vehicle.dampers:
+        return {}
+    parts = max(min(DEGREE, MOST_POINTS // len(time)), 2)
+    h = prediction.timestep
+    within = np.arange((len(time) - 1) * parts + 1) * (h / parts)
+    road, model = RoadInput(run.vehicle, run.road, within), run.vehicle.linear_model
+    if prediction.loop is not None:
+        response = continuous_response(replace(prediction.loop, timestep=h / parts), road)
+    elif isinstance(run.controller, Programmed):
+        response = forced_continuous_response(np.repeat(prediction.requested_force, parts, axis=0)[: len(within)], road)
+    else:
+        return {}
+    found = {}
+    for name in signals:
+        values = response[name]
+        ends = values[parts::parts].copy()
+        if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes behind its step
+            ends -= np.diff(prediction.requested_force, axis=0) @ model.D[model.outputs.index(name)]
+        found[name] = Pieces(time[:-1], h, np.column_stack([values[:-1].reshape(-1, parts), ends]))
+    return found
+
+
+def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
+    """Returns signals of a response that is known at its samples: cubics, and forces as they are held."""
+    time, h = response.time, run.prediction.timestep
+    held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
+    return {
+        name: Pieces(time[:-1], h, np.repeat(response[name][:-1, None], 2, axis=1) if name in held else _cubics(response[name]))
+        for name in signals
+    }
+
+
+def _cubics(values: Array) -> Array:
+    """Returns the four points of each step's cubic, which goes through the four samples next to it, shape (T - 1, 4)."""
+    count = len(values)
+    if count < 4:
+        return np.column_stack([values[:-1], values[1:]])
+    first = np.clip(np.arange(count - 1) - 1, 0, count - 4)
+    offset = np.arange(count - 1) - first
+    grid = np.arange(4.0)
+    found = np.empty((count - 1, 4))
+    for where in range(3):  # which of the three gaps between four samples the step is
+        rows = np.flatnonzero(offset == where)
+        x = where + grid / 3
+        lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])
+        found[rows] = values[first[rows, None] + np.arange(4)] @ lagrange
+    return found
+
+
+def _fit(points: int) -> Array:
+    """Returns the matrix from values at equidistant points to Chebyshev coefficients."""
+    return np.linalg.inv(chebyshev.chebvander(np.linspace(-1, 1, points), points - 1))
+
+
+def _integral(points: int) -> Array:
+    """Returns the weights of the integral over -1..1 of values at equidistant points."""
+    even = np.array([2 / (1 - j * j) if j % 2 == 0 else 0.0 for j in range(points)])
+    return even @ _fit(points)
+
+
+def _shifted(coefficients: Array, by: float) -> Array:
+    moved = coefficients.copy()
+    moved[0] += by
+    return moved
+
+
+def _roots(coefficients: Array) -> Iterator[float]:
+    """Returns the real roots within -1..1 in their order."""
+    size = np.abs(coefficients)
+    if not size.any():
+        return iter(())
+    kept = chebyshev.chebtrim(coefficients, 1e-15 * float(size.max()))
+    roots = chebyshev.chebroots(kept) if len(kept) > 1 else np.zeros(0)
+    real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
+    return iter(np.sort(real[(real > -1) & (real < 1)]).tolist())

@@ -1,0 +1,218 @@
+"""Metrics of the response to a step of the road: peak, overshoot, settling time, integrals of absolute error.
+
+A height ends at the step's height, every other signal at zero. The error is the distance from there. Time begins when the first
+wheel reaches the edge.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.errors import InputError
+from models.common.printed import Column, cells, finite, json_object, table, titles
+from models.roads.obstacles import Step
+from models.roads.road import Road
+from sim.runs.run import Run
+from sim.studies.ride.between_samples import Pieces, exact, sampled
+
+BAND = 2.0  # %
+BANDS = (1e-6, 99.0)  # %, smallest and largest
+SILENT = 1e-9  # of the largest signal of its unit: a signal that symmetry keeps at zero
+SETTLED, NOT_SETTLED, NEVER_OUTSIDE = "settled", "not settled", "never outside"
+
+
+@dataclass(frozen=True)
+class StepMetrics:
+    """Metrics of one signal's response to a step.
+
+    Attributes:
+        peak: the largest value in the direction of the step if the signal is a height, else the value of largest size.
+        peak_time: its time [s].
+        overshoot: of a height, by how much the peak exceeds the step, over the step's height; of others the largest value of
+            the opposite sign after the peak, over the peak.
+        settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
+        settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
+        iae: integral of the absolute error over the run [unit s].
+        itae: integral of time times the absolute error [unit s2].
+    """
+
+    peak: float
+    peak_time: float
+    overshoot: float
+    settling_time: float | None
+    settled: str
+    iae: float
+    itae: float
+
+
+COLUMNS: tuple[Column[StepMetrics], ...] = (
+    Column("peak", lambda one: one.peak, ".5g", key="peak"),
+    Column("at s", lambda one: one.peak_time, ".5g", key="peak_time"),
+    Column("over %", lambda one: 100 * one.overshoot, ".4g"),
+    Column("settled s", lambda one: one.settled if one.settling_time is None else f"{one.settling_time:.5g}"),
+    Column("IAE", lambda one: one.iae, ".4g", key="iae"),
+    Column("ITAE", lambda one: one.itae, ".4g", key="itae"),
+)
+
+
+@dataclass(frozen=True)
+class SignalSteps:
+    """Step metrics of one signal by each route.
+
+    Attributes:
+        unit: SI.
+        final: value that the signal returns to.
+        half_band: largest error within the band, in the signal's unit.
+        mujoco: of the physics, joined between samples; None if the run broke off.
+        sampled: of the exact sampled response, joined likewise.
+        continuous: of the continuous linear response, exact between samples; None for adjustable dampers.
+    """
+
+    unit: str
+    final: float
+    half_band: float
+    mujoco: StepMetrics | None
+    sampled: StepMetrics | None
+    continuous: StepMetrics | None
+
+
+def step_of(road: Road) -> Step | None:
+    """Returns the road if it is a step, without loads; None for others."""
+    return road if isinstance(road, Step) and road.height else None
+
+
+def check_band(road: Road, percent: float, given: bool) -> None:
+    """Checks the band of settling times [%].
+
+    Raises:
+        InputError: it is out of range, or was asked for on a road that is no step.
+    """
+    low, high = BANDS
+    if not low <= percent <= high:
+        raise InputError(f"--band {percent:g} % is not allowed; give {low:g} to {high:g} %")
+    if given and step_of(road) is None:
+        raise InputError("--band is that of a step's response; drive over --road step, without loads, or leave it out")
+
+
+def step_metrics(pieces: Pieces, final: float, height: bool, half_band: float) -> StepMetrics:
+    """Returns the metrics of a signal.
+
+    Args:
+        pieces: the signal.
+        final: value at the end.
+        height: True if it is a height, which rises to `final`.
+        half_band: largest error within the band.
+    """
+    error = pieces.less(final)
+    if height:
+        side = math.copysign(1.0, final)
+        most, peak_time = pieces.times(side).largest()
+        peak, overshoot = side * most, max(most - abs(final), 0.0) / abs(final)
+    else:
+        (up, at_up), (down, at_down) = pieces.largest(), pieces.times(-1.0).largest()
+        peak, peak_time = (up, at_up) if up >= down else (-down, at_down)
+        side = math.copysign(1.0, peak)
+        behind = pieces.since(peak_time)
+        overshoot = max(behind.times(-side).largest()[0], 0.0) / abs(peak) if len(behind.start) else 0.0
+    last = error.last_above(half_band)
+    settled = NEVER_OUTSIDE if last is None else NOT_SETTLED if last == math.inf else SETTLED
+    iae, itae = error.integral_of_size()
+    return StepMetrics(peak, peak_time, overshoot, last if settled == SETTLED else None, settled, iae, itae)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
+def measure_step(run: Run, percent: float = BAND) -> dict[str, SignalSteps]:
+    """Returns the metrics of every output signal that a step of the road moves.
+
+    Args:
+        run: over a `Step`.
+        percent: half the width of the band: of the step's height for heights, of the peak in the continuous response for
+            others (without one, in the sampled response).
+
+    Raises:
+        InputError: the road is no step, or the band is out of range.
+    """
+    step = step_of(run.road)
+    check_band(run.road, percent, True)
+    assert step is not None, "a band has been checked"
+    model = run.vehicle.linear_model
+    finals = dict(zip(model.outputs, (model.Cr.sum(axis=1) * step.height).tolist(), strict=True))
+    units = {name: run.vehicle.kind.signal(name).unit for name in model.outputs}
+    peaks = {name: float(run.sampled.peak(name)) for name in model.outputs}
+    loudest = {unit: max(peaks[name] for name in units if units[name] == unit) for unit in units.values()}
+    names = tuple(name for name in model.outputs if not peaks[name] <= SILENT * loudest[units[name]])
+    routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names)}
+    if run.broke_off is None:
+        routes["mujoco"] = sampled(run, run.physics, names)
+    found = {}
+    for name in names:
+        pieces = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
+        final = finals[name] if abs(finals[name]) > SILENT * abs(step.height) else 0.0
+        if not pieces:
+            continue
+        whole = pieces.get("continuous") or pieces.get("sampled") or pieces["mujoco"]
+        half_band = percent / 100 * (abs(final) or max(whole.largest()[0], whole.times(-1.0).largest()[0]))
+        by_route = {
+            route: step_metrics(pieces[route], final, bool(final), half_band) if route in pieces else None
+            for route in ("mujoco", "sampled", "continuous")
+        }
+        found[name] = SignalSteps(units[name], final, half_band, **by_route)
+    return found
+
+
+def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:
+    """Returns the step metrics of a run for JSON, `linear` being the sampled response as everywhere in files."""
+    return {
+        "controller": run.controller.name,
+        "signals": {
+            name: {
+                "unit": one.unit,
+                "final": one.final,
+                "half_band": one.half_band,
+                **{
+                    key: None if by is None else _object(by)
+                    for key, by in (("mujoco", one.mujoco), ("linear", one.sampled), ("continuous", one.continuous))
+                },
+            }
+            for name, one in metrics.items()
+        },
+    }
+
+
+def _object(one: StepMetrics) -> dict[str, Any]:
+    return {
+        **json_object(COLUMNS, one),
+        "overshoot": finite(one.overshoot),
+        "settling_time": finite(one.settling_time),
+        "settled": one.settled,
+    }
+
+
+def step_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]], percent: float, every: bool) -> list[str]:
+    """Returns the step metrics of runs as tables, with what they mean below.
+
+    Args:
+        every: True for all signals, False for heights and those with a weight.
+    """
+    lines = []
+    for run, metrics in zip(runs, measured, strict=True):
+        weighted = {name for name, weight in run.vehicle.performance.items() if weight}
+        rows: list[Sequence[str] | str] = [(f"{run.controller.name}: step", *titles(COLUMNS))]
+        for name, one in metrics.items():
+            if not (every or one.final or name in weighted):
+                continue
+            rows.append(f"{name} [{one.unit}]")
+            for what, by in (("MuJoCo", one.mujoco), ("sampled", one.sampled), ("exact", one.continuous)):
+                if by is not None and (every or what != "sampled"):
+                    rows.append((f"  {what}", *cells(COLUMNS, [by])[0]))
+        lines += [*table(rows), ""]
+    return [
+        *lines,
+        "  IAE and ITAE in the signal's unit times s and s2, of the distance from where it ends, over the run",
+        f"  settled: from then on within {percent:g} % of the step's height (heights), or of the peak (what returns to zero)",
+        "  over: of a height beyond the step, of others to the opposite side after the peak, over that peak",
+        "  exact: the continuous linear response, located between samples; MuJoCo: cubics through its samples, forces held",
+    ]
