@@ -25,6 +25,7 @@ examples:
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
   python -m synth --controller I --export ecu --numbers float
+  python -m synth --export car.mat
   python -m synth --zero-l
   python -m synth --controller I --fragility
   python -m synth --vehicle quarter_car_goals --picture bands.png
@@ -104,7 +105,10 @@ def _parser() -> Parser:
         help="with --check of a folder: also run the code on a simulated Cortex-M4; needs the extra [export], takes a minute",
     )
     parser.add_argument(
-        "--export", type=Path, metavar="DIR", help="write one controller as C99 with tests, certificate and manifest"
+        "--export",
+        type=Path,
+        metavar="DIR",
+        help="write one controller as C99 with tests, certificate and manifest; to FILE.mat, controllers for MATLAB",
     )
     parser.add_argument(
         "--numbers", choices=("double", "float"), default="double", help="numbers of the code of --export (default: double)"
