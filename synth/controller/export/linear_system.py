@@ -1,6 +1,6 @@
 """Linear systems with named inputs, states and outputs: a vehicle alone, and with its controller, as others import them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ class LinearSystem:
 
     Attributes:
         A, B, C, D: shapes (n, n), (n, m), (p, n), (p, m).
-        inputs: m signals: the roads' velocities, their heights where these act, loads, then forces where no law gives them.
+        inputs: m signals: the roads' velocities, loads, then forces where no law gives them.
         states: n signals.
         outputs: p signals.
     """
@@ -33,25 +33,10 @@ class LinearSystem:
 
 def vehicle_system(vehicle: Vehicle) -> LinearSystem:
     """Returns a vehicle as a system from roads, loads and requested forces to its signals, with its actuators' lag."""
-    model, kind, wheels = with_lag(vehicle), vehicle.kind, vehicle.kind.wheels
-    signals = [kind.signal(wheel.road_velocity) for wheel in wheels]
-    n, p, loads = len(model.A), len(model.C), [load_signal(name) for name in model.loads]
-    columns, through = [model.Bw], [np.zeros((p, len(wheels)))]
-    if np.any(model.Br) or np.any(model.Cr):
-        signals += [kind.signal(wheel.road_displacement) for wheel in wheels]
-        columns.append(model.Br)
-        through.append(model.Cr)
-    forces = [kind.signal(name) for name in model.inputs]
-    kept = [i for i, name in enumerate(model.outputs) if name not in model.inputs]
-    return LinearSystem(
-        model.A,
-        np.hstack([*columns, model.Bl.reshape(n, -1), model.B]),
-        model.C[kept],
-        np.hstack([*through, model.Dl.reshape(p, -1), model.D])[kept],
-        (*signals, *loads, *forces),
-        tuple(kind.signal(name) for name in model.states),
-        tuple(kind.signal(model.outputs[i]) for i in kept),
-    )
+    whole, forces = _all_signals(vehicle), vehicle.linear_model.inputs
+    kept = [i for i, one in enumerate(whole.outputs) if one.name not in forces]
+    outputs = tuple(whole.outputs[i] for i in kept)
+    return replace(whole, C=whole.C[kept], D=whole.D[kept], outputs=outputs)
 
 
 def loop_system(vehicle: Vehicle, controller: Controller) -> LinearSystem:
@@ -60,20 +45,40 @@ def loop_system(vehicle: Vehicle, controller: Controller) -> LinearSystem:
     Raises:
         InputError: a discrete law has no continuous counterpart, or its loop through the measurements no solution.
     """
-    model, whole = with_lag(vehicle), vehicle_system(vehicle)
-    m, n = len(model.inputs), len(model.A)
-    outside, measured = whole.B[:, :-m], [model.outputs.index(name) for name in controller.measured]
-    direct = np.zeros((len(model.C), outside.shape[1]))
-    direct[[model.outputs.index(one.name) for one in whole.outputs]] = whole.D[:, :-m]
-    law = controller.law.continuous().fed_back(model.D[measured])
-    Cy, Dy, k = model.C[measured], direct[measured], law.states
+    whole, m = _all_signals(vehicle), len(vehicle.linear_model.inputs)
+    names = [one.name for one in whole.outputs]
+    measured = [names.index(name) for name in controller.measured]
+    n, outside, B, D = len(whole.A), slice(-m), whole.B[:, -m:], whole.D[:, -m:]
+    law = controller.law.continuous().fed_back(D[measured])
+    Cy, Dy, k = whole.C[measured], whole.D[measured, outside], law.states
     force, of_force = np.hstack([law.D @ Cy, law.C]), law.D @ Dy
     return LinearSystem(
-        np.block([[model.A, np.zeros((n, k))], [law.B @ Cy, law.A]]) + np.vstack([model.B, np.zeros((k, m))]) @ force,
-        np.vstack([outside + model.B @ of_force, law.B @ Dy]),
-        np.hstack([model.C, np.zeros((len(model.C), k))]) + model.D @ force,
-        direct + model.D @ of_force,
+        np.block([[whole.A, np.zeros((n, k))], [law.B @ Cy, law.A]]) + np.vstack([B, np.zeros((k, m))]) @ force,
+        np.vstack([whole.B[:, outside] + B @ of_force, law.B @ Dy]),
+        np.hstack([whole.C, np.zeros((len(whole.C), k))]) + D @ force,
+        whole.D[:, outside] + D @ of_force,
         whole.inputs[:-m],
         (*whole.states, *kept_signals(range(1, k + 1))),
-        tuple(vehicle.kind.signal(name) for name in model.outputs),
+        whole.outputs,
+    )
+
+
+def _all_signals(vehicle: Vehicle) -> LinearSystem:
+    """Returns a vehicle as a system to all its signals, forces included. Where the roads' heights act they are states."""
+    model, kind, wheels = with_lag(vehicle), vehicle.kind, vehicle.kind.wheels
+    n, p, r = len(model.A), len(model.C), len(wheels)
+    A, C, Bw, states = model.A, model.C, model.Bw, [kind.signal(name) for name in model.states]
+    B, loads = np.hstack([model.Bl.reshape(n, -1), model.B]), [load_signal(name) for name in model.loads]
+    if np.any(model.Br) or np.any(model.Cr):
+        A, C, Bw = np.block([[A, model.Br], [np.zeros((r, n + r))]]), np.hstack([C, model.Cr]), np.vstack([Bw, np.eye(r)])
+        B = np.vstack([B, np.zeros((r, B.shape[1]))])
+        states += [kind.signal(wheel.road_displacement) for wheel in wheels]
+    return LinearSystem(
+        A,
+        np.hstack([Bw, B]),
+        C,
+        np.hstack([np.zeros((p, r)), model.Dl.reshape(p, -1), model.D]),
+        (*(kind.signal(wheel.road_velocity) for wheel in wheels), *loads, *(kind.signal(name) for name in model.inputs)),
+        tuple(states),
+        tuple(kind.signal(name) for name in model.outputs),
     )
