@@ -28,7 +28,19 @@ if TYPE_CHECKING:
     from models.laws.law_structure import LawStructure
 
 CONTROLLER_KEYS = (
-    *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "law", "preview", "semi_active", "certificate"),  # the law
+    *(
+        "measured",
+        "gain",
+        *MATRICES,
+        "sample_period",
+        "pid",
+        "file",
+        "law",
+        "fmu",
+        "preview",
+        "semi_active",
+        "certificate",
+    ),  # the law
     "anti_windup",
     *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
