@@ -437,6 +437,44 @@ def test_casadi_reads_the_vehicle(folder, version, tmp_path):
         assert np.array_equal(found, matrix)
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_integrates_the_vehicle(folder, version):
+    """By model exchange, FMPy's integrator finds the free response of the matrix exponential, from a state that is set."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    from scipy.linalg import expm
+
+    system, start = vehicle_system(read_vehicle("quarter_car")), np.array([0.01, 0.0, -0.2, 0.0])
+    names = [one.name for one in system.states]
+    given = {f"state.{name}": value for name, value in zip(names, start, strict=True)}
+    options = {"fmi_type": "ModelExchange", "stop_time": 1.0, "output_interval": 0.1, "relative_tolerance": 1e-8}
+    found = fmpy.simulate_fmu(str(folder / f"car{version}.fmu"), start_values=given, output=names, **options)
+    for row in found:
+        expected = expm(system.A * row["time"]) @ start
+        # CVode's own error; in each state relative to its unit's size.
+        assert [row[name] for name in names] == pytest.approx(expected, rel=0, abs=1e-5)
+
+
+def test_laws_without_states(tmp_path):
+    """A static gain without a sample period takes any step; a semi-active law begins with the damper's nominal coefficient."""
+    assert main(["--controller", "I_printed", "--export", str(tmp_path / "gain.fmu")]) == 0
+    one, vehicle = Slave.of(tmp_path / "gain.fmu"), read_vehicle("quarter_car")
+    ours = PythonStep(exported_law(vehicle, Designer(vehicle, search=False).design("I_printed"), "double", "gain"))
+    at = 0.0
+    for h, row in zip((0.001, 0.5, 0.02), random_inputs(ours.law, 3, 1), strict=True):
+        one.setReal(one.references["input"], row)
+        one.doStep(at, h)
+        at += h
+        assert one.outputs == ours(row)
+    car, semi_active = "quarter_car_semi_active", tmp_path / "sky.fmu"
+    assert main(["--vehicle", car, "--controller", "skyhook", "--export", str(semi_active)]) == 0
+    other, dampers = Slave.of(semi_active), read_vehicle(car)
+    law = PythonStep(exported_law(dampers, dampers.controllers["skyhook"].driver(), "double", "sky"))
+    assert other.outputs == [law.law.dampers[0][0]]
+    h = law.law.period or 0.001
+    for k, row in enumerate(random_inputs(law.law, 50, 1)):
+        assert other.step(k, row, h) == law(row)
+
+
 def test_the_loop_with_states_is_the_analysis():
     """With a law of states, the loop's matrices have the frequency response that the analysis computes by another route."""
     from sim.linear.frequency_response import continuous_frequency_response

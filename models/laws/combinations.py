@@ -22,7 +22,7 @@ KINDS = {  # of controllers: a section is one of them
     "lqr": '`design = "lqr"`',
     "lqg": '`design = "lqg"`',
     "h2": '`design = "h2"`',
-    "law": "`law` (Python)",
+    "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
 DEMANDS = {  # beside a kind
