@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.kinds.signals import CONTROL_FORCE, DAMPING, Signal
 from models.vehicle.vehicle import Vehicle
-from synth.controller.export.c_law import ExportedLaw
+from synth.controller.export.c_law import STILL, ExportedLaw
 from synth.controller.export.c_source import CSource
 from synth.controller.export.linear_system import LinearSystem
 
@@ -49,7 +50,12 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         vehicle: whose law it is.
         law: whose prefix in C is that of no other source of an FMU.
         certificate: SHA-256 of the certificate's file.
+
+    Raises:
+        InputError: its numbers are no floating-point ones.
     """
+    if law.numbers not in STILL:
+        raise InputError(f"an FMU's variables are floating point, and {law.numbers} is not; give --numbers double or float")
     code, m = CSource(law, certificate), len(law.outputs)
     read = zip(law.inputs, law.units, law.meanings, strict=True)
     inputs = [Signal(f"{name}_measured" if name in law.outputs else name, "", unit, meaning) for name, unit, meaning in read]
