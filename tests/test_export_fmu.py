@@ -25,7 +25,7 @@ from synth.__main__ import main
 from synth.controller.export import fmu
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
-from synth.controller.export.fmu_model import law_model
+from synth.controller.export.fmu_model import check_floating
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.vehicle.designer import Designer
 from tests.analysed import continuous_response
@@ -551,7 +551,7 @@ def test_which_options_go_together(tmp_path):
     with refused("--numbers is of a controller's code"):
         main(["--part", "vehicle", "--numbers", "float", "--export", file])
     with refused("an FMU's variables are floating point"):
-        law_model(parse_vehicle(TEXT), replace(_law().law, numbers="int16"), "")
+        check_floating("int16")
     with refused("skyhook"):
         main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])
     assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.command.export import driver_of, saved_with_law
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import c_name, exported_law
-from synth.controller.export.fmu_model import FmuModel, law_model, linear_model
+from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
 from synth.controller.export.folder import CERTIFICATE, VEHICLE, files
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.vehicle.designer import Designer
@@ -105,6 +105,7 @@ def _fmu(vehicle: Vehicle, options: Namespace) -> int:
 
 def _controller(vehicle: Vehicle, options: Namespace) -> tuple[FmuModel, dict[str, str], str]:
     """Returns a controller as the content of an FMU, with the exported folder as its resources."""
+    check_floating(options.numbers)
     names, given = [name for name in vehicle.controller_names if name != "passive"], options.controller or []
     if len(given) > 1:
         raise InputError(f"--export writes one controller; give --controller with one of: {', '.join(names)}")

@@ -43,6 +43,16 @@ class FmuModel:
     sources: Mapping[str, str]
 
 
+def check_floating(numbers: str) -> None:
+    """Refuses numbers that are not floating point, as an FMU's variables are.
+
+    Raises:
+        InputError: they are whole numbers.
+    """
+    if numbers not in STILL:
+        raise InputError(f"an FMU's variables are floating point, and {numbers} is not; give --numbers double or float")
+
+
 def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
     """Returns a law as the content of an FMU for co-simulation.
 
@@ -50,12 +60,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         vehicle: whose law it is.
         law: whose prefix in C is that of no other source of an FMU.
         certificate: SHA-256 of the certificate's file.
-
-    Raises:
-        InputError: its numbers are no floating-point ones.
     """
-    if law.numbers not in STILL:
-        raise InputError(f"an FMU's variables are floating point, and {law.numbers} is not; give --numbers double or float")
     code, m = CSource(law, certificate), len(law.outputs)
     read = zip(law.inputs, law.units, law.meanings, strict=True)
     inputs = [Signal(f"{name}_measured" if name in law.outputs else name, "", unit, meaning) for name, unit, meaning in read]
