@@ -476,11 +476,13 @@ def test_laws_without_states(tmp_path):
         assert other.step(k, row, h) == law(row)
 
 
-def test_the_loop_with_states_is_the_analysis():
-    """With a law of states, the loop's matrices have the frequency response that the analysis computes by another route."""
+@pytest.mark.parametrize("lag", ["", "actuator_bandwidth = 50.0\n"])
+def test_the_loop_with_states_is_the_analysis(lag):
+    """With a law of states, and with a lag, the loop's matrices have the frequency response of the analysis, by another route."""
     from sim.linear.frequency_response import continuous_frequency_response
 
-    vehicle = parse_vehicle(TEXT)
+    vehicle = parse_vehicle(TEXT + lag)
+    assert [one.name for one in vehicle_system(vehicle).states[4:]] == ["lagged_control_force"] * bool(lag)
     plain = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None, delay=0, quantisation={}))
     controller, omega = Designer(plain, search=False).design("law"), np.array([3.0, 30.0])
     system = loop_system(plain, controller)

@@ -67,7 +67,11 @@ def _all_signals(vehicle: Vehicle) -> LinearSystem:
     """Returns a vehicle as a system to all its signals, forces included. Where the roads' heights act they are states."""
     model, kind, wheels = with_lag(vehicle), vehicle.kind, vehicle.kind.wheels
     n, p, r = len(model.A), len(model.C), len(wheels)
-    A, C, Bw, states = model.A, model.C, model.Bw, [kind.signal(name) for name in model.states]
+    forces = [kind.signal(name) for name in model.inputs]
+    lagged = [
+        replace(one, name=name) for one, name in zip(forces, model.states[len(vehicle.linear_model.states) :], strict=False)
+    ]
+    A, C, Bw, states = model.A, model.C, model.Bw, [kind.signal(name) for name in vehicle.linear_model.states] + lagged
     B, loads = np.hstack([model.Bl.reshape(n, -1), model.B]), [load_signal(name) for name in model.loads]
     if np.any(model.Br) or np.any(model.Cr):
         A, C, Bw = np.block([[A, model.Br], [np.zeros((r, n + r))]]), np.hstack([C, model.Cr]), np.vstack([Bw, np.eye(r)])
@@ -78,7 +82,7 @@ def _all_signals(vehicle: Vehicle) -> LinearSystem:
         np.hstack([Bw, B]),
         C,
         np.hstack([np.zeros((p, r)), model.Dl.reshape(p, -1), model.D]),
-        (*(kind.signal(wheel.road_velocity) for wheel in wheels), *loads, *(kind.signal(name) for name in model.inputs)),
+        (*(kind.signal(wheel.road_velocity) for wheel in wheels), *loads, *forces),
         tuple(states),
         tuple(kind.signal(name) for name in model.outputs),
     )
