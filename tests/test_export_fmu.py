@@ -378,7 +378,7 @@ def test_the_vehicle_is_our_exact_response(folder, kind):
     ours = forced_continuous_response(forces, RoadInput(vehicle, road, time))
     for name in vehicle.linear_model.states:
         scale = np.abs(ours[name]).max()
-        # Two routes of one exponential: measured 1e-13.
+        # Two routes of one exponential: measured 7e-15.
         assert values[:, names.index(name)] == pytest.approx(ours[name], rel=0, abs=1e-9 * scale)
 
 
