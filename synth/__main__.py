@@ -27,6 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return check_folder(options.check, options)
     vehicle = read_vehicle(options.check or options.vehicle)
     if options.export is not None:
+        from synth.command.export_file import SUFFIXES, export_file
+
+        if options.export.suffix in SUFFIXES:
+            return export_file(vehicle, options)
         from synth.command.export import export
 
         return export(vehicle, options)

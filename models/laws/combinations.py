@@ -22,7 +22,7 @@ KINDS = {  # of controllers: a section is one of them
     "lqr": '`design = "lqr"`',
     "lqg": '`design = "lqg"`',
     "h2": '`design = "h2"`',
-    "law": "`law` (Python)",
+    "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
 DEMANDS = {  # beside a kind
@@ -102,6 +102,7 @@ def goes(what: str, parts: Collection[str]) -> bool:
 def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[str, str]:
     """Returns the parts of a section, each as the section has it written. Values are not checked."""
     parts: dict[str, str] = {key: key for key in ("gain", "law", "semi_active") if key in section}
+    parts |= {"law": "fmu"} if "fmu" in section else {}
     filtered = isinstance(structure := section.get("structure"), str) and structure in PATTERNS
     if matrices := [key for key in (*MATRICES, "sample_period", *["pid"] * (not filtered)) if key in section]:
         parts["states"] = matrices[0]

@@ -12,21 +12,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from models.common.errors import InputError, quoted
-from models.common.files import MIB, read_text
+from models.common.errors import InputError, listing, quoted
+from models.common.files import MIB, origin, read_bytes, read_text
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.py):(?P<function>[^\W\d]\w*)")
+FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.fmu")
 GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
-MOST_TEXT = MIB  # bytes of its file
+GIVE_FMU = 'give a file beside the vehicle file, as in fmu = "their.fmu"'
+MOST_TEXT, MOST_FMU = MIB, 200 * MIB  # bytes of its file
 FURTHEST = 60.0  # s of the road ahead
 
 
 @dataclass(frozen=True)
 class PythonLaw:
-    """Law in Python, as a vehicle file names it.
+    """Law in Python, or FMU that such a law steps, as a vehicle file names it.
 
     Attributes:
-        law: `FILE.py:FUNCTION`.
+        law: `FILE.py:FUNCTION`, or `FILE.fmu`.
         preview: how far ahead it gets the road [s]; None if it does not get it.
         folder: of the vehicle file; None for a vehicle file from text, whose laws cannot be run.
     """
@@ -38,17 +40,22 @@ class PythonLaw:
     @property
     def file(self) -> str:
         """File of the law, relative to the folder."""
-        return self.law.rpartition(":")[0]
+        return self.law if self.is_fmu else self.law.rpartition(":")[0]
+
+    @property
+    def is_fmu(self) -> bool:
+        """True if it is an FMU."""
+        return FMU.fullmatch(self.law) is not None
 
     @property
     def function(self) -> str:
         """Name of the function."""
-        return self.law.rpartition(":")[2]
+        return "step" if self.is_fmu else self.law.rpartition(":")[2]
 
     @property
     def record(self) -> dict[str, Any]:
         """The law as JSON and TOML hold it."""
-        return {"law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
+        return {"fmu" if self.is_fmu else "law": self.law} | ({"preview": self.preview} if self.preview is not None else {})
 
     @property
     def path(self) -> Path | None:
@@ -56,7 +63,7 @@ class PythonLaw:
         return None if self.folder is None else self.folder / self.file
 
     def source(self) -> str:
-        """Reads the text of the law's file without running it.
+        """Reads the text of the law's file without running it; of an FMU, the text that steps it, with its checksum.
 
         Raises:
             InputError: there is no such file, it lies outside the folder, is too large, or no text.
@@ -67,6 +74,11 @@ class PythonLaw:
         where, folder = (Path(os.path.realpath(name)) for name in (path, self.folder))  # raises nothing for a loop of links
         if not where.is_relative_to(folder):
             raise InputError(f"law {self.law}: is a link out of the folder of the vehicle file; {GIVE}")
+        if self.is_fmu:
+            content = read_bytes(path, "FMU", MOST_FMU, GIVE_FMU)
+            digest = hashlib.sha256(content).hexdigest()
+            steps = f'from models.vehicle.foreign_fmu import law_of\n\nstep = law_of(__file__, "{digest}")\n'
+            return f"{origin(self.law, content)}\n{steps}"
         return read_text(path, "law", MOST_TEXT, GIVE)
 
 
@@ -103,7 +115,8 @@ class Programmed:
         """The law on one line."""
         preview = self.law.preview
         ahead = "" if preview is None else f", told the road {preview:g} s ahead"
-        return f"law in Python {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
+        kind = "FMU" if self.law.is_fmu else "law in Python"
+        return f"{kind} {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
 
     @property
     def record(self) -> dict[str, Any]:
@@ -122,6 +135,17 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
     Raises:
         InputError: `law` or `preview` is not allowed.
     """
+    if "fmu" in entry:
+        fmu = entry["fmu"]
+        named = isinstance(fmu, str) and FMU.fullmatch(fmu) is not None and not Path(fmu).is_absolute()
+        if not named or ".." in Path(fmu).parts:
+            raise InputError(f"{where} fmu = {quoted(fmu)} is no FMU; {GIVE_FMU}")
+        beside = [key for key in ("law", "preview") if key in entry]
+        if beside:
+            raise InputError(
+                f"{where} has an fmu and {listing(beside)}; an FMU is a law by itself, and is told no road: leave one out"
+            )
+        return PythonLaw(fmu, None, folder)
     if "law" not in entry:
         if "preview" in entry:
             raise InputError(f"{where} preview is what a law in Python is told of the road ahead; {GIVE}, or take it out")

@@ -64,6 +64,11 @@ class Sample:
         self._index, self.y, self.time, self.period = index, y, time, period
         self.preview, self.parameters = preview, parameters
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The names of `y`, in its order."""
+        return tuple(self._index)
+
     def __getitem__(self, signal: str) -> Any:
         if signal not in self._index:
             raise InputError(f"it measures no {quoted(signal)}, but {', '.join(self._index)}")

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from models.laws.law_structure import LawStructure
 
 CONTROLLER_KEYS = (
-    *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "law", "preview", "semi_active", "certificate"),  # the law
+    *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
+    *("law", "preview", "fmu"),  # what is run as it is
     "anti_windup",
     *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )

@@ -74,13 +74,16 @@ def text_in(folder: Path, text: str, laws: Mapping[str, PythonLaw]) -> str:
     for name, place in places.items():
         if place.startswith(os.pardir):
             raise InputError(f"its law {laws[name].law} would be outside of {folder}")
-    named = {name: f"{Path(place).as_posix()}:{laws[name].function}" for name, place in places.items()}
-    named = {name: law for name, law in named.items() if law != Path(laws[name].law).as_posix()}
-    whole = in_place_of(text, "law", {name: f"law = {json.dumps(law, ensure_ascii=False)}" for name, law in named.items()})
-    for name, law in named.items():
-        if controllers_of(whole)[name].get("law") != law:
-            raise InputError(f'[controllers.{name}] its law is not named on a line of its own; write law = "{law}" on one')
-    return whole
+    for key in ("law", "fmu"):
+        some = {name: place for name, place in places.items() if laws[name].is_fmu == (key == "fmu")}
+        ends = {name: "" if key == "fmu" else f":{laws[name].function}" for name in some}
+        named = {name: f"{Path(place).as_posix()}{ends[name]}" for name, place in some.items()}
+        named = {name: law for name, law in named.items() if law != Path(laws[name].law).as_posix()}
+        text = in_place_of(text, key, {name: f"{key} = {json.dumps(law, ensure_ascii=False)}" for name, law in named.items()})
+        for name, law in named.items():
+            if controllers_of(text)[name].get(key) != law:
+                raise InputError(f'[controllers.{name}] its law is not named on a line of its own; write {key} = "{law}" on one')
+    return text
 
 
 KEY = "family"
@@ -196,7 +199,7 @@ def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], s
     file = entry["file"]
     if not isinstance(file, str) or not file:
         raise InputError(f"file = {quoted(file)} is no file's name; {GIVE_LAW}")
-    beside = [key for key in ("gain", "law", *MATRICES) if key in entry]
+    beside = [key for key in ("gain", "law", "fmu", *MATRICES) if key in entry]
     if beside:
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file

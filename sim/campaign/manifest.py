@@ -135,8 +135,8 @@ def _is_its_kind(name: str, value: Any) -> bool:
         numbers = ("sample_period", "anti_windup")
         if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get(key, 0) for key in numbers]):
             return False
-        if "law" in value:
-            return set(value) - {"preview"} == {"measured", "law", "sha256"} and text(value["law"]) and text(value["sha256"])
+        if key := next((key for key in ("law", "fmu") if key in value), None):
+            return set(value) - {"preview"} == {"measured", key, "sha256"} and text(value[key]) and text(value["sha256"])
         if "semi_active" in value:
             numbers = [value[key] for key in set(value) - {"measured", "semi_active"}]
             return text(value["semi_active"]) and row(numbers)

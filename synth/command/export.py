@@ -14,7 +14,7 @@ from models.common.files import made_folder, read_text
 from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.command.save import SUFFIX, saved_text
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, Driver
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.folder import CERTIFICATE, MANIFEST, SEED, VEHICLE, files, with_tables
@@ -38,7 +38,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
     prefix = c_name(name)
-    saved, own = _saved(vehicle, name)
+    saved, own = saved_with_law(vehicle, name)
     texts = _texts(saved, own, options.numbers, prefix)
     with (
         made_folder(folder.parent, "export"),
@@ -68,7 +68,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     return 0
 
 
-def _saved(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
+def saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     """Returns the vehicle whose file holds the controller's law, and the controller's name in it."""
     entry = vehicle.controllers.get(name)
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
@@ -82,11 +82,12 @@ def _saved(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
 
 
 def _texts(vehicle: Vehicle, name: str, numbers: str, prefix: str) -> dict[str, str]:
-    driver = _driver(vehicle, name)
+    driver = driver_of(vehicle, name)
     return files(vehicle, driver, exported_law(vehicle, driver, numbers, prefix))
 
 
-def _driver(vehicle: Vehicle, name: str):
+def driver_of(vehicle: Vehicle, name: str) -> Driver:
+    """Returns the controller of that name, whose law the vehicle file gives."""
     if name in vehicle.linear_names:
         return Designer(vehicle, search=False).design(name)
     return vehicle.controllers[name].driver()
@@ -114,7 +115,7 @@ def check_folder(folder: Path, options: Namespace) -> int:
     text = read_text(folder / VEHICLE, "vehicle file", MOST, "name a folder of --export")
     try:
         vehicle = parse_vehicle(text, folder=folder)
-        driver = _driver(vehicle, name)
+        driver = driver_of(vehicle, name)
         law = exported_law(vehicle, driver, numbers, prefix)
     except (InputError, KeyError) as error:
         raise InputError(

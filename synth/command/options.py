@@ -25,6 +25,9 @@ examples:
   python -m synth --controller I --refine --save my_car.toml
   python -m synth --check my_car.toml
   python -m synth --controller I --export ecu --numbers float
+  python -m synth --export car.mat
+  python -m synth --controller I --export controller.fmu
+  python -m synth --part vehicle --export car.fmu --fmi 3
   python -m synth --zero-l
   python -m synth --controller I --fragility
   python -m synth --vehicle quarter_car_goals --picture bands.png
@@ -55,11 +58,17 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
         )
     others = {"zero_l", "refine", "save", "check", "cross_check", "prove", "rates", "fragility", "front", "picture"}
     if options.export is not None and options.given & others:
-        raise InputError("--export writes one controller; it goes with --controller, --vehicle, --numbers and --json only")
+        raise InputError(
+            "--export writes one controller; it goes with --controller, --vehicle, --numbers, --part, --fmi and --json only"
+        )
     if options.cortex_m4 and not (options.check is not None and options.check.is_dir()):
         raise InputError("--cortex-m4 runs exported code; give its folder with --check, or leave it out")
     if options.export is None and "numbers" in options.given:
         raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
+    fmu = options.export is not None and options.export.suffix == ".fmu"
+    for name in ("part", "fmi"):
+        if not fmu and name in options.given:
+            raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or leave it out")
     for name in ("csv", "point"):
         if options.front is None and name in options.given:
             raise InputError(f"--{name} is of the designs of --front; give its axes with --front, or leave it out")
@@ -104,8 +113,20 @@ def _parser() -> Parser:
         help="with --check of a folder: also run the code on a simulated Cortex-M4; needs the extra [export], takes a minute",
     )
     parser.add_argument(
-        "--export", type=Path, metavar="DIR", help="write one controller as C99 with tests, certificate and manifest"
+        "--export",
+        type=Path,
+        metavar="DIR",
+        help="write one controller as C99 with tests, certificate and manifest; to FILE.mat, controllers for MATLAB; to "
+        "FILE.fmu, what --part says as an FMU",
     )
+    parser.add_argument(
+        "--part",
+        choices=("controller", "vehicle", "loop"),
+        default="controller",
+        help="what an FMU of --export is: a controller as its computer runs it, the linear vehicle, or both as one linear system "
+        "(default: controller)",
+    )
+    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI of an FMU of --export (default: 2)")
     parser.add_argument(
         "--numbers", choices=("double", "float"), default="double", help="numbers of the code of --export (default: double)"
     )

@@ -1,0 +1,179 @@
+"""modelDescription.xml of an FMU, for FMI 2.0 and 3.0, and buildDescription.xml of 3.0."""
+
+from collections.abc import Mapping, Sequence
+from xml.sax.saxutils import quoteattr
+
+from models.kinds.signals import OWN, Signal
+from synth.controller.export.fmu_model import FmuModel
+
+BASE = {
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "m/s3": {"m": 1, "s": -3},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N/s": {"kg": 1, "m": 1, "s": -3},
+    "N m": {"kg": 1, "m": 2, "s": -2},
+    "N s/m": {"kg": 1, "s": -1},
+    "s": {"s": 1},
+}
+RATES = {"m/s": "m/s2", "m/s2": "m/s3", "rad/s": "rad/s2"}
+CATEGORIES = ("logStatusError", "logStatusDiscard")
+STEP, SAMPLES = 0.001, 1000  # s, of a system that has no period; samples of the default experiment
+Attributes = Mapping[str, str | float | bool | None]
+
+
+def description(model: FmuModel, version: int, token: str, files: Sequence[str]) -> str:
+    """Returns modelDescription.xml.
+
+    Args:
+        model: what the FMU holds.
+        version: 2 or 3, of FMI.
+        token: GUID or instantiation token.
+        files: C files that are compiled.
+    """
+    head = {
+        "fmiVersion": f"{version}.0",
+        "modelName": model.title,
+        "guid" if version == 2 else "instantiationToken": token,
+        "description": _about(model),
+        "generationTool": "Roadproof",
+        "variableNamingConvention": "structured",
+    }
+    head |= {"numberOfEventIndicators": 0} if version == 2 else {}
+    step = STEP if model.period is None else model.period
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', f"<fmiModelDescription{_written(head)}>"]
+    for kind in ["ModelExchange"] * bool(model.states) + ["CoSimulation"]:
+        lines += _interface(model, kind, version, files)
+    lines += _units(model)
+    lines += ["  <LogCategories>", *(f"    <Category{_written({'name': one})}/>" for one in CATEGORIES), "  </LogCategories>"]
+    lines.append(f"  <DefaultExperiment{_written({'startTime': 0, 'stopTime': SAMPLES * step, 'stepSize': step})}/>")
+    lines += ["  <ModelVariables>", *_variables(model, version), "  </ModelVariables>"]
+    lines += ["  <ModelStructure>", *_structure(model, version), "  </ModelStructure>", "</fmiModelDescription>"]
+    return "\n".join(lines) + "\n"
+
+
+def build_description(model: FmuModel, files: Sequence[str]) -> str:
+    """Returns buildDescription.xml of FMI 3, in which the sources are C99 files of one set."""
+    listed = "".join(f"      <SourceFile{_written({'name': name})}/>\n" for name in files)
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
+        f"  <BuildConfiguration{_written({'modelIdentifier': model.identifier})}>\n"
+        f'    <SourceFileSet language="C99">\n{listed}    </SourceFileSet>\n  </BuildConfiguration>\n</fmiBuildDescription>\n'
+    )
+
+
+def _about(model: FmuModel) -> str:
+    if model.states:
+        return f"{model.title}. SI units, from static equilibrium. In co-simulation inputs are held over a step, which is exact."
+    if model.period is None:
+        return f"{model.title}. A step computes outputs of the inputs that are set, and may have any length."
+    return (
+        f"{model.title}. A step of {model.period:g} s, and no other, computes outputs of the inputs that are set: step it before "
+        "the vehicle, or its outputs act a period later."
+    )
+
+
+def _written(attributes: Attributes) -> str:
+    """Returns attributes as XML, without those that are None."""
+    return "".join(f" {name}={quoteattr(_text(value))}" for name, value in attributes.items() if value is not None)
+
+
+def _text(value: str | float | bool | None) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return value if isinstance(value, str) else repr(value)
+
+
+def _interface(model: FmuModel, kind: str, version: int, files: Sequence[str]) -> list[str]:
+    linear, steps, two = bool(model.states), kind == "CoSimulation", version == 2
+    attributes: dict[str, str | float | bool | None] = {"modelIdentifier": model.identifier}
+    attributes |= {"canNotUseMemoryManagementFunctions": True} if two else {}
+    attributes |= {"canGetAndSetFMUstate" if two else "canGetAndSetFMUState": True}
+    attributes |= {"canSerializeFMUstate" if two else "canSerializeFMUState": True}
+    attributes |= {"providesDirectionalDerivative" if two else "providesDirectionalDerivatives": linear}
+    if steps:
+        attributes |= {"canHandleVariableCommunicationStepSize": model.period is None}
+        attributes |= {} if two else {"fixedInternalStepSize": model.period}
+    if not two:
+        return [f"  <{kind}{_written(attributes)}/>"]
+    listed = [f"      <File{_written({'name': name})}/>" for name in files]
+    return [f"  <{kind}{_written(attributes)}>", "    <SourceFiles>", *listed, "    </SourceFiles>", f"  </{kind}>"]
+
+
+def _units(model: FmuModel) -> list[str]:
+    units = {_unit(one) for one in (*model.inputs, *model.outputs, *model.states)}
+    units |= {_rate(one) for one in model.states} | {"s"}
+    lines = ["  <UnitDefinitions>"]
+    for unit in sorted(unit for unit in units if unit is not None):
+        base = f"<BaseUnit{_written(BASE[unit])}/>" if unit in BASE else ""
+        lines.append(f"    <Unit{_written({'name': unit})}>{base}</Unit>")
+    return [*lines, "  </UnitDefinitions>"]
+
+
+def _unit(signal: Signal) -> str | None:
+    return None if signal.unit == OWN else signal.unit
+
+
+def _rate(signal: Signal) -> str | None:
+    """Returns the unit of a state's derivative."""
+    return None if signal.unit == OWN else RATES.get(signal.unit, f"{signal.unit}/s")
+
+
+def _variables(model: FmuModel, version: int) -> list[str]:
+    """Returns the variables by their value references: inputs, outputs, states, derivatives, and time, which FMI 3 asks for."""
+    rows: list[tuple[str, str, Attributes, Attributes]] = []
+    sampled = "continuous" if model.states else "discrete"
+    for one in model.inputs:
+        kind = {"causality": "input", "variability": "continuous"}
+        rows.append((one.name, one.meaning, kind, {"unit": _unit(one), "start": 0.0}))
+    for one in model.outputs:
+        kind = {"causality": "output", "variability": sampled, "initial": "calculated"}
+        rows.append((one.name, one.meaning, kind, {"unit": _unit(one)}))
+    for one in model.states:
+        kind = {"causality": "local", "variability": "continuous", "initial": "exact"}
+        rows.append((one.name, one.meaning, kind, {"unit": _unit(one), "start": 0.0}))
+    first = len(model.inputs) + len(model.outputs)
+    for i, one in enumerate(model.states):
+        kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
+        of = first + i + (1 if version == 2 else 0)  # an index from 1, or a value reference
+        rows.append((f"der({one.name})", f"derivative of {one.name}", kind, {"unit": _rate(one), "derivative": of}))
+    if version == 3:
+        time = {"causality": "independent", "variability": "continuous"}
+        rows.append(("time", "time", time, {"unit": "s"}))
+    lines = []
+    for i, (name, meaning, kind, number) in enumerate(rows):
+        whole = {"name": name, "valueReference": i, "description": meaning, **kind}
+        if version == 2:
+            lines.append(f"    <ScalarVariable{_written(whole)}><Real{_written(number)}/></ScalarVariable>")
+        else:
+            lines.append(f"    <Float64{_written({**whole, **number})}/>")
+    return lines
+
+
+def _structure(model: FmuModel, version: int) -> list[str]:
+    m, p, n = len(model.inputs), len(model.outputs), len(model.states)
+    index = 1 if version == 2 else 0
+    known = [*range(m), *range(m + p, m + p + n)]  # value references of inputs and states
+    unknown = [*range(m, m + p), *range(m + p + n, m + p + 2 * n)]
+
+    def row(i: int, name: str, kinds: bool = True) -> str:
+        of = [] if model.slopes is None else [known[j] + index for j, slope in enumerate(model.slopes[i]) if slope]
+        attributes: dict[str, str | float | bool | None] = {("index" if index else "valueReference"): unknown[i] + index}
+        attributes |= {"dependencies": " ".join(map(str, of))}
+        attributes |= {"dependenciesKind": " ".join(["constant"] * len(of))} if kinds else {}
+        return f"<{name}{_written(attributes)}/>"
+
+    outputs, derivatives = range(p), range(p, p + n)
+    if version == 3:
+        lines = [row(i, "Output") for i in outputs] + [row(i, "ContinuousStateDerivative") for i in derivatives]
+        return [f"    {line}" for line in [*lines, *(row(i, "InitialUnknown", False) for i in [*outputs, *derivatives])]]
+    lines = list[str]()
+    for name, some in (("Outputs", outputs), ("Derivatives", derivatives), ("InitialUnknowns", [*outputs, *derivatives])):
+        if some:
+            inner = [f"      {row(i, 'Unknown', name != 'InitialUnknowns')}" for i in some]
+            lines += [f"    <{name}>", *inner, f"    </{name}>"]
+    return lines

@@ -1,0 +1,132 @@
+"""The content of an FMU: a sampled law as exported C, or a linear system; its variables, and the sources of its own."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.kinds.signals import CONTROL_FORCE, DAMPING, Signal
+from models.vehicle.vehicle import Vehicle
+from synth.controller.export.c_law import STILL, ExportedLaw
+from synth.controller.export.c_source import CSource
+from synth.controller.export.linear_system import LinearSystem
+
+HEADS = {"FMU_INPUTS": "inputs", "FMU_OUTPUTS": "outputs", "FMU_STATES": "states"}
+
+
+@dataclass(frozen=True, eq=False)
+class FmuModel:
+    """The content of an FMU, whatever its version.
+
+    Attributes:
+        identifier: name of its library, a name in C.
+        title: one line.
+        inputs: m signals, all names different from those of the outputs.
+        outputs: p signals.
+        states: n signals of continuous states; none of a sampled law.
+        period: step that it must be called with [s]; None for any.
+        start: outputs before the first step, shape (p,).
+        slopes: of outputs, then states' derivatives, by inputs, then states, shape (p + n, m + n); None of a sampled law.
+        sources: C files of its own, by name.
+    """
+
+    identifier: str
+    title: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[Signal, ...]
+    period: float | None
+    start: Array
+    slopes: Array | None
+    sources: Mapping[str, str]
+
+
+def check_floating(numbers: str) -> None:
+    """Refuses numbers that are not floating point, as an FMU's variables are.
+
+    Raises:
+        InputError: they are whole numbers.
+    """
+    if numbers not in STILL:
+        raise InputError(f"an FMU's variables are floating point, and {numbers} is not; give --numbers double or float")
+
+
+def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
+    """Returns a law as the content of an FMU for co-simulation.
+
+    Args:
+        vehicle: whose law it is.
+        law: whose prefix in C is that of no other source of an FMU.
+        certificate: SHA-256 of the certificate's file.
+    """
+    code, m = CSource(law, certificate), len(law.outputs)
+    read = zip(law.inputs, law.units, law.meanings, strict=True)
+    inputs = [Signal(f"{name}_measured" if name in law.outputs else name, "", unit, meaning) for name, unit, meaning in read]
+    meaning = DAMPING.meaning if law.dampers else CONTROL_FORCE.meaning
+    outputs = [Signal(name, "", unit, meaning) for name, unit in zip(law.outputs, law.output_units, strict=True)]
+    still = np.array([one[0] for one in law.dampers] if law.dampers else np.zeros(m))
+    ins = "".join(f"    in.{name} = ({law.numbers})model->u[{i}];\n" for i, name in enumerate(law.inputs))
+    outs = "".join(f"    model->y[{i}] = (double)out.{name};\n" for i, name in enumerate(law.outputs))
+    starts = "".join(f"    model->y[{i}] = {_number(value)};\n" for i, value in enumerate(still))
+    own = (
+        f'#include <string.h>\n#include "fmu.h"\n\n{_names(inputs)}\n'
+        "void fmu_start(fmu_model *model)\n{\n    memset(model, 0, sizeof *model);\n"
+        f"    {law.name}_init(&model->law);\n{starts}}}\n\n"
+        "void fmu_update(fmu_model *model)\n{\n    (void)model; /* outputs are those of the last step */\n}\n\n"
+        "double fmu_slope(int unknown, int known)\n{\n    (void)unknown;\n    (void)known;\n    return 0.0;\n}\n\n"
+        f"void fmu_step(fmu_model *model, double step)\n{{\n    {law.name}_in in;\n    {law.name}_out out;\n\n    (void)step;\n"
+        f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}}}\n"
+    )
+    sources = {
+        f"{law.name}.h": code.header(),
+        f"{law.name}.c": code.source(),
+        f"{law.name}_data.h": code.data(),
+        "fmu_model.c": own,
+        "fmu_model.h": _head((len(inputs), m, 0), law.period, f'#include "{law.name}.h"\n\n', f"    {law.name}_state law;\n"),
+    }
+    title = f"Controller {law.controller} of a {vehicle.kind.name}"
+    return FmuModel(law.name, title, tuple(inputs), tuple(outputs), (), law.period, still, None, sources)
+
+
+def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
+    """Returns a linear system as the content of an FMU for model exchange and co-simulation."""
+    n, m, p = len(system.states), len(system.inputs), len(system.outputs)
+    tables = "\n".join(_table(name, getattr(system, name)) for name in "ABCD")
+    own = f"    double over[{n}][{n + m}]; /* what a step adds to the states, of states and inputs */\n    double step;\n"
+    sources = {
+        "linear.c": "",
+        "fmu_tables.h": f"/* The system's matrices. */\n#ifndef FMU_TABLES_H\n#define FMU_TABLES_H\n\n{tables}\n#endif\n",
+        "fmu_model.c": f'#include "fmu.h"\n\n{_names(system.inputs)}',
+        "fmu_model.h": _head((m, p, n), None, "", own),
+    }
+    slopes = np.block([[system.D, system.C], [system.B, system.A]])
+    states = tuple(replace(one, name=f"state.{one.name}") for one in system.states)
+    return FmuModel(identifier, title, system.inputs, system.outputs, states, None, np.zeros(p), slopes, sources)
+
+
+def _head(counts: tuple[int, int, int], period: float | None, includes: str, own: str) -> str:
+    """Returns fmu_model.h; its token is filled in when all else is known."""
+    defines = "".join(f"#define {name} {count}\n" for name, count in zip(HEADS, counts, strict=True))
+    m, p, n = counts
+    arrays = "".join(f"    double {name}[{max(count, 1)}];\n" for name, count in (("u", m), ("y", p), ("x", n), ("dx", n)))
+    return (
+        "/* The content of this FMU. */\n#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n"
+        f'#define FMU_TOKEN "@TOKEN@"\n{defines}#define FMU_PERIOD {_number(period or 0.0)} /* s; 0: any step */\n\n{includes}'
+        f"typedef struct\n{{\n{arrays}{own}}} fmu_model;\n\n#endif\n"
+    )
+
+
+def _names(inputs: tuple[Signal, ...] | list[Signal]) -> str:
+    listed = ", ".join(f'"{one.name}"' for one in inputs)
+    return f"const char *const fmu_inputs[FMU_INPUTS] = {{{listed}}};\n"
+
+
+def _table(name: str, matrix: Array) -> str:
+    rows = ",\n    ".join("{" + ", ".join(_number(value) for value in row) + "}" for row in matrix)
+    return f"static const double fmu_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
+
+
+def _number(value: float) -> str:
+    return np.format_float_scientific(float(value), unique=True, trim="0")

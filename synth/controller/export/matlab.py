@@ -1,0 +1,132 @@
+"""Controllers and their vehicle for MATLAB: a file of structs (version 5), and a script that makes `ss` objects of it."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from models.kinds.signals import Signal
+from models.vehicle.vehicle import Vehicle
+from synth.analysis.record import to_record
+from synth.controller.controller import Controller
+from synth.controller.export.c_law import c_name
+from synth.controller.export.linear_system import vehicle_system
+
+VEHICLE, QUOTE = "vehicle", "'"
+TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # with no date, so that the same content has the same bytes
+LONGEST = 63  # characters of a name in MATLAB, and in a file of version 5
+RESERVED = frozenset(
+    (
+        "break",
+        "case",
+        "catch",
+        "classdef",
+        "continue",
+        "else",
+        "elseif",
+        "end",
+        "for",
+        "function",
+        "global",
+        "if",
+        "otherwise",
+        "parfor",
+        "persistent",
+        "return",
+        "spmd",
+        "switch",
+        "try",
+        "while",
+        "file",
+        "loop",
+        "plant",
+    )
+)  # by MATLAB, and by the script
+
+
+def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:
+    """Returns the name of each controller's struct, all different and none the vehicle's."""
+    names, taken = dict[str, str](), {VEHICLE, *RESERVED}
+    for one in controllers:
+        plain = c_name(one.name)[: LONGEST - 4]
+        name = next(name for name in (plain, *(f"{plain}_{i}" for i in range(2, 10_000))) if name not in taken)
+        taken.add(name)
+        names[one.name] = name
+    return names
+
+
+def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
+    """Returns the file: a struct for each controller, and `vehicle` with the plant that they drive.
+
+    A controller's struct has A, B, C, D, Ts (0 if it is continuous), the names and units of its inputs and outputs, `gain`, its
+    feedthrough, and `certificate`: norm, bound, lower bound and X. Where the vehicle file has a sample period, `sampled` has the
+    matrices that its computer runs.
+    """
+    from scipy.io import savemat
+
+    system, period = vehicle_system(vehicle), vehicle.implementation.sample_period
+    matrices = {name: getattr(system, name) for name in "ABCD"}
+    signals = {"inputs": system.inputs, "states": system.states, "outputs": system.outputs}
+    model = matrices | {"Ts": 0.0} | {name: value for key, some in signals.items() for name, value in _named(key, some).items()}
+    content: dict[str, Any] = {VEHICLE: {"kind": vehicle.kind.name, "model": model}}
+    for one in controllers:
+        law = one.law
+        read, given = ([vehicle.kind.signal(name) for name in some] for some in (one.measured, vehicle.linear_model.inputs))
+        struct = {name: getattr(law, name) for name in "ABCD"} | {"Ts": law.sample_period or 0.0, "gain": law.D}
+        struct |= _named("inputs", read) | _named("outputs", given) | {"certificate": _plain(to_record(one.certificate))}
+        if law.anti_windup is not None:
+            struct["anti_windup"] = law.anti_windup
+        if period is not None:
+            run = law.sampled(period)
+            struct["sampled"] = {name: getattr(run, name) for name in "ABCD"} | {"Ts": period}
+        content[struct_names(controllers)[one.name]] = struct
+    file = io.BytesIO()
+    savemat(file, content, format="5", long_field_names=True, oned_as="row")
+    return TITLE.ljust(116) + file.getvalue()[116:]
+
+
+def _named(what: str, signals: Sequence[Signal]) -> dict[str, Any]:
+    """Returns names, units and meanings of signals as cell arrays."""
+    columns = {what: "name", f"{what}_units": "unit", f"{what}_meanings": "meaning"}
+    return {key: _cell([getattr(one, attribute) for one in signals]) for key, attribute in columns.items()}
+
+
+def _cell(texts: Sequence[str]) -> Any:
+    cell = np.empty((len(texts), 1), dtype=object)
+    cell[:, 0] = texts
+    return cell
+
+
+def _plain(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the numbers of a certificate."""
+    return {key: np.asarray(value, dtype=float) for key, value in record.items() if key == "X" or isinstance(value, float)}
+
+
+def script(file: str, vehicle: Vehicle, controllers: Sequence[Controller]) -> str:
+    """Returns MATLAB code that makes an `ss` object of each controller and of the plant, and closes their loop by names."""
+    names = struct_names(controllers)
+    lines = [
+        f"% The ss objects of {file}, which needs the Control System Toolbox: plant, and a controller each.",
+        "% All is in SI units and measured from static equilibrium; u = K y, with a plus.",
+        f"file = load('{file.replace(QUOTE, 2 * QUOTE)}');",
+        *_ss("plant", f"file.{VEHICLE}.model"),
+    ]
+    for one in controllers:
+        lines += [f"% {one.name}: {one.kind} from {', '.join(one.measured)}", *_ss(names[one.name], f"file.{names[one.name]}")]
+    roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
+    listed = ", ".join(f"'{name}'" for name in roads)
+    example = names[controllers[0].name]
+    lines += [
+        "% Closed by names, if both are continuous: from the roads to everything the vehicle has.",
+        f"% loop = connect(plant, {example}, {{{listed}}}, file.{VEHICLE}.model.outputs);",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _ss(name: str, where: str) -> list[str]:
+    return [
+        f"{name} = ss({where}.A, {where}.B, {where}.C, {where}.D, {where}.Ts, ...",
+        f"    'InputName', {where}.inputs, 'InputUnit', {where}.inputs_units, ...",
+        f"    'OutputName', {where}.outputs, 'OutputUnit', {where}.outputs_units);",
+    ]

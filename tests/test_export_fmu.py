@@ -1,0 +1,560 @@
+"""FMUs: FMPy, libcosim, CasADi and fmutool take them; a controller has our bits, and the vehicle is our exact response."""
+
+import ctypes
+import io
+import itertools
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.arrays import Array
+from models.roads.road import Road, RoadInput
+from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.linear.forced_response import forced_continuous_response
+from synth.__main__ import main
+from synth.controller.export import fmu
+from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
+from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
+from synth.controller.export.fmu_model import check_floating
+from synth.controller.export.linear_system import loop_system, vehicle_system
+from synth.vehicle.designer import Designer
+from tests.analysed import continuous_response
+from tests.commands import prose, refused
+from tests.test_export import BUILT, LAW
+
+COMPILER = shutil.which("cc")
+pytestmark = pytest.mark.skipif(COMPILER is None and find_spec(ZIG) is None, reason="no C compiler is here")
+LIMITS = "\n[limits]\nactuator_force = 500.0\n"
+TEXT = read_vehicle("quarter_car").text + LAW + BUILT + "delay = 2\nquantisation = { sprung_velocity = 0.001 }\n" + LIMITS
+PERIOD, OK, DISCARD, ERROR = 0.005, 0, 2, 3
+VERSIONS = [2, 3]
+
+
+@dataclass
+class Slave:
+    """An instance for co-simulation under FMPy, of either version, with what it logged.
+
+    Attributes:
+        description: of its FMU, as FMPy reads it.
+        instance: FMPy's.
+        logged: its lines.
+    """
+
+    description: object
+    instance: object
+    logged: list[str]
+
+    @classmethod
+    def of(cls, file: Path, name: str = "one") -> "Slave":
+        """Returns an initialized instance."""
+        fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+        description, logged = fmpy.read_model_description(str(file)), list[str]()
+        folder = file.with_suffix("")
+        if not folder.exists():
+            fmpy.extract(str(file), str(folder))
+        given = {"guid": description.guid, "unzipDirectory": str(folder), "instanceName": name}
+        given["modelIdentifier"] = description.coSimulation.modelIdentifier
+        if description.fmiVersion == "2.0":
+            of = import_module("fmpy.fmi2")
+            instance = of.FMU2Slave(**given)
+
+            def log(_environment: object, _name: bytes, _status: int, _category: bytes, said: bytes) -> None:
+                logged.append(said.decode())
+
+            calls = of.fmi2CallbackFunctions()
+            calls.logger = of.fmi2CallbackLoggerTYPE(log)
+            instance.instantiate(callbacks=calls)
+            instance.setupExperiment(startTime=0.0)
+            instance.enterInitializationMode()
+        else:
+            of = import_module("fmpy.fmi3")
+            instance = of.FMU3Slave(**given)
+
+            def log3(_environment: object, _status: int, _category: bytes, said: bytes) -> None:
+                logged.append(said.decode())
+
+            instance.instantiate(logMessage=log3)
+            instance.enterInitializationMode(startTime=0.0)
+        instance.exitInitializationMode()
+        return cls(description, instance, logged)
+
+    @cached_property
+    def references(self) -> dict[str, list[int]]:
+        """Value references of inputs and outputs."""
+        variables = self.description.modelVariables  # pyright: ignore[reportAttributeAccessIssue]
+        return {kind: [one.valueReference for one in variables if one.causality == kind] for kind in ("input", "output")}
+
+    def __getattr__(self, name: str):
+        return getattr(self.instance, name)
+
+    @property
+    def outputs(self) -> list[float]:
+        """The outputs as they are."""
+        read = self.instance.getReal if hasattr(self.instance, "getReal") else self.instance.getFloat64  # pyright: ignore
+        return list(read(self.references["output"]))
+
+    def step(self, k: int, inputs: list[float], h: float = PERIOD) -> list[float]:
+        """Returns the outputs after the step from k h with some inputs."""
+        write = self.instance.setReal if hasattr(self.instance, "setReal") else self.instance.setFloat64  # pyright: ignore
+        write(self.references["input"], inputs)
+        self.instance.doStep(k * h, h)  # pyright: ignore[reportAttributeAccessIssue]
+        return self.outputs
+
+
+@pytest.fixture(scope="module", autouse=True)
+def by_cc():
+    """Lets the system's compiler build FMUs, if there is one: Zig takes seconds for each, and minutes for its first."""
+    with pytest.MonkeyPatch.context() as patch:
+        if COMPILER is not None:
+            patch.setattr(fmu, "ZIG", "no_such_package")
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Returns a folder with the FMUs of a law with states, of vehicles, and of a loop, of both versions."""
+    folder = tmp_path_factory.mktemp("fmu")
+    (folder / "car.toml").write_text(TEXT)
+    law = ["--vehicle", str(folder / "car.toml"), "--controller", "law"]
+    for version in VERSIONS:
+        fmi = ["--fmi", str(version)]
+        assert main([*law, "--export", str(folder / f"law{version}.fmu"), *fmi]) == 0
+        assert main(["--part", "vehicle", "--export", str(folder / f"car{version}.fmu"), *fmi]) == 0
+    assert main([*law, "--numbers", "float", "--export", str(folder / "float2.fmu")]) == 0
+    assert main(["--vehicle", "full_car", "--part", "vehicle", "--export", str(folder / "full2.fmu")]) == 0
+    assert main(["--controller", "I_printed", "--part", "loop", "--export", str(folder / "loop2.fmu")]) == 0
+    return folder
+
+
+def _law(numbers: str = "double") -> PythonStep:
+    vehicle = parse_vehicle(TEXT)
+    return PythonStep(exported_law(vehicle, Designer(vehicle, search=False).design("law"), numbers, "law"))
+
+
+def test_validators_find_nothing(folder):
+    """FMPy and fmutool find no problem in any of them; names, units and the sign of every variable stand in the description."""
+    fmpy, checked = pytest.importorskip("fmpy", reason="needs FMPy"), 0
+    from fmpy.validation import validate_fmu
+
+    for file in sorted(folder.glob("*.fmu")):
+        assert validate_fmu(str(file)) == []
+        tool = shutil.which("fmutool", path=str(Path(sys.executable).parent))
+        if tool is not None and file.stem in ("law2", "car3"):  # each takes seconds
+            ran = subprocess.run([tool, "-input", str(file), "-check"], capture_output=True, text=True, check=False)
+            said = ran.stdout + ran.stderr
+            assert "seems to be compliant with FMI" in said
+            assert "No semantic error" in said
+            checked += 1
+    description = fmpy.read_model_description(str(folder / "law2.fmu"))
+    about = {one.name: (one.causality, one.unit) for one in description.modelVariables}
+    assert about == {
+        "suspension_deflection": ("input", "m"),
+        "sprung_velocity": ("input", "m/s"),
+        "control_force": ("output", "N"),
+    }
+    assert "positive lifts the body" in description.modelVariables[2].description
+    assert description.coSimulation.canHandleVariableCommunicationStepSize is False
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_controller_has_our_bits(folder, version):
+    """Of two instances, stepped in turn, every output is ours to the last bit; after a reset one begins anew."""
+    first, second = Slave.of(folder / f"law{version}.fmu", "first"), Slave.of(folder / f"law{version}.fmu", "second")
+    ours, others = _law(), _law()
+    rows = list(random_inputs(ours.law, 1001, 3))
+    for k, (one, other) in enumerate(itertools.pairwise(rows)):
+        assert first.step(k, one) == ours(one)
+        assert second.step(k, other) == others(other)
+    first.reset()
+    first.setupExperiment(startTime=0.0) if version == 2 else None
+    first.enterInitializationMode()
+    first.exitInitializationMode()
+    again = _law()
+    for k, one in enumerate(rows[:20]):
+        assert first.step(k, one) == again(one)
+    assert first.logged == second.logged == []
+
+
+def test_float_has_its_bits(folder):
+    """A law in float numbers has the bits of float in an FMU's double variables."""
+    one, ours = Slave.of(folder / "float2.fmu"), _law("float")
+    for k, row in enumerate(random_inputs(ours.law, 200, 3)):
+        assert one.step(k, row) == [float(value) for value in ours(row)]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_goes_back(folder, version):
+    """A copy of the state, and its bytes, bring an instance back to where it was."""
+    one, ours = Slave.of(folder / f"law{version}.fmu"), _law()
+    rows = list(random_inputs(ours.law, 20, 3))
+    for k, row in enumerate(rows[:10]):
+        one.step(k, row)
+    get, put, keep, load = (
+        ("getFMUstate", "setFMUstate", "serializeFMUstate", "deSerializeFMUstate")
+        if version == 2
+        else ("getFMUState", "setFMUState", "serializeFMUState", "deserializeFMUState")
+    )
+    state = getattr(one, get)()
+    bytes_of_it = getattr(one, keep)(state)
+    after = [one.step(10 + k, row) for k, row in enumerate(rows[10:])]
+    getattr(one, put)(getattr(one, load)(bytes_of_it))
+    assert [one.step(10 + k, row) for k, row in enumerate(rows[10:])] == after
+    getattr(one, put)(state)
+    assert [one.step(10 + k, row) for k, row in enumerate(rows[10:])] == after
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_what_is_refused_is_said(folder, version):
+    """Another step is discarded; a hole in time, a reading that is no number, an unknown variable are errors: a line each."""
+    one = Slave.of(folder / f"law{version}.fmu")
+    numbers = ("setReal", "getReal", "getInteger") if version == 2 else ("setFloat64", "getFloat64", "getInt32")
+    write, read, of_another = (getattr(one, name) for name in numbers)
+    before = one.outputs
+    for act, status, said in (
+        (lambda: one.doStep(0.0, 0.01), DISCARD, "a step of 0.01 s is not the sample period of this law, 0.005 s"),
+        (lambda: one.doStep(0.0, 0.0), ERROR, "longer than 0 s"),
+        (lambda: one.doStep(0.5, 0.005), ERROR, "the last one ended at 0 s"),
+        (lambda: (write([1], [np.nan]), one.doStep(0.0, 0.005)), ERROR, "input sprung_velocity is not a finite number"),
+        (lambda: write([2], [1.0]), ERROR, "the variable with the value reference 2 cannot be set"),
+        (lambda: read([99]), ERROR, "no variable with the value reference 99"),
+        (lambda: of_another([0]), ERROR, "there are none of another type"),
+    ):
+        one.logged.clear()
+        with pytest.raises(Exception, match=str(status)):
+            act()
+        assert len(one.logged) == 1
+        assert said in one.logged[0]
+    assert one.outputs == before
+    library = ctypes.CDLL(next((folder / f"law{version}").glob("binaries/*linux*/*.so")))
+    if version == 2:
+        library.fmi2Instantiate.restype = ctypes.c_void_p
+        assert library.fmi2Instantiate(b"x", 1, b"{another}", None, None, 0, 0) is None
+    else:
+        library.fmi3InstantiateModelExchange.restype = ctypes.c_void_p
+        assert library.fmi3InstantiateModelExchange(b"x", b"{another}", None, False, False, None, None) is None
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")
+@pytest.mark.parametrize("version", VERSIONS)
+def test_every_function_is_the_standards(folder, version, tmp_path):
+    """Every function of the standard is exported, with the declaration of its headers; no compiler warns of the sources."""
+    pytest.importorskip("fmpy", reason="needs FMPy")
+    headers = Path(str(import_module("fmpy").__file__)).parent / "c-code"
+    for part in ("law", "car"):
+        file = folder / f"{part}{version}.fmu"
+        with zipfile.ZipFile(file) as archive:
+            archive.extractall(tmp_path / part)
+        sources = sorted((tmp_path / part / "sources").glob("*.c"))
+        flags = "-std=c99 -pedantic -Wall -Wextra -Wconversion -Wshadow -Wstrict-prototypes -Werror -c"
+        for more in ([], ["-DFMU_STANDARD_HEADERS", f"-I{headers}"]):
+            if more:
+                flags = flags.replace("-Wstrict-prototypes ", "")  # the standard's own headers have ()
+            command = [str(COMPILER), *flags.split(), *more, *map(str, sources)]
+            ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+            assert (ran.returncode, ran.stderr) == (0, "")
+        Slave.of(file)
+        library = ctypes.CDLL(next((folder / f"{part}{version}").glob("binaries/*linux*/*.so")))
+        names = re.findall(rf"FMI{version}_Export\s+\w+TYPE\s+(\w+);", (headers / f"fmi{version}Functions.h").read_text())
+        assert len(names) == {2: 44, 3: 75}[version]
+        assert [name for name in names if not hasattr(library, name)] == []
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_compiles_and_simulates_it(folder, version, tmp_path):
+    """From the sources alone FMPy builds and simulates it, and finds our outputs to the last bit."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    from fmpy.build import build_platform_binary
+
+    with zipfile.ZipFile(folder / f"law{version}.fmu") as archive:
+        archive.extractall(tmp_path, [name for name in archive.namelist() if not name.startswith("binaries/")])
+    build_platform_binary(tmp_path)
+    ours = _law()
+    rows = list(random_inputs(ours.law, 100, 3))
+    kind = [("time", float), *((name, float) for name in ours.law.inputs)]
+    given = np.array([(k * PERIOD, *row) for k, row in enumerate(rows)], dtype=kind)
+    found = fmpy.simulate_fmu(
+        str(tmp_path), stop_time=100 * PERIOD, input=given, output_interval=PERIOD, output=["control_force"]
+    )
+    assert found["control_force"].tolist() == [0.0, *(ours(row)[0] for row in rows)]
+
+
+LIBCOSIM = """
+import sys
+from libcosimpy.CosimExecution import CosimExecution
+from libcosimpy.CosimManipulator import CosimManipulator
+from libcosimpy.CosimObserver import CosimObserver
+from libcosimpy.CosimSlave import CosimLocalSlave
+run = CosimExecution.from_step_size(step_size=5_000_000)
+law = run.add_local_slave(CosimLocalSlave(fmu_path=sys.argv[1], instance_name="law"))
+observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
+run.add_observer(observer)
+run.add_manipulator(manipulator)
+for line in open(sys.argv[2]):
+    manipulator.slave_real_values(law, [0, 1], [float(word) for word in line.split()])
+    run.step()
+    print("given", observer.last_real_values(law, [2])[0])
+"""
+
+
+def test_libcosim_runs_it(folder, tmp_path):
+    """libcosim, in a process of its own, finds our outputs to the last bit."""
+    if find_spec("libcosimpy") is None:
+        pytest.skip("needs libcosimpy")
+    ours = _law()
+    rows = list(random_inputs(ours.law, 100, 3))
+    (tmp_path / "rows").write_text("".join(f"{a!r} {b!r}\n" for a, b in rows))
+    command = [sys.executable, "-c", LIBCOSIM, str(folder / "law2.fmu"), str(tmp_path / "rows")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    found = [float(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("given ")]
+    assert found == [ours(row)[0] for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Ramps(Road):
+    """A road whose velocity is random, another on each side, and constant over each step of 2 ms; rear wheels are 0.1 s late."""
+
+    speed: float = 20.0
+    step: float = 0.002
+
+    def _velocities(self, side: str) -> Array:
+        return np.random.default_rng(len(side)).standard_normal(500)
+
+    def delay_of(self, wheel, parameters) -> float:
+        """Returns 0.1 s for a rear wheel."""
+        return 0.1 if wheel.behind(parameters) else 0.0
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Returns the velocity of its step."""
+        k = np.floor(t / self.step + 1e-6).astype(int)
+        return np.where(k < 0, 0.0, self._velocities(side)[np.clip(k, 0, 499)])
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Returns the integral."""
+        k = np.clip(np.floor(t / self.step + 1e-6).astype(int), 0, 499)
+        heights = np.concatenate([[0.0], np.cumsum(self._velocities(side)) * self.step])
+        return np.where(t < 0, 0.0, heights[k] + self._velocities(side)[k] * (t - k * self.step))
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Returns none: the quadrature takes each step by itself."""
+        return ()
+
+    def scaled(self, factor: float) -> "Road":
+        """Is not needed."""
+        raise NotImplementedError
+
+    def describe(self) -> dict[str, float | str]:
+        """Returns its name."""
+        return {"type": "ramps"}
+
+
+def _driven(file: Path, vehicle: Vehicle, road: Ramps, time: Array, forces: Array) -> tuple[list[str], Array]:
+    """Returns the names of the outputs of a vehicle's FMU, and their values over a road and under forces."""
+    one, steps = Slave.of(file), RoadInput(vehicle, road, time + 1e-9)  # within a step, not at its edge
+    loads = np.zeros((len(time), len(vehicle.kind.loads)))
+    rows = np.hstack([steps.velocities, loads, forces])
+    values = [one.outputs, *(one.step(k, row.tolist(), road.step) for k, row in enumerate(rows))]
+    variables = one.description.modelVariables  # pyright: ignore[reportAttributeAccessIssue]
+    return [each.name for each in variables if each.causality == "output"], np.array(values[:-1])
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+def test_the_vehicle_is_our_exact_response(folder, kind):
+    """In co-simulation, over a road and under random forces, the states of the vehicle's FMU are those of our exact response."""
+    vehicle, road, time = read_vehicle(kind), Ramps(), 0.002 * np.arange(400)
+    forces = 100.0 * np.random.default_rng(5).standard_normal((400, len(vehicle.linear_model.inputs)))
+    names, values = _driven(folder / ("car2.fmu" if kind == "quarter_car" else "full2.fmu"), vehicle, road, time, forces)
+    ours = forced_continuous_response(forces, RoadInput(vehicle, road, time))
+    for name in vehicle.linear_model.states:
+        scale = np.abs(ours[name]).max()
+        # Two routes of one exponential: measured 7e-15.
+        assert values[:, names.index(name)] == pytest.approx(ours[name], rel=0, abs=1e-9 * scale)
+
+
+def test_the_loop_is_our_continuous_response(folder):
+    """The loop's FMU follows our exact response of the closed loop, forces included."""
+    vehicle, road, time = read_vehicle("quarter_car"), Ramps(), 0.002 * np.arange(400)
+    controller = Designer(vehicle, search=False).design("I_printed")
+    names, values = _driven(folder / "loop2.fmu", vehicle, road, time, np.zeros((400, 0)))
+    ours = continuous_response(vehicle, controller, road, time)
+    for name in vehicle.linear_model.outputs:
+        if name != "sprung_acceleration":  # it jumps with the velocity at an edge, where theirs is still that of the step before
+            scale = np.abs(ours[name]).max()
+            assert values[:, names.index(name)] == pytest.approx(ours[name], rel=0, abs=1e-9 * scale)
+
+
+def test_a_master_closes_our_sampled_loop(folder):
+    """The controller's FMU and the vehicle's, stepped in turn, are the loop that our own step closes around the exact vehicle."""
+    law, car, ours = Slave.of(folder / "law2.fmu"), Slave.of(folder / "car2.fmu"), _law()
+    vehicle = parse_vehicle(TEXT)
+    system = vehicle_system(vehicle)
+    names = [one.name for one in system.outputs]
+    read = [names.index(name) for name in ours.law.inputs]
+    from scipy.linalg import expm
+
+    n, m = system.B.shape
+    held = expm(PERIOD * np.block([[system.A, system.B], [np.zeros((m, n + m))]]))
+    x, velocities = np.zeros(n), 3.0 * np.random.default_rng(2).standard_normal(200)
+    values = car.outputs
+    largest = 0.0
+    for k, w in enumerate(velocities):
+        force = law.step(k, [values[i] for i in read])
+        expected = ours((system.C @ x)[read])
+        # One step of quantisation (0.001 m/s) may fall the other way; none did.
+        assert force == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        largest = max(largest, abs(force[0]))
+        values = car.step(k, [w, 0.0, *force], PERIOD)
+        x = held[:n, :n] @ x + held[:n, n:] @ np.array([w, 0.0, *expected])
+        assert values[:n] == pytest.approx(x, rel=1e-9, abs=1e-9)
+    assert largest == 500.0
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_casadi_reads_the_vehicle(folder, version, tmp_path):
+    """CasADi reads it for model exchange, and finds our matrices in its equations and their derivatives."""
+    casadi = pytest.importorskip("casadi", reason="needs CasADi")
+    with zipfile.ZipFile(folder / f"car{version}.fmu") as archive:
+        archive.extractall(tmp_path)
+    system = vehicle_system(read_vehicle("quarter_car"))
+    equations = casadi.DaeBuilder("car", str(tmp_path)).create("f", ["x", "u"], ["ode", "y"])
+    rng = np.random.default_rng(1)
+    x, u = rng.standard_normal(4), rng.standard_normal(3)
+    derivatives, outputs = (np.array(one).ravel() for one in equations(x, u))
+    assert derivatives == pytest.approx(system.A @ x + system.B @ u, rel=1e-12)  # rounding of sums in another order
+    assert outputs == pytest.approx(system.C @ x + system.D @ u, rel=1e-12)
+    slopes = [np.array(one) for one in equations.jacobian()(x, u, *equations(x, u))]
+    for found, matrix in zip(slopes, (system.A, system.B, system.C, system.D), strict=True):
+        assert np.array_equal(found, matrix)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_integrates_the_vehicle(folder, version):
+    """By model exchange, FMPy's integrator finds the free response of the matrix exponential, from a state that is set."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    from scipy.linalg import expm
+
+    system, start = vehicle_system(read_vehicle("quarter_car")), np.array([0.01, 0.0, -0.2, 0.0])
+    names = [one.name for one in system.states]
+    given = {f"state.{name}": value for name, value in zip(names, start, strict=True)}
+    options = {"fmi_type": "ModelExchange", "stop_time": 1.0, "output_interval": 0.1, "relative_tolerance": 1e-8}
+    found = fmpy.simulate_fmu(str(folder / f"car{version}.fmu"), start_values=given, output=names, **options)
+    for row in found:
+        expected = expm(system.A * row["time"]) @ start
+        # CVode's own error; in each state relative to its unit's size.
+        assert [row[name] for name in names] == pytest.approx(expected, rel=0, abs=1e-5)
+
+
+def test_laws_without_states(tmp_path):
+    """A static gain without a sample period takes any step; a semi-active law begins with the damper's nominal coefficient."""
+    assert main(["--controller", "I_printed", "--export", str(tmp_path / "gain.fmu")]) == 0
+    one, vehicle = Slave.of(tmp_path / "gain.fmu"), read_vehicle("quarter_car")
+    ours = PythonStep(exported_law(vehicle, Designer(vehicle, search=False).design("I_printed"), "double", "gain"))
+    at = 0.0
+    for h, row in zip((0.001, 0.5, 0.02), random_inputs(ours.law, 3, 1), strict=True):
+        one.setReal(one.references["input"], row)
+        one.doStep(at, h)
+        at += h
+        assert one.outputs == ours(row)
+    car, semi_active = "quarter_car_semi_active", tmp_path / "sky.fmu"
+    assert main(["--vehicle", car, "--controller", "skyhook", "--export", str(semi_active)]) == 0
+    other, dampers = Slave.of(semi_active), read_vehicle(car)
+    law = PythonStep(exported_law(dampers, dampers.controllers["skyhook"].driver(), "double", "sky"))
+    assert other.outputs == [law.law.dampers[0][0]]
+    h = law.law.period or 0.001
+    for k, row in enumerate(random_inputs(law.law, 50, 1)):
+        assert other.step(k, row, h) == law(row)
+
+
+@pytest.mark.parametrize("lag", ["", "actuator_bandwidth = 50.0\n"])
+def test_the_loop_with_states_is_the_analysis(lag):
+    """With a law of states, and with a lag, the loop's matrices have the frequency response of the analysis, by another route."""
+    from sim.linear.frequency_response import continuous_frequency_response
+
+    vehicle = parse_vehicle(TEXT + lag)
+    assert [one.name for one in vehicle_system(vehicle).states[4:]] == ["lagged_control_force"] * bool(lag)
+    plain = replace(vehicle, implementation=replace(vehicle.implementation, sample_period=None, delay=0, quantisation={}))
+    controller, omega = Designer(plain, search=False).design("law"), np.array([3.0, 30.0])
+    system = loop_system(plain, controller)
+    for w, expected in zip(omega, continuous_frequency_response(plain, controller, omega), strict=True):
+        found = system.C @ np.linalg.solve(1j * w * np.eye(len(system.A)) - system.A, system.B[:, :1]) + system.D[:, :1]
+        assert found.ravel() == pytest.approx(expected.reshape(-1)[: len(found)], rel=1e-9)  # rounding of a solve
+
+
+def test_the_same_content_has_the_same_bytes(folder, tmp_path, capsys):
+    """Exported again, every byte is the same; with another content the token is another, too."""
+    assert main(["--part", "vehicle", "--export", str(tmp_path / "again.fmu")]) == 0
+    assert (tmp_path / "again.fmu").read_bytes() == (folder / "car2.fmu").read_bytes()
+    tokens = set()
+    for name in ("law2", "law3", "car2", "car3", "full2", "loop2", "float2"):
+        text = zipfile.ZipFile(folder / f"{name}.fmu").read("modelDescription.xml").decode()
+        tokens.add(re.findall(r'(?:guid|instantiationToken)="({[0-9a-f-]{36}})"', text)[0])
+    assert len(tokens) == 7
+    folder_of_law = tmp_path / "law"
+    with zipfile.ZipFile(folder / "law2.fmu") as archive:
+        archive.extractall(folder_of_law)
+    capsys.readouterr()
+    assert main(["--check", str(folder_of_law / "resources")]) == 0
+    assert "nothing is changed" in prose(capsys.readouterr().out)
+
+
+def test_parts_of_a_universal_file_are_found():
+    """A file for both of a Mac's processors begins as one, and each part lies where its header says."""
+    parts = [b"a" * 100, b"b" * 20_000]
+    whole = _universal(["x86_64-macos", "aarch64-macos"], parts)
+    words = np.frombuffer(whole[:48], dtype=">u4").tolist()
+    assert words[:2] == [0xCAFEBABE, 2]
+    for i, part in enumerate(parts):
+        _, _, at, size, align = words[2 + 5 * i : 7 + 5 * i]
+        assert at % 2**align == 0
+        assert whole[at : at + size] == part
+    assert zipfile.ZipFile(io.BytesIO(zipped({"x": b"1"}))).read("x") == b"1"
+
+
+@pytest.mark.attack
+@pytest.mark.skipif(find_spec(ZIG) is None, reason="needs the extra [export]")
+@pytest.mark.parametrize("version", VERSIONS)
+def test_binaries_for_other_platforms(version, tmp_path, monkeypatch):
+    """With the extra, one machine builds for Linux, Windows and macOS: each is a library of that system; ours has our bits."""
+    monkeypatch.setattr(fmu, "ZIG", ZIG)
+    (tmp_path / "car.toml").write_text(TEXT)
+    law = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "law"]
+    assert main([*law, "--export", str(tmp_path / "law.fmu"), "--fmi", str(version)]) == 0
+    begins = {"so": b"\x7fELF", "dll": b"MZ", "dylib": b"\xca\xfe\xba\xbe" if version == 2 else b"\xcf\xfa\xed\xfe"}
+    archive = zipfile.ZipFile(tmp_path / "law.fmu")
+    found = [name for name in archive.namelist() if name.startswith("binaries/")]
+    assert len(found) == {2: 3, 3: 5}[version]
+    for name in found:
+        content = archive.read(name)
+        assert content.startswith(begins[name.rpartition(".")[2]])
+        assert f"fmi{version}DoStep".encode() in content
+    one, ours = Slave.of(tmp_path / "law.fmu"), _law()
+    for k, row in enumerate(random_inputs(ours.law, 200, 3)):
+        assert one.step(k, row) == ours(row)
+
+
+def test_which_options_go_together(tmp_path):
+    """Options of other files, and a controller where there is none in it, are refused in one line; the sources are all there."""
+    file = str(tmp_path / "x.fmu")
+    with refused("--fmi is of an FMU"):
+        main(["--controller", "I", "--export", str(tmp_path / "ecu"), "--fmi", "3"])
+    with refused("--part vehicle has no controller in it"):
+        main(["--controller", "I", "--part", "vehicle", "--export", file])
+    with refused("--numbers is of a controller's code"):
+        main(["--part", "vehicle", "--numbers", "float", "--export", file])
+    with refused("an FMU's variables are floating point"):
+        check_floating("int16")
+    with refused("skyhook"):
+        main(["--vehicle", "quarter_car_semi_active", "--controller", "skyhook", "--part", "loop", "--export", file])
+    assert not list(tmp_path.iterdir())
+    assert {path.name for path in HERE.iterdir()} == {"fmu.h", "fmu.c", "fmi2.c", "fmi3.c", "linear.c"}

@@ -1,0 +1,174 @@
+"""Somebody else's FMU as a controller: it drives as its law does, and whatever is wrong with it is said in one line."""
+
+import shutil
+import subprocess
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.common.errors import InputError
+from models.laws.python_runtime import OwnLaw
+from models.roads.road import Bump
+from models.vehicle import foreign_fmu
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.runs.by_name import run
+from synth.__main__ import main
+from tests.commands import refused
+from tests.test_export import BUILT, LAW
+
+COMPILER = shutil.which("cc")
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")
+THEIRS = '\n[controllers.theirs]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nfmu = "their.fmu"\n'
+TEXT = read_vehicle("quarter_car").text + LAW + BUILT + "\n[limits]\nactuator_force = 500.0\n"
+# One library with as many faults as GUIDs.
+SOURCE = """
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+typedef struct { void (*log)(void *, const char *, int, const char *, const char *, ...); } calls;
+static const char *mode; static const calls *of;
+void *fmi2Instantiate(const char *n, int k, const char *guid, const char *r, const calls *c, int v, int l)
+{ of = c; mode = strdup(guid); return strcmp(guid, "none") ? (void *)mode : NULL; }
+int fmi2SetupExperiment(void *c, int a, double b, double d, int e, double f) { return 0; }
+int fmi2EnterInitializationMode(void *c) { return 0; }
+int fmi2ExitInitializationMode(void *c) { return 0; }
+int fmi2SetReal(void *c, const unsigned *r, size_t n, const double *v) { return 0; }
+int fmi2GetReal(void *c, const unsigned *r, size_t n, double *v) { v[0] = strcmp(mode, "nan") ? 1.0 : NAN; return 0; }
+int fmi2DoStep(void *c, double t, double h, int s)
+{
+    if (!strcmp(mode, "discard")) { of->log(NULL, "x", 2, "logStatusDiscard", "too long a step"); return 2; }
+    if (!strcmp(mode, "never")) for (;;) { }
+    if (!strcmp(mode, "crash")) abort();
+    if (!strcmp(mode, "exit")) exit(0);
+    if (!strcmp(mode, "odd")) return 77;
+    return 0;
+}
+"""
+DESCRIPTION = """<?xml version="1.0"?>
+<fmiModelDescription fmiVersion="2.0" modelName="x" guid="GUID"><CoSimulation modelIdentifier="their"/><ModelVariables>
+<ScalarVariable name="sprung_velocity" valueReference="0" causality="input"><Real unit="m/s" start="0"/></ScalarVariable>
+<ScalarVariable name="suspension_deflection" valueReference="1" causality="input"><Real unit="m" start="0"/></ScalarVariable>
+<ScalarVariable name="control_force" valueReference="2" causality="output"><Real unit="N"/></ScalarVariable>
+</ModelVariables></fmiModelDescription>"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory) -> bytes:
+    """Returns the library with faults."""
+    folder = tmp_path_factory.mktemp("faults")
+    (folder / "x.c").write_text(SOURCE)
+    subprocess.run([str(COMPILER), "-shared", "-fPIC", "-w", "x.c", "-o", "x.so"], cwd=folder, check=True)
+    return (folder / "x.so").read_bytes()
+
+
+def called(folder: Path, measured: str = '["suspension_deflection", "sprung_velocity"]') -> list[float]:
+    """Returns the forces of the first call of the FMU in a folder, as a run makes it."""
+    text = TEXT + THEIRS.replace('["suspension_deflection", "sprung_velocity"]', measured)
+    driver = parse_vehicle(text, folder=folder).controllers["theirs"].driver()
+    law = OwnLaw(driver, 1)  # pyright: ignore[reportArgumentType]
+    return law(np.zeros(len(driver.measured)), 0.0, 0.005, None, {}).tolist()
+
+
+def packed(file: Path, library: bytes, guid: str = "good", change: Callable[[str], str] = str, **more: bytes) -> None:
+    """Writes an FMU of the library."""
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("modelDescription.xml", change(DESCRIPTION.replace("GUID", guid)))
+        archive.writestr(more.pop("place", b"binaries/linux64/their.so").decode(), library)
+
+
+def test_it_drives_as_its_law_does(tmp_path):
+    """Our law comes back as an FMU, in a process of its own, and drives MuJoCo as the law itself does, to rounding."""
+    (tmp_path / "car.toml").write_text(TEXT)
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "law", "--export", str(tmp_path / "their.fmu")]) == 0
+    (tmp_path / "both.toml").write_text(TEXT + THEIRS)
+    vehicle = read_vehicle(str(tmp_path / "both.toml"))
+    ours, theirs = run(vehicle, ["law", "theirs"], Bump(height=0.06), duration=1.0)
+    assert abs(ours.physics["control_force"]).max() == 500.0
+    for name in ("sprung_acceleration", "tyre_deflection", "control_force"):
+        scale = ours.physics.scale(name)
+        assert abs(ours.physics[name] - theirs.physics[name]).max() < 1e-9 * scale  # rounding of another order of summation
+    text = vehicle.text_for(tmp_path.parent / "elsewhere.toml")
+    assert f'fmu = "{tmp_path.name}/their.fmu"' in text
+    assert theirs.controller.record["fmu"] == "their.fmu"
+
+
+@pytest.mark.parametrize(
+    ("guid", "said"),
+    [
+        ("discard", r"its step fails: fmi2DoStep returns fmi2Discard \(too long a step\)"),
+        ("never", r"its step takes longer than 0.5 s"),
+        ("crash", r"its step ends its process \(signal 6\)"),
+        ("exit", r"its step ends its process \(exit code 0\)"),
+        ("odd", r"fmi2DoStep returns 77"),
+        ("nan", r"its force is not finite"),
+        ("none", r"its start fails: fmi2Instantiate gives no instance"),
+    ],
+)
+def test_a_fault_is_one_line(guid, said, library, tmp_path, monkeypatch):
+    """A step that is discarded, never ends, crashes, ends the process, or gives no number is one line; the process is gone."""
+    monkeypatch.setattr(foreign_fmu, "LONGEST", 0.5)
+    packed(tmp_path / "their.fmu", library, guid)
+    before = time.monotonic()
+    with refused("controller 'theirs'", "their.fmu", match=said):
+        called(tmp_path)
+    assert time.monotonic() - before < 10
+
+
+def test_a_good_one_is_called(library, tmp_path):
+    """The same library without a fault gives its force."""
+    packed(tmp_path / "their.fmu", library)
+    assert called(tmp_path) == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "said"),
+    [
+        (str, "../binaries/linux64/their.so", "leads out of its folder"),
+        (str, "/binaries/linux64/their.so", "leads out of its folder"),
+        (str, "C:/binaries/linux64/their.so", "leads out of its folder"),
+        (str, "binaries/win64/their.dll", "has no binary for linux64, but for win64"),
+        (str, "sources/their.c", "has no binaries, but sources alone"),
+        (lambda text: text.replace('fmiVersion="2.0"', 'fmiVersion="3.0"'), "", "is of FMI '3.0'"),
+        (lambda text: text.replace("CoSimulation", "ModelExchange"), "", "is for model exchange alone"),
+        (lambda text: text.replace('identifier="their"', 'identifier="../their"').replace("their", "../x"), "", "is no name"),
+        (lambda text: text.replace('unit="m/s"', 'unit="mm/s"'), "", "its sprung_velocity is in 'mm/s'; expected m/s"),
+        (lambda text: text.replace('unit="N"', 'unit="kN"'), "", "its control_force is in 'kN'; expected N"),
+        (lambda text: text.replace('"sprung_velocity"', '"speed"'), "", "its inputs are speed"),
+        (lambda text: text.replace('"control_force"', '"torque"'), "", "its outputs are torque"),
+        (lambda text: text.replace("<?xml", "<!DOCTYPE x [<!ENTITY a 'b'>]><?xml"), "", "definitions of its own"),
+        (lambda text: text[:-20], "", "is damaged"),
+        (lambda text: text.replace("<CoSimulation", '<CoSimulation needsExecutionTool="true"'), "", "needs a program"),
+    ],
+)
+def test_a_hostile_file_is_one_line(change, place, said, library, tmp_path):
+    """Names that lead out, no binary for this machine, other units and names, and damaged descriptions are one line each."""
+    packed(tmp_path / "their.fmu", library, change=change, place=(place or "binaries/linux64/their.so").encode())
+    with refused("controller 'theirs'", said):
+        called(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["their.fmu"]
+
+
+def test_what_is_no_fmu(library, tmp_path):
+    """A file that is no zip, one that lies elsewhere, and keys that do not go beside it are refused; a link in it is, too."""
+    (tmp_path / "their.fmu").write_bytes(b"PK no zip")
+    with refused("is no FMU, or damaged"):
+        called(tmp_path)
+    packed(tmp_path / "their.fmu", library)
+    with zipfile.ZipFile(tmp_path / "their.fmu", "a") as archive:
+        link = zipfile.ZipInfo("resources/link")
+        link.external_attr = 0o120777 << 16
+        archive.writestr(link, "/etc")
+    with refused("has a link"):
+        called(tmp_path)
+    for wrong in ('fmu = "../their.fmu"', 'fmu = "/tmp/their.fmu"', 'fmu = "their.zip"', 'fmu = "their.fmu"\npreview = 1.0'):
+        with pytest.raises(InputError, match="fmu"):
+            parse_vehicle(TEXT + THEIRS.replace('fmu = "their.fmu"', wrong), folder=tmp_path)
+    with refused("fmu", "gain"):
+        parse_vehicle(TEXT + THEIRS + "gain = [[1.0, 2.0]]\n", folder=tmp_path)
+    with refused("there is no such file"):
+        (tmp_path / "their.fmu").unlink()
+        called(tmp_path)
