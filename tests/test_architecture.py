@@ -57,7 +57,7 @@ ROOMS = {
     "sim.linear sim.physics sim.response sim.runs",
     "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
-    "sim.command": "models models.figures models.roads models.vehicle synth.controller sim.recording "
+    "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
     "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs sim.studies",
     "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "

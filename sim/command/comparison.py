@@ -25,14 +25,29 @@ if TYPE_CHECKING:
     from sim.studies.ride.standing import Standing
 
 
-def controllers_of(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Driver]:
+def controllers_of(
+    vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
+) -> list[Driver]:
     """Returns the controllers of these names; no law in Python is run.
 
+    Args:
+        exported: folder whose code drives one of them, or None.
+
     Raises:
-        InputError: one cannot be designed, or the file of a law cannot be read.
+        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
     """
     linear = vehicle.linear_names
-    return [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
+    drivers: list[Driver] = [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
+    if exported is None:
+        return drivers
+    from synth.controller.export.folder import as_exported, read_folder
+    from synth.vehicle.designer import Designer
+
+    def driver_of(vehicle: Vehicle, name: str) -> Driver:
+        given = name in vehicle.linear_names
+        return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
+
+    return as_exported(read_folder(exported, driver_of), vehicle, drivers)
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:
@@ -163,12 +178,19 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
-def run_named(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array) -> list[Run]:
+def run_named(
+    vehicle: Vehicle,
+    names: Sequence[str],
+    design: Callable[[str], Controller],
+    road: Road,
+    time: Array,
+    exported: Path | None = None,
+) -> list[Run]:
     """Returns a run of every controller asked for, in their order. Claims of theirs that are false are said first.
 
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
-    controllers = controllers_of(vehicle, names, design)
+    controllers = controllers_of(vehicle, names, design, exported)
     say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)
 

@@ -1,21 +1,28 @@
 """The folder of an exported controller: code, tables, test vectors, certificate and manifest, all from one vehicle file."""
 
+import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from models.common.errors import InputError
+from models.common.files import read_text
 from models.laws.python_law import sha256
-from models.vehicle.vehicle import Vehicle
+from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import Controller, Driver
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, random_inputs
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS, CSource
+from synth.controller.export.compiled import ExportedCode, driven_by
 
 VECTORS, SEED = 1000, 20261126
 TABLES = ("A", "B", "C", "D", "anti_windup")
+SUFFIX = "_designed"  # of a design that becomes a section of a vehicle file
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
+MOST = 10_000_000  # bytes of a file of the folder
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
 
@@ -152,3 +159,131 @@ def _claims(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
         f"{words or '- no certificate was saved with it'}\n\n"
         f"Not certified: {', '.join(left)}."
     ).replace("\n\n\n", "\n\n")
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedFolder:
+    """An exported folder as it is found.
+
+    Attributes:
+        folder: its path.
+        vehicle, driver: of its vehicle file.
+        law: the law, with the tables of the folder if these are the law's.
+        failures: the files that are not as they were exported, in words.
+    """
+
+    folder: Path
+    vehicle: Vehicle
+    driver: Driver
+    law: ExportedLaw
+    failures: tuple[str, ...]
+
+
+def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> ExportedFolder:
+    """Returns an exported folder, with every file compared with what is exported now.
+
+    Args:
+        driver_of: returns a controller of a vehicle.
+
+    Raises:
+        InputError: the folder is no exported controller.
+    """
+    try:
+        about = json.loads(read_text(folder / CERTIFICATE, "certificate", MOST, "name a folder of --export"))
+        name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
+        tables = about["tables"]
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder / CERTIFICATE}: is not as --export writes it ({error}); export the controller again"
+        ) from error
+    text = read_text(folder / VEHICLE, "vehicle file", MOST, "name a folder of --export")
+    try:
+        vehicle = parse_vehicle(text, folder=folder)
+        driver = driver_of(vehicle, name)
+        law = exported_law(vehicle, driver, numbers, prefix)
+    except (InputError, KeyError) as error:
+        raise InputError(
+            f"{folder / VEHICLE}: {error}; it is changed, or {CERTIFICATE} is: export the controller again"
+        ) from error
+    failures = list[str]()
+    exact = with_tables(law, tables)
+    if exact is None:
+        failures.append(f"{CERTIFICATE}: its tables are not those of the law in {VEHICLE}")
+    wanted = files(vehicle, driver, exact or law)
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    for path in sorted({*wanted, *there}):
+        if path not in there:
+            failures.append(f"{path}: is missing")
+        elif path not in wanted:
+            failures.append(f"{path}: was not exported")
+        elif (folder / path).read_bytes() != wanted[path].encode():
+            failures.append(f"{path}: is changed")
+    failures += [one for one in _unlike_manifest(folder, there) if one not in failures]
+    return ExportedFolder(folder, vehicle, driver, exact or law, tuple(failures))
+
+
+def _unlike_manifest(folder: Path, there: set[str]) -> list[str]:
+    """Returns the files whose checksum is not the manifest's."""
+    if MANIFEST not in there:
+        return []
+    lines = [line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8", errors="replace").splitlines()]
+    sums = {name: digest for digest, _, name in lines}
+    found = {path: hashlib.sha256((folder / path).read_bytes()).hexdigest() for path in there & set(sums)}
+    return [f"{path}: is changed" for path, digest in sorted(found.items()) if digest != sums[path]]
+
+
+def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) -> list[Driver]:
+    """Returns controllers of a vehicle, of which the code of a folder drives the one that was exported.
+
+    Raises:
+        InputError: a file of the folder is changed, or it is of another controller or vehicle.
+    """
+    folder, law = found.folder, found.law
+    if found.failures:
+        raise InputError(f"--as {folder}: {found.failures[0]}; export the controller again")
+    fits = [i for i, one in enumerate(drivers) if one.name in (law.controller, law.controller.removesuffix(SUFFIX))]
+    if not fits:
+        names = ", ".join(one.name for one in drivers)
+        raise InputError(f"--as {folder}: is of controller {law.controller!r}, and --controller gives {names}; name that one")
+    driver = drivers[fits[0]]
+    if why := _another(found.vehicle, vehicle):
+        raise InputError(f"--as {folder}: is of a vehicle with {why}; export controller {driver.name!r} of this one")
+    ours = exported_law(vehicle, driver, law.numbers, law.name)
+    if differs(law, ours):
+        raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
+    texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
+    code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
+    code.library  # noqa: B018 - what cannot be built is said before the long work
+    return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
+
+
+def differs(law: ExportedLaw, other: ExportedLaw) -> bool:
+    """Returns True if two laws compute something else, but for the rounding of their tables."""
+    same = ("inputs", "outputs", "period", "limit", "delay", "dampers", "semi_active")
+    if any(getattr(law, name) != getattr(other, name) for name in same) or not np.array_equal(law.resolution, other.resolution):
+        return True
+    return with_tables(other, {name: getattr(law, name) for name in TABLES}) is None
+
+
+def _another(exported: Vehicle, vehicle: Vehicle) -> str:
+    """Returns the first thing in which the vehicle of a folder is another one, in words; empty if it is the same."""
+    if exported.kind.name != vehicle.kind.name:
+        return f"another kind, {exported.kind.name}"
+    for name, value in exported.parameters.items():
+        if value != vehicle.parameters.get(name):
+            return f"{name} = {value:g}, and not {vehicle.parameters.get(name, float('nan')):g}"
+    for section, (theirs, ours) in {
+        "implementation": (vars(exported.implementation), vars(vehicle.implementation)),
+        "limits": (vars(exported.limits), vars(vehicle.limits)),
+    }.items():
+        for name, value in theirs.items():
+            if name != "seed" and value != ours[name]:
+                return f"[{section}] {name} = {value}, and not {ours[name]}"
+    ranges = [[(one.force, one.nominal, one.low, one.high) for one in of.adjustable] for of in (exported, vehicle)]
+    if ranges[0] != ranges[1]:
+        return "other [actuators]"
+    if dict(exported.curves) != dict(vehicle.curves):
+        return "other [curves]"
+    return ""
