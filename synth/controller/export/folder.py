@@ -261,7 +261,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
 
 def differs(law: ExportedLaw, other: ExportedLaw) -> bool:
     """Returns True if two laws compute something else, but for the rounding of their tables."""
-    same = ("inputs", "outputs", "period", "limit", "delay", "dampers", "semi_active")
+    same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
     if any(getattr(law, name) != getattr(other, name) for name in same) or not np.array_equal(law.resolution, other.resolution):
         return True
     return with_tables(other, {name: getattr(law, name) for name in TABLES}) is None
