@@ -16,7 +16,16 @@ from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, claims, controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.report import (
+    NO_CLAIM,
+    NO_CLAIM_OF_SWITCHING,
+    claims,
+    code_line,
+    controller_lines,
+    energy_lines,
+    run_lines,
+    verdict_lines,
+)
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
 
@@ -218,6 +227,8 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
             without[claim].append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
+        if code := code_line(run):
+            lines += wrapped(code, f"{run.controller.name}: ", 4)
         told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
         lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
@@ -256,6 +267,7 @@ def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
     table = run_lines(run, passive)
     return [
         *controller_lines(run.vehicle, run.controller),
+        *(f"  {line}" for line in filter(None, [code_line(run)])),
         "",
         *table,
         "",

@@ -29,6 +29,7 @@ from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver, has_anti_windup
+from synth.controller.export.compiled import code_of
 from synth.controller.report import (
     BOUND,
     NORM,
@@ -101,7 +102,32 @@ def run_object(run: Run) -> dict[str, Any]:
         "agrees": agreement.agrees,
         "steps": steps_object(agreement.steps),
         **_dampers_object(run),
+        **code_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def code_object(run: Run) -> dict[str, Any]:
+    """Returns the exported code that drives a run as JSON has it, with the predicted effect of its rounding; empty without."""
+    code, effect = code_of(run.controller), run.prediction.rounding
+    if code is None:
+        return {}
+    rounding = None
+    if effect is not None:
+        rounding = {name: {"rms": finite(rms), "most": finite(effect.most[name].max())} for name, rms in effect.rms.items()}
+    return {"code": {"numbers": code.law.numbers, "manifest_sha256": code.sha256, "rounding": rounding}}
+
+
+def code_line(run: Run) -> str:
+    """Returns a sentence on the exported code that drives a run and what its rounding does to the forces; empty without."""
+    code, effect = code_of(run.controller), run.prediction.rounding
+    if code is None:
+        return ""
+    line = f"compiled code in {code.law.numbers} drives it"
+    forces = [name for name in run.vehicle.linear_model.inputs if effect and name in effect.rms]
+    if effect is None or not forces:
+        return line
+    rms, most = max(effect.rms[name] for name in forces), max(float(effect.most[name].max()) for name in forces)
+    return f"{line}; rounding is predicted to move a force by {rms:.2g} N rms, and by {most:.2g} N at most"
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
@@ -232,7 +258,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 def verdict_lines(run: Run) -> list[str]:
     """Returns the verdict on physics against analysis in sentences."""
-    agreement, blur, lines = run.agreement, run.vehicle.implementation.noise_text, []
+    agreement, blur, lines = run.agreement, run.prediction.blur_text, []
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
@@ -298,7 +324,7 @@ def verdict_lines(run: Run) -> list[str]:
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
-        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its {blur} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     elif error.excess > 1:
