@@ -20,10 +20,11 @@ from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.simulate import simulate
 from sim.runs.run import run_controllers, sample_times
 from synth.__main__ import main as synth
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Driver
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import CSource
 from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
 from tests.commands import attacks, prose
 from tests.test_export import BUILT, LAW, needs_cc
@@ -40,7 +41,7 @@ actuator_force = 150.0
 """
 
 
-def coded(vehicle: Vehicle, driver: Controller, numbers: str) -> Driver:
+def coded(vehicle: Vehicle, driver: Driver, numbers: str) -> Driver:
     """Returns a controller that its exported code drives."""
     law = exported_law(vehicle, driver, numbers, "law")
     source = CSource(law, "0" * 64)
@@ -159,6 +160,19 @@ def test_the_rounding_of_float_is_predicted(seeds):
     assert len(rms) > 10 * len(seeds) / 2
     assert max(share) < 1
     assert 0.2 < np.median(rms) < 5
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_table_of_export_is_that_of_a_run(seed):
+    """Rounding for ever, from covariances, is that of a run on a random road, from its own response; the worst case is above."""
+    loop = random_loop(seed)
+    law, on = exported_law(loop.vehicle, loop.controller, "float", "law"), road_under(loop.vehicle, 20.0, seed)
+    steady, response = steady_rounding(LoopModel(loop.vehicle, loop.controller, loop.period), law), sampled_response(loop, on)
+    effect, forces = rounding_effect(loop, law, response), loop.vehicle.linear_model.inputs
+    assert steady is not None
+    # The road of a run is one under both wheels, and not under each its own: it shakes bounce more than pitch.
+    assert 0.5 < max(effect.rms[force] / response.rms(force) for force in forces) / steady.rms < 2
+    assert max(effect.most[force].max() for force in forces) < steady.most * np.abs(on.velocities).max()
 
 
 @pytest.fixture(scope="module")

@@ -152,7 +152,11 @@ def test_a_folder_proves_itself(exported, capsys, tmp_path):
     assert "nothing is changed" in said
     assert ("1000 samples, 0 outputs differ" in said) == (COMPILER is not None)
     assert main(["--controller", "II", "--export", str(tmp_path / "two"), "--numbers", "float", "--json"]) == 0
-    files = json.loads(capsys.readouterr().out)["files"]
+    printed = json.loads(capsys.readouterr().out)
+    files, (ideal, coded) = printed["files"], printed["loop"]["loops"].values()
+    assert ideal["norm"] != coded["norm"]
+    assert coded["norm"] == pytest.approx(ideal["norm"], rel=1e-5)  # float has 7 digits
+    assert 0 < printed["loop"]["rounding"]["rms_share"] < 1e-5
     assert {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()} == {*files}
     assert main(["--check", str(tmp_path / "two")]) == 0
     assert "every claim of its certificate holds" in prose(capsys.readouterr().out)

@@ -16,7 +16,7 @@ from models.common.arrays import Array
 from sim.linear.measurement_noise import between, summed
 from sim.response.response import Response
 from synth.controller.export.c_law import ExportedLaw
-from synth.controller.export.rounding import local_errors
+from synth.controller.export.rounding import entering, local_errors
 from synth.controller.open_loop import LoopModel
 
 
@@ -44,11 +44,8 @@ def rounding_effect(loop: LoopModel, law: ExportedLaw, sampled: Response) -> Rou
     """
     steps, names, samples = loop.steps, loop.vehicle.linear_model.outputs, len(sampled.time)
     y = np.stack([sampled[name][::steps] for name in loop.controller.measured], axis=1)
-    errors, q, m = local_errors(law, y), law.readings, len(law.outputs)
-    cut, closed = loop.open_loop, loop.closed_loop
-    into = np.zeros((len(cut.G), q + m + law.states))  # from readings, forces and next states to the inputs computed at a sample
-    into[:, :q] = cut.reading
-    into[range(m + law.states), range(q, q + m + law.states)] = np.repeat([1.0, 1 / loop.period], [m, law.states])
+    errors, q, closed = local_errors(law, y), law.readings, loop.closed_loop
+    into = entering(loop, law)
     noise = summed(loop, into * np.sqrt(errors.square.mean(axis=0)), 2, samples)
     most = summed(loop, into * errors.most.max(axis=0), 1, samples)
 

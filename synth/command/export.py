@@ -11,6 +11,7 @@ from models.common.errors import InputError
 from models.common.files import made_folder
 from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
+from synth.command.export_numbers import numbers_lines, numbers_object
 from synth.command.save import SUFFIX, saved_text
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
@@ -37,7 +38,10 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
     prefix = c_name(name)
     saved, own = _saved(vehicle, name)
-    texts = _texts(saved, own, options.numbers, prefix)
+    driver = _driver(saved, own)
+    law = exported_law(saved, driver, options.numbers, prefix)
+    texts = files(saved, driver, law)
+    about = numbers_object(saved, driver, law) if isinstance(driver, Controller) and not law.dampers else None
     with (
         made_folder(folder.parent, "export"),
         tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
@@ -51,15 +55,15 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             folder.rmdir()
         whole.rename(folder)
     if options.json:
-        print(
-            json.dumps({"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]})
-        )
+        found = {"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]}
+        print(json.dumps({**found, "loop": about}, allow_nan=False))
         return 0
     say(
         [
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
+            *([*numbers_lines(about), ""] if about is not None else []),
             f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
@@ -77,11 +81,6 @@ def _saved(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     folder = Path(vehicle.source).parent
     text = saved_text(folder / VEHICLE, vehicle, [controller])
     return parse_vehicle(text, folder=folder), name + SUFFIX
-
-
-def _texts(vehicle: Vehicle, name: str, numbers: str, prefix: str) -> dict[str, str]:
-    driver = _driver(vehicle, name)
-    return files(vehicle, driver, exported_law(vehicle, driver, numbers, prefix))
 
 
 def _driver(vehicle: Vehicle, name: str):

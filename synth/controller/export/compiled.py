@@ -30,7 +30,7 @@ def compiler() -> list[str]:
     """Returns the command of a C compiler.
 
     Raises:
-        InputError: there is none.
+        InputError: no compiler is installed.
     """
     own = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if own is not None:

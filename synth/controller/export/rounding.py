@@ -11,16 +11,22 @@ Bounds are to first order in u; `SECOND` covers what is left.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from synth.controller.export.c_law import NUMBERS, ExportedLaw
+from synth.controller.open_loop import LoopModel, with_lag
 
 UNIT = {"double": 2.0**-53, "float": 2.0**-24}
 SHARE = 1 / (8 * math.log(2))  # mean square of a rounding error over (u v)^2
 SECOND = 1.001
+PARTS = 8  # of a sample period, over which a road's bounded velocity is held at its worst
+CHUNK = 256  # samples of a response that are computed together
+DECAYED, MOST_SAMPLES = 1e-9, 1_000_000  # of a response whose rest is neglected, and until when it is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +67,131 @@ def local_errors(law: ExportedLaw, y: Array) -> LocalErrors:
         y: the readings, shape (S, q).
     """
     exact, held = rounded_law(law)
-    values, q, m = np.hstack([y, law_states(law, y)]), law.readings, len(law.outputs)
+    values, q = np.hstack([y, law_states(law, y)]), law.readings
     u = UNIT[law.numbers]
     known = values @ (held - exact).T
     square, most = np.empty((len(y), q + len(held))), np.empty((len(y), q + len(held)))
     square[:, :q], most[:, :q] = SHARE * (u * y) ** 2, u * np.abs(y)
-    for i, row in enumerate(held):
-        order = np.arange(q + law.states) if i < m else np.r_[q : q + law.states, :q]  # that of the code's sums
-        used = order[row[order] != 0]  # a product with 0 is exact, and so is the sum
-        products = values[:, used] * row[used]
+    for i, used in _orders(law, held):
+        products = values[:, used] * held[i, used]
         sums = np.cumsum(products, axis=1)[:, 1:]
         square[:, q + i] = SHARE * u**2 * (np.sum(products**2, axis=1) + np.sum(sums**2, axis=1))
         most[:, q + i] = u * (np.abs(products).sum(axis=1) + np.abs(sums).sum(axis=1)) + np.abs(known[:, i])
     flips = law.resolution  # a reading on the edge between two steps goes to either
     return LocalErrors(known, square, SECOND * most + np.r_[flips, np.zeros(len(held))])
+
+
+def entering(loop: LoopModel, law: ExportedLaw) -> Array:
+    """Returns the map from errors of [readings; forces; next states] to the inputs that a loop computes at a sample."""
+    q, m, k = law.readings, len(law.outputs), law.states
+    into = np.zeros((len(loop.open_loop.G), q + m + k))
+    into[:, :q] = loop.open_loop.reading
+    into[range(m + k), range(q, q + m + k)] = np.repeat([1.0, 1 / loop.period], [m, k])
+    return into
+
+
+@dataclass(frozen=True)
+class SteadyRounding:
+    """What rounding does to the forces of a stable loop for ever, on two kinds of road under every wheel.
+
+    Attributes:
+        rms: rms of the error over that of the force, the largest of any force, where the road's velocity is white noise.
+        most: bound on the error of any force [N], where the road's velocity is at most 1 m/s.
+    """
+
+    rms: float
+    most: float
+
+
+def steady_rounding(loop: LoopModel, law: ExportedLaw) -> SteadyRounding | None:
+    """Returns what rounding does for ever, or None if the loop is not stable.
+
+    Args:
+        loop: with the sample period as its timestep.
+        law: the exported law of its controller, linear and without adjustable dampers.
+    """
+    if loop.radius >= 1:
+        return None
+    cut, closed, (exact, held) = loop.open_loop, loop.closed_loop, rounded_law(law)
+    T, q, m, size = closed.transition, law.readings, len(law.outputs), len(closed.transition)
+    model = with_lag(loop.vehicle)
+    C, D = model.rows(loop.controller.measured)
+    read = np.zeros((q + law.states, size))  # from the loop's state to [readings; states of the law]
+    read[:q, : C.shape[1]] = C
+    read[q:, loop.open_loop.law_states] = np.eye(law.states)
+    if np.any(D):
+        read[:q, C.shape[1] + law.states :][:, : D.shape[1]] = D  # the previous forces
+    asked = np.hstack([cut.asked, np.zeros((m, size - cut.asked.shape[1]))])
+    into = entering(loop, law)
+    added, direct = closed.added @ into, into[:m]
+    change = held - exact
+
+    # White velocity: covariances of the loop, then of its error beside it.
+    A, Bw = cut.model.A, cut.model.Bw
+    n = len(A)
+    of_period = linalg.expm(loop.period * np.block([[-A, Bw @ Bw.T], [np.zeros_like(A), A.T]]))
+    Q = np.zeros((size, size))
+    Q[:n, :n] = of_period[n:, n:].T @ of_period[:n, n:]
+    P = linalg.solve_discrete_lyapunov(T, Q)
+    S = read @ P @ read.T
+    V = np.diag(_mean_squares(law, held, S))
+    both = np.block([[T, np.zeros_like(T)], [added[:, q:] @ change @ read, T]])
+    driven = np.zeros((2 * size, 2 * size))
+    driven[:size, :size], driven[size:, size:] = Q, added @ V @ added.T
+    joint = linalg.solve_discrete_lyapunov(both, driven)
+    off = np.hstack([change[:m] @ read, asked])
+    errors = np.diag(off @ joint @ off.T + direct @ V @ direct.T)
+    forces = np.diag(asked @ P @ asked.T)
+    rms = float(np.sqrt(np.max(np.maximum(errors, 0.0) / np.where(forces > 0, forces, np.inf))))
+
+    # Bounded velocity: peaks of what the law sees, then the sum of all responses to the largest errors.
+    share = loop.period / PARTS
+    pushes = np.zeros((size, PARTS * Bw.shape[1]))
+    pushes[:n] = np.hstack([linalg.expm(A * share * (i + 0.5)) @ Bw * share for i in range(PARTS)])
+    peaks = _summed(read, T, pushes)
+    most = _most(law, held, change, peaks)
+    return SteadyRounding(rms, float(np.max(_summed(asked, T, added * most) + np.abs(direct) @ most)))
+
+
+def _summed(rows: Array, transition: Array, first: Array) -> Array:
+    """Returns the sum over all samples and disturbances of |response|, of a stable loop, shape (r,)."""
+    together = [rows]
+    while len(together) < CHUNK:  # a product of large matrices costs little more than one of small ones
+        together.append(together[-1] @ transition)
+    chunk, power = np.vstack(together), np.linalg.matrix_power(transition, CHUNK)
+    total, state, small = np.zeros(len(chunk)), first, DECAYED * np.abs(first).sum()
+    for _ in range(MOST_SAMPLES // CHUNK):
+        total = total + np.abs(chunk @ state).sum(axis=1)
+        if np.all(np.abs(state).sum(axis=1) <= small):
+            break
+        state = power @ state
+    return total.reshape(CHUNK, -1).sum(axis=0)
+
+
+def _orders(law: ExportedLaw, held: Array) -> Iterator[tuple[int, Array]]:
+    """Yields the columns of every row that are not 0, in the order of the code's sums."""
+    q, m = law.readings, len(law.outputs)
+    for i, row in enumerate(held):
+        order = np.arange(q + law.states) if i < m else np.r_[q : q + law.states, :q]
+        yield i, order[row[order] != 0]  # a product with 0 is exact, and so is the sum
+
+
+def _mean_squares(law: ExportedLaw, held: Array, S: Array) -> Array:
+    """Returns the mean squares of the errors of [readings; forces; next states], where the latter two see the covariance S."""
+    u2, q = UNIT[law.numbers] ** 2, law.readings
+    square = np.concatenate([np.diag(S)[:q], np.zeros(len(held))])
+    for i, used in _orders(law, held):
+        one = held[i, used][:, None] * S[np.ix_(used, used)] * held[i, used]
+        sums = [one[: j + 1, : j + 1].sum() for j in range(1, len(used))]
+        square[q + i] = np.trace(one) + sum(sums)
+    return SHARE * u2 * square
+
+
+def _most(law: ExportedLaw, held: Array, change: Array, peaks: Array) -> Array:
+    """Returns bounds on the same errors where readings and states have peaks, shape (q + m + k,)."""
+    u, q = UNIT[law.numbers], law.readings
+    most = np.concatenate([u * peaks[:q] + law.resolution, np.abs(change) @ peaks])
+    for i, used in _orders(law, held):
+        products = np.abs(held[i, used]) * peaks[used]
+        most[q + i] += u * (products.sum() + np.cumsum(products)[1:].sum())
+    return SECOND * most
