@@ -14,9 +14,8 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
 from synth.controller.controller import Controller
-from synth.controller.export.c_law import exported_law
 from synth.controller.export.compiled import ExportedCode, code_of
-from synth.controller.export.folder import differs
+from synth.controller.export.folder import differs, same_as
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
 
@@ -62,8 +61,9 @@ class CodeInTheLoop:
         late = self._law.delay * self._held
         self._late = np.zeros((late, len(controllers), self.actuators * (1 if dampers is None else 2)))
 
-        if self.flat and dampers is None and self._held == 1:
-            self.set = self._setter()
+        self._plain = self.flat and dampers is None and self._held == 1 and self._law.fixed is None
+        if self._plain:
+            self.set = self._setter()  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
 
     def _setter(self) -> Callable[[Array, Array], None]:
         """Returns `set` of a single run that acts at every step, where any call more costs a hundredth of it."""
@@ -97,17 +97,17 @@ class CodeInTheLoop:
     def _sample(self, i: int, seen: Array) -> tuple[Array, Array]:
         """Returns the commands of a run from its signals, and the states at the sample."""
         step = self._steps[i]
-        step.seen[...] = seen if self._sign is None else seen[: len(self._sign)] * self._sign
-        used = step.x.copy()
+        step.read(seen if self._sign is None else seen[: len(self._sign)] * self._sign)
+        used = step.states
         step.step()
-        return step.given.copy() if self._dampers is None else step.given.astype(float) - self._nominal[i], used
+        return step.forces - self._nominal[i], used
 
     def commands(self, seen: Array) -> Array:
         """See `sim.physics.stepping.Setting`: of the samples since the last call."""
         law, shape = self._law, (len(seen), len(self._steps))
-        number = self._steps[0].given.dtype if self._dampers is None else float
+        number = self._steps[0].given.dtype if self._plain else float
         given = np.frombuffer(b"".join(self._given), number).astype(float).reshape(*shape, self.actuators)
-        self.kept = np.frombuffer(b"".join(self._used), self._steps[0].x.dtype).astype(float).reshape(*shape, law.states)
+        self.kept = np.frombuffer(b"".join(self._used), number).astype(float).reshape(*shape, law.states)
         self._given.clear()
         self._used.clear()
         if self._dampers is None and law.limit is None:
@@ -124,8 +124,9 @@ class CodeInTheLoop:
         whole = np.concatenate([self._late, ours])
         ours, self._late = whole[: len(seen)], whole[len(seen) :]
         if self._dampers is None:
-            assert law.limit is not None, "else nothing is clipped"
-            return np.where(np.abs(given) >= NEARLY * law.limit, ours, given)
+            most = law.limit if law.fixed is None or law.fixed.limit is None else law.fixed.limit * law.fixed.given
+            assert most is not None, "else nothing is clipped"
+            return np.where(np.abs(given) >= NEARLY * most, ours, given)
         return np.concatenate([given, ours[..., self.actuators :]], axis=-1)
 
 
@@ -134,7 +135,7 @@ def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
     code = code_of(driver)
     assert code is not None, "exported code drives all of these runs"
     assert isinstance(driver, (Controller, SemiActive)), "and it is of such a law"
-    if differs(code.law, exported_law(vehicle, driver, code.law.numbers, code.law.name)):
+    if differs(code.law, same_as(code.law, vehicle, driver)):
         raise InputError(
             f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "
             "implementation; leave out --as"

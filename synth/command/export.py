@@ -1,9 +1,11 @@
 """`python -m synth --export DIR` and `--check DIR`: a controller as C99, and if it still is the one that was certified."""
 
 import json
+import math
 import subprocess
 import tempfile
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 from models.common.command import one_chosen
@@ -39,7 +41,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     prefix = c_name(name)
     saved, own = _saved(vehicle, name)
     driver = _driver(saved, own)
-    law = exported_law(saved, driver, options.numbers, prefix)
+    law = exported_law(saved, driver, options.numbers, prefix, _ranges(options.ranges))
     texts = files(saved, driver, law)
     about = numbers_object(saved, driver, law) if isinstance(driver, Controller) and not law.dampers else None
     with (
@@ -81,6 +83,24 @@ def _saved(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     folder = Path(vehicle.source).parent
     text = saved_text(folder / VEHICLE, vehicle, [controller])
     return parse_vehicle(text, folder=folder), name + SUFFIX
+
+
+def _ranges(given: Sequence[str]) -> dict[str, float]:
+    """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
+
+    Raises:
+        InputError: one is not written so, or no number above 0.
+    """
+    ranges = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            ranges[name] = float(number)
+        except ValueError:
+            ranges[name] = math.nan
+        if not 0 < ranges[name] < math.inf:
+            raise InputError(f"--range {text}: give a signal and its largest magnitude, as in --range sprung_velocity=1.5")
+    return ranges
 
 
 def _driver(vehicle: Vehicle, name: str):

@@ -108,12 +108,25 @@ class CompiledStep:
         step = code.library[f"{law.name}_step"]
         step.restype = None
         self.step = functools.partial(step, state, seen, given)
+        self.fixed = law.fixed
 
-    def __call__(self, seen: Any) -> list[float]:
-        """Returns the outputs for the inputs of a sample."""
-        self.seen[:] = seen
-        self.step()
-        return self.given.tolist()
+    def read(self, seen: Array) -> None:
+        """Writes the inputs in their units, shape (i,); to fixed point they are rounded and clipped, as a converter does."""
+        if self.fixed is None:
+            self.seen[...] = seen
+        else:
+            most = self.fixed.largest
+            self.seen[...] = np.minimum(np.maximum(np.rint(seen / self.fixed.seen), -most), most)
+
+    @property
+    def forces(self) -> Array:
+        """Outputs of the last step in their units, shape (m,)."""
+        return self.given.astype(float) if self.fixed is None else self.given * self.fixed.given
+
+    @property
+    def states(self) -> Array:
+        """States after the last step, in the law's own units, shape (k,)."""
+        return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)

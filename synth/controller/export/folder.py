@@ -15,8 +15,9 @@ from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS, CSource
+from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.fixed_source import source_of
 
 VECTORS, SEED = 1000, 20261126
 TABLES = ("A", "B", "C", "D", "anti_windup")
@@ -37,7 +38,7 @@ def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str,
         "sample_period": law.period,
         "tables": {name: None if table is None else table.tolist() for name, table in tables.items()},
         "claims": None if claims is None else dict(claims),
-    }
+    } | ({} if law.ranges is None else {"ranges": dict(zip(law.inputs, law.ranges.tolist(), strict=True))})
 
 
 def with_tables(law: ExportedLaw, tables: Mapping[str, Any]) -> ExportedLaw | None:
@@ -61,7 +62,7 @@ def with_tables(law: ExportedLaw, tables: Mapping[str, Any]) -> ExportedLaw | No
 def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
     """Returns the text of every file, by its path in the folder."""
     record = json.dumps(certificate(vehicle, driver, law), indent=1, allow_nan=False) + "\n"
-    source = CSource(law, sha256(record))
+    source = source_of(law, sha256(record))
     texts = {
         f"{law.name}.h": source.header(),
         f"{law.name}.c": source.source(),
@@ -86,15 +87,18 @@ def vectors(law: ExportedLaw) -> str:
 
 
 def _digits(law: ExportedLaw, value: Any) -> str:
+    if law.fixed is not None:
+        return str(value)
     return np.format_float_scientific(NUMBERS[law.numbers](value), unique=True, trim="0")
 
 
 def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
     p, how, tick = law.name, vehicle.implementation, "`"
-    about = zip(law.inputs, law.units, law.meanings, strict=True)
+    source = source_of(law, "")
+    about = zip(law.inputs, source.in_units, law.meanings, strict=True)
     rows = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit, meaning in about)
     meaning = "coefficient of the damper" if law.dampers else "force, positive where it pushes body and wheel apart"
-    outs = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit in zip(law.outputs, law.output_units, strict=True))
+    outs = "".join(f"| `{name}` | {unit} | {meaning} |\n" for name, unit in zip(law.outputs, source.out_units, strict=True))
     period = (
         f"every {1e3 * law.period:g} ms" if law.period is not None else "at any period that is short against the vehicle's motion"
     )
@@ -136,7 +140,8 @@ All readings are measured from static equilibrium, upwards positive. {" ".join(f
 ## The code
 
 - Numbers are `{law.numbers}`. Sums go from the first column to the last. There is no heap, no recursion and no library.
-- Compile with `{FLAGS}`. A compiler that fuses multiplication and addition rounds otherwise, and gives other last bits.
+{_whole_numbers(law)}- Compile with `{FLAGS}`.
+- A compiler that fuses multiplication and addition of floating-point numbers rounds otherwise, and gives other last bits.
 - `test/main.c` holds the code against `test/vectors.csv` back to back: every output must have the bits of the file.
 
 ```sh
@@ -145,6 +150,17 @@ cc {FLAGS} {p}.c test/main.c -o back_to_back && ./back_to_back test/vectors.csv
 
 - `{p}_certificate` is the SHA-256 of `{CERTIFICATE}`. `python -m synth --check` with this folder says if anything was changed.
 """
+
+
+def _whole_numbers(law: ExportedLaw) -> str:
+    """Returns what README.md says of fixed point."""
+    if law.ranges is None:
+        return ""
+    ranges = ", ".join(f"`{name}` ±{most:g} {unit}" for name, most, unit in zip(law.inputs, law.ranges, law.units, strict=True))
+    return (
+        "- Inputs and outputs are whole numbers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
+        f"- The ranges of the readings were given: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
+    )
 
 
 def _claims(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
@@ -191,7 +207,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     try:
         about = json.loads(read_text(folder / CERTIFICATE, "certificate", MOST, "name a folder of --export"))
         name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
-        tables = about["tables"]
+        tables, ranges = about["tables"], about.get("ranges")
     except InputError:
         raise
     except (KeyError, TypeError, ValueError) as error:
@@ -202,8 +218,8 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     try:
         vehicle = parse_vehicle(text, folder=folder)
         driver = driver_of(vehicle, name)
-        law = exported_law(vehicle, driver, numbers, prefix)
-    except (InputError, KeyError) as error:
+        law = exported_law(vehicle, driver, numbers, prefix, ranges)
+    except (InputError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder / VEHICLE}: {error}; it is changed, or {CERTIFICATE} is: export the controller again"
         ) from error
@@ -250,13 +266,18 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     driver = drivers[fits[0]]
     if why := _another(found.vehicle, vehicle):
         raise InputError(f"--as {folder}: is of a vehicle with {why}; export controller {driver.name!r} of this one")
-    ours = exported_law(vehicle, driver, law.numbers, law.name)
-    if differs(law, ours):
+    if differs(law, same_as(law, vehicle, driver)):
         raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
     code.library  # noqa: B018 - what cannot be built is said before the long work
     return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
+
+
+def same_as(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> ExportedLaw:
+    """Returns a controller of a vehicle as it would be exported with the name, numbers and ranges of a law."""
+    ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+    return exported_law(vehicle, driver, law.numbers, law.name, ranges)
 
 
 def differs(law: ExportedLaw, other: ExportedLaw) -> bool:

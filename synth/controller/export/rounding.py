@@ -5,6 +5,8 @@ number v by at most half its last digit, and that by at most u |v| with the unit
 d, so that their mean square is d^2 / 12. With mantissas from 1 to 2 that are even on a logarithmic scale, d^2 is (2 u v)^2 times
 the mean 3 / (8 ln 2) of 1 / mantissa^2, and the mean square is (u v)^2 / (8 ln 2). Readings are rounded to the format first.
 
+Fixed point. A reading, a force and a next state are rounded to their units: by at most half of one, and evenly.
+
 Coefficients are rounded once. Their error is known, and is no noise: it is that of another law.
 
 Bounds are to first order in u; `SECOND` covers what is left.
@@ -19,14 +21,13 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.controller.export.c_law import NUMBERS, ExportedLaw
+from synth.controller.export.fixed_point import summed_responses
 from synth.controller.open_loop import LoopModel, with_lag
 
 UNIT = {"double": 2.0**-53, "float": 2.0**-24}
 SHARE = 1 / (8 * math.log(2))  # mean square of a rounding error over (u v)^2
 SECOND = 1.001
 PARTS = 8  # of a sample period, over which a road's bounded velocity is held at its worst
-CHUNK = 256  # samples of a response that are computed together
-DECAYED, MOST_SAMPLES = 1e-9, 1_000_000  # of a response whose rest is neglected, and until when it is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,8 @@ class LocalErrors:
 def rounded_law(law: ExportedLaw) -> tuple[Array, Array]:
     """Returns [D, C; B, A] as given, and as the code has it, shapes (m + k, q + k)."""
     exact = np.block([[law.D, law.C], [law.B, law.A]])
+    if law.fixed is not None:
+        return exact, law.fixed.held
     return exact, exact.astype(NUMBERS[law.numbers]).astype(float)
 
 
@@ -68,8 +71,12 @@ def local_errors(law: ExportedLaw, y: Array) -> LocalErrors:
     """
     exact, held = rounded_law(law)
     values, q = np.hstack([y, law_states(law, y)]), law.readings
-    u = UNIT[law.numbers]
     known = values @ (held - exact).T
+    if law.fixed is not None:
+        steps = _steps(law)
+        most = np.concatenate([np.zeros((len(y), q)), np.abs(known)], axis=1) + steps / 2
+        return LocalErrors(known, np.broadcast_to(steps**2 / 12, most.shape), most)
+    u = UNIT[law.numbers]
     square, most = np.empty((len(y), q + len(held))), np.empty((len(y), q + len(held)))
     square[:, :q], most[:, :q] = SHARE * (u * y) ** 2, u * np.abs(y)
     for i, used in _orders(law, held):
@@ -148,24 +155,16 @@ def steady_rounding(loop: LoopModel, law: ExportedLaw) -> SteadyRounding | None:
     share = loop.period / PARTS
     pushes = np.zeros((size, PARTS * Bw.shape[1]))
     pushes[:n] = np.hstack([linalg.expm(A * share * (i + 0.5)) @ Bw * share for i in range(PARTS)])
-    peaks = _summed(read, T, pushes)
+    peaks = summed_responses(read, T, pushes)
     most = _most(law, held, change, peaks)
-    return SteadyRounding(rms, float(np.max(_summed(asked, T, added * most) + np.abs(direct) @ most)))
+    return SteadyRounding(rms, float(np.max(summed_responses(asked, T, added * most) + np.abs(direct) @ most)))
 
 
-def _summed(rows: Array, transition: Array, first: Array) -> Array:
-    """Returns the sum over all samples and disturbances of |response|, of a stable loop, shape (r,)."""
-    together = [rows]
-    while len(together) < CHUNK:  # a product of large matrices costs little more than one of small ones
-        together.append(together[-1] @ transition)
-    chunk, power = np.vstack(together), np.linalg.matrix_power(transition, CHUNK)
-    total, state, small = np.zeros(len(chunk)), first, DECAYED * np.abs(first).sum()
-    for _ in range(MOST_SAMPLES // CHUNK):
-        total = total + np.abs(chunk @ state).sum(axis=1)
-        if np.all(np.abs(state).sum(axis=1) <= small):
-            break
-        state = power @ state
-    return total.reshape(CHUNK, -1).sum(axis=0)
+def _steps(law: ExportedLaw) -> Array:
+    """Returns the steps of [readings; forces; next states] in fixed point; 0 for a reading that has its own steps anyway."""
+    assert law.fixed is not None, "it is in fixed point"
+    finer = np.where(law.resolution == law.fixed.seen, 0.0, law.fixed.seen + law.resolution)
+    return np.concatenate([finer, law.fixed.given, law.fixed.kept])
 
 
 def _orders(law: ExportedLaw, held: Array) -> Iterator[tuple[int, Array]]:
@@ -178,6 +177,8 @@ def _orders(law: ExportedLaw, held: Array) -> Iterator[tuple[int, Array]]:
 
 def _mean_squares(law: ExportedLaw, held: Array, S: Array) -> Array:
     """Returns the mean squares of the errors of [readings; forces; next states], where the latter two see the covariance S."""
+    if law.fixed is not None:
+        return _steps(law) ** 2 / 12
     u2, q = UNIT[law.numbers] ** 2, law.readings
     square = np.concatenate([np.diag(S)[:q], np.zeros(len(held))])
     for i, used in _orders(law, held):
@@ -189,7 +190,10 @@ def _mean_squares(law: ExportedLaw, held: Array, S: Array) -> Array:
 
 def _most(law: ExportedLaw, held: Array, change: Array, peaks: Array) -> Array:
     """Returns bounds on the same errors where readings and states have peaks, shape (q + m + k,)."""
-    u, q = UNIT[law.numbers], law.readings
+    q = law.readings
+    if law.fixed is not None:
+        return _steps(law) / 2 + np.concatenate([np.zeros(q), np.abs(change) @ peaks])
+    u = UNIT[law.numbers]
     most = np.concatenate([u * peaks[:q] + law.resolution, np.abs(change) @ peaks])
     for i, used in _orders(law, held):
         products = np.abs(held[i, used]) * peaks[used]
