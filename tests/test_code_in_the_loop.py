@@ -14,6 +14,7 @@ from models.roads.choice import choose_road
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
+from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
 from sim.physics.exported_code import CodeInTheLoop
@@ -199,11 +200,24 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     assert "law agrees throughout" in said
     assert ("rounding is predicted" in said) == (numbers == "float")
     assert bump([*options, "--json"]) == 0
-    code = json.loads(capsys.readouterr().out)["runs"][0]["code"]
-    assert code["numbers"] == numbers
+    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    assert run["controller"]["code"]["numbers"] == numbers
     if numbers == "float":
-        force = code["rounding"]["control_force"]
+        force = run["rounding"]["control_force"]
         assert 0 < force["rms"] < force["most"] < 1
+
+
+@needs_cc
+def test_a_log_proves_such_a_run(folders, tmp_path, capsys):
+    """From the log of a run in float its code is made again, and MuJoCo makes the same run with it, to the last bit."""
+    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / "float"), "--duration", "1"]
+    assert bump([*options, "--logs", str(tmp_path)]) == 0
+    capsys.readouterr()
+    (log,) = tmp_path.glob("*.mcap")
+    assert inspect([str(log)]) == 0
+    said = prose(capsys.readouterr().out)
+    assert "the spread that is predicted of its rounding to float" in said
+    assert "MuJoCo makes the same run again, to the last bit" in said
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
         law = random_law(np.random.default_rng(seed), read_vehicle("half_car"), numbers)
         folder = tmp_path / numbers
         folder.mkdir()
-        assert differing(law, folder, 1000 if seed < 2 else 10_000) == 0
+        assert differing(law, folder, 1000 if seed < 2 else 5_000) == 0
 
 
 @needs_cc

@@ -37,6 +37,7 @@ from sim.runs.prediction import Prediction, predict, predict_replayed
 from sim.runs.run import Run, driver_again, with_energy_balance
 from synth.analysis.specification import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, verify_record
+from synth.controller.export.compiled import code_again, driven_by
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
@@ -87,6 +88,21 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
+    """The controller of a run, driven by its exported code if the log says so, which is made again; see `recorded_law`.
+
+    Raises:
+        InputError: it is no controller of this vehicle, or there is no such code of it.
+    """
+    controller = recorded_law(log, vehicle, run)
+    if "code" not in run.claims:
+        return controller
+    record = run.claim("code")
+    if not isinstance(record, dict):
+        raise InputError("its exported code is none")
+    return driven_by(controller, code_again(vehicle, controller, record))
+
+
+def recorded_law(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
     """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
 
     A law in Python is the text that is attached. Nobody runs it.

@@ -102,19 +102,16 @@ def run_object(run: Run) -> dict[str, Any]:
         "agrees": agreement.agrees,
         "steps": steps_object(agreement.steps),
         **_dampers_object(run),
-        **code_object(run),
+        **rounding_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
 
 
-def code_object(run: Run) -> dict[str, Any]:
-    """Returns the exported code that drives a run as JSON has it, with the predicted effect of its rounding; empty without."""
-    code, effect = code_of(run.controller), run.prediction.rounding
-    if code is None:
+def rounding_object(run: Run) -> dict[str, Any]:
+    """Returns the predicted effect of the rounding of exported code as JSON has it; empty without."""
+    effect = run.prediction.rounding
+    if effect is None:
         return {}
-    rounding = None
-    if effect is not None:
-        rounding = {name: {"rms": finite(rms), "most": finite(effect.most[name].max())} for name, rms in effect.rms.items()}
-    return {"code": {"numbers": code.law.numbers, "manifest_sha256": code.sha256, "rounding": rounding}}
+    return {"rounding": {name: {"rms": finite(rms), "most": finite(effect.most[name].max())} for name, rms in effect.rms.items()}}
 
 
 def code_line(run: Run) -> str:

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,11 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.semi_active import SemiActive
+from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, Driver
-from synth.controller.export.c_law import NUMBERS, ExportedLaw
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
+from synth.controller.export.fixed_source import source_of
 
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integer and the padding
 
@@ -53,6 +56,14 @@ class ExportedCode:
     law: ExportedLaw
     texts: dict[str, str]
     sha256: str
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Numbers, prefix and ranges, by which the code is made again, and the checksum, as JSON has them."""
+        law, ranges = self.law, None
+        if law.ranges is not None:
+            ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
 
     @functools.cached_property
     def library(self) -> ctypes.PyDLL:
@@ -139,6 +150,11 @@ class CompiledController(Controller):
 
     code: ExportedCode | None = None
 
+    @property
+    def record(self) -> dict[str, Any]:
+        """Name, signals, law and code as JSON has them."""
+        return super().record | ({"code": self.code.record} if self.code is not None else {})
+
 
 @dataclass(frozen=True, eq=False)
 class CompiledSemiActive(SemiActive):
@@ -149,6 +165,28 @@ class CompiledSemiActive(SemiActive):
     """
 
     code: ExportedCode | None = None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Name, signals, law and code as JSON has them."""
+        return super().record | ({"code": self.code.record} if self.code is not None else {})
+
+
+def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> ExportedCode:
+    """Returns the code that a record tells of, made again from a controller.
+
+    Raises:
+        InputError: the record tells of no code that this controller can have.
+    """
+    numbers, name, ranges = record.get("numbers"), record.get("name"), record.get("ranges")
+    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix("_designed")):
+        raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
+    if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
+        raise InputError("the ranges of its exported code are no numbers above 0")
+    law = exported_law(vehicle, driver, numbers, name, ranges)
+    source = source_of(law, "0" * 64)
+    texts = {f"{name}.c": source.source(), f"{name}.h": source.header(), f"{name}_data.h": source.data()}
+    return ExportedCode(law, texts, str(record.get("manifest_sha256")))
 
 
 def driven_by(driver: Driver, code: ExportedCode) -> Driver:
