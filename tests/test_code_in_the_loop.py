@@ -14,6 +14,7 @@ from models.roads.choice import choose_road
 from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
+from sim.campaign.__main__ import main as campaign
 from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
@@ -218,6 +219,35 @@ def test_a_log_proves_such_a_run(folders, tmp_path, capsys):
     said = prose(capsys.readouterr().out)
     assert "the spread that is predicted of its rounding to float" in said
     assert "MuJoCo makes the same run again, to the last bit" in said
+
+
+CAMPAIGN = """vehicles = ["car.toml"]
+controllers = ["passive", "law"]
+roads = ["bump"]
+speeds = [12.5]
+duration = 0.8
+[samples]
+count = 2
+[samples.parameters]
+sprung_mass = { uniform = [0.9, 1.1], relative = true }
+"""
+
+
+@needs_cc
+def test_a_campaign_is_driven_by_code(folders, capsys):
+    """A campaign with --as has the results of one without, to rounding. It can be verified, and goes on with that code alone."""
+    (folders / "campaign.toml").write_text(CAMPAIGN)
+    command = [str(folders / "campaign.toml"), "--json", "--results"]
+    found = []
+    for name, options in {"ours": [], "code": ["--as", str(folders / "double")]}.items():
+        assert campaign([*command, str(folders / name), *options]) == 0
+        found.append(json.loads(capsys.readouterr().out)["summary"])
+    for ours, code in zip(*found, strict=True):
+        assert ours["controller"] == code["controller"]
+        assert code["ride"]["rms"] == pytest.approx(ours["ride"]["rms"], rel=1e-9)  # orders of summation
+    assert campaign(["--verify", str(folders / "code")]) == 0
+    with pytest.raises(InputError, match="the campaign began without this code"):
+        campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
 
 
 @pytest.mark.parametrize(
