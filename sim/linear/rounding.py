@@ -27,10 +27,12 @@ class RoundingEffect:
     Attributes:
         rms: predicted, over the run.
         most: bound at every sample, shape (T,).
+        beyond: readings that leave their range in fixed point, where they are clipped; neither number holds then.
     """
 
     rms: Mapping[str, float]
     most: Mapping[str, Array]
+    beyond: tuple[str, ...] = ()
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
@@ -56,6 +58,7 @@ def rounding_effect(loop: LoopModel, law: ExportedLaw, sampled: Response) -> Rou
         known[i] = rows @ state + direct @ now
         state = closed.transition @ state + added @ now
     square = known.reshape(-1, len(names))[:samples] ** 2 + noise
-    return RoundingEffect(
-        dict(zip(names, np.sqrt(square.mean(axis=0)).tolist(), strict=True)), dict(zip(names, most.T, strict=True))
-    )
+    rms = np.sqrt(square.mean(axis=0)).tolist()
+    far = np.zeros(q, dtype=bool) if law.ranges is None else np.abs(y).max(axis=0) > law.ranges
+    beyond = tuple(name for name, out in zip(loop.controller.measured, far, strict=True) if out)
+    return RoundingEffect(dict(zip(names, rms, strict=True)), dict(zip(names, most.T, strict=True)), beyond)

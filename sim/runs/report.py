@@ -124,6 +124,8 @@ def code_line(run: Run) -> str:
     if effect is None or not forces:
         return line
     rms, most = max(effect.rms[name] for name in forces), max(float(effect.most[name].max()) for name in forces)
+    if effect.beyond:
+        return f"{line}; {effect.beyond[0]} leaves its range on this road and is clipped there: export with a larger --range"
     return f"{line}; rounding is predicted to move a force by {rms:.2g} N rms, and by {most:.2g} N at most"
 
 
