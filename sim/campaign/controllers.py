@@ -19,8 +19,6 @@ from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
 from sim.command.comparison import controllers_of, say_false_claims
 from synth.controller.controller import Controller, Driver
-from synth.controller.export.compiled import code_again, driven_by
-from synth.controller.export.folder import MANIFEST
 from synth.vehicle.designer import Designer
 
 Controllers = Mapping[str, Mapping[str, Driver]]  # by vehicle and name
@@ -103,7 +101,11 @@ def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Co
 
 def _coded(vehicle: Vehicle, driver: Driver, entry: Mapping[str, Any]) -> Driver:
     """Returns a controller, driven by its exported code if the campaign began so; the code is made again."""
-    return driven_by(driver, code_again(vehicle, driver, entry["code"])) if "code" in entry else driver
+    if "code" not in entry:
+        return driver
+    from synth.controller.export.compiled import code_again, driven_by
+
+    return driven_by(driver, code_again(vehicle, driver, entry["code"]))
 
 
 def check_code(gains: Gains, exported: Path) -> None:
@@ -112,6 +114,8 @@ def check_code(gains: Gains, exported: Path) -> None:
     Raises:
         InputError: it is other code, or the campaign began without any.
     """
+    from synth.controller.export.folder import MANIFEST
+
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
     if sha256(read_text(exported / MANIFEST, "manifest", TEXT, "name a folder of --export")) not in codes:
         raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")

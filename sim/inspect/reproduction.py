@@ -37,7 +37,6 @@ from sim.runs.prediction import Prediction, predict, predict_replayed
 from sim.runs.run import Run, driver_again, with_energy_balance
 from synth.analysis.specification import SAMPLED_NORM
 from synth.controller.controller import Controller, Driver, verify_record
-from synth.controller.export.compiled import code_again, driven_by
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
@@ -99,6 +98,8 @@ def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Dr
     record = run.claim("code")
     if not isinstance(record, dict):
         raise InputError("its exported code is none")
+    from synth.controller.export.compiled import code_again, driven_by
+
     return driven_by(controller, code_again(vehicle, controller, record))
 
 

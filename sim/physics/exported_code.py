@@ -13,8 +13,8 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
-from synth.controller.controller import Controller
-from synth.controller.export.compiled import ExportedCode, code_of
+from synth.controller.controller import Controller, code_of
+from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.folder import differs, same_as
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less

@@ -19,7 +19,6 @@ from models.vehicle.limits_and_implementation import Implementation, steps_per_s
 from models.vehicle.mjcf import build_model, quiet
 from models.vehicle.vehicle import Vehicle
 from sim.physics import RUNS_AT_ONCE, drivers
-from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.sensor_readout import (
     AntiWindup,
     Laws,
@@ -37,8 +36,7 @@ from sim.physics.sensor_readout import (
     signal_from_road,
 )
 from sim.physics.stepping import Alone, Push, Reading, step_batch
-from synth.controller.controller import Controller
-from synth.controller.export.compiled import code_of
+from synth.controller.controller import Controller, code_of
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
@@ -244,7 +242,11 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         setting = (
             None if mine is None else drivers.SemiActiveLaws(semi_active[runs], mine) if semi_active else drivers.Clipped(mine.of)
         )
-        code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine) if coded else None
+        code = None
+        if coded:
+            from sim.physics.exported_code import CodeInTheLoop
+
+            code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)

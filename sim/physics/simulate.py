@@ -27,8 +27,7 @@ from sim.physics.drivers import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller, has_anti_windup
-from synth.controller.export.compiled import code_of
+from synth.controller.controller import Controller, code_of, has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 

@@ -23,8 +23,7 @@ from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, response_of, sampled_response, taylor4
 from sim.response.response import Response
-from synth.controller.controller import Controller, Driver
-from synth.controller.export.compiled import code_of
+from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:

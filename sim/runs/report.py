@@ -28,8 +28,7 @@ from sim.response.regime import (
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver, has_anti_windup
-from synth.controller.export.compiled import code_of
+from synth.controller.controller import Controller, Driver, code_of, has_anti_windup
 from synth.controller.report import (
     BOUND,
     NORM,

@@ -11,8 +11,7 @@ from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
-from synth.controller.controller import Controller
-from synth.controller.export.folder import SUFFIX
+from synth.controller.controller import SUFFIX, Controller
 from synth.controller.report import norm_if_implemented, norm_record
 
 

@@ -21,7 +21,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import SUFFIX, Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
@@ -179,7 +179,7 @@ def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> E
         InputError: the record tells of no code that this controller can have.
     """
     numbers, name, ranges = record.get("numbers"), record.get("name"), record.get("ranges")
-    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix("_designed")):
+    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
         raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
     if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
         raise InputError("the ranges of its exported code are no numbers above 0")
@@ -193,8 +193,3 @@ def driven_by(driver: Driver, code: ExportedCode) -> Driver:
     """Returns a controller whose outputs this code computes."""
     kind = CompiledController if isinstance(driver, Controller) else CompiledSemiActive
     return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
-
-
-def code_of(driver: object) -> ExportedCode | None:
-    """Returns the code that computes a controller's outputs, or None if our own law does."""
-    return driver.code if isinstance(driver, (CompiledController, CompiledSemiActive)) else None

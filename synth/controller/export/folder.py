@@ -13,7 +13,7 @@ from models.common.errors import InputError
 from models.common.files import read_text
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import SUFFIX, Controller, Driver
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import ExportedCode, driven_by
@@ -21,7 +21,6 @@ from synth.controller.export.fixed_source import source_of
 
 VECTORS, SEED = 1000, 20261126
 TABLES = ("A", "B", "C", "D", "anti_windup")
-SUFFIX = "_designed"  # of a design that becomes a section of a vehicle file
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 MOST = 10_000_000  # bytes of a file of the folder
 SAME = 1e-9  # relative: tables that another machine computes are as near
