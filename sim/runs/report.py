@@ -322,7 +322,8 @@ def verdict_lines(run: Run) -> list[str]:
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
-        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its {blur} ({numbers})")
+        of = f"measurements' {blur}" if run.vehicle.implementation.noise_text else blur
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its {of} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     elif error.excess > 1:
