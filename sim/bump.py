@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs({"logs": options.logs}, vehicle.files)
 
     design = Designer(vehicle, search=False).design
-    runs = comparison.run_named(vehicle, names, design, road, time)
+    runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),

@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_outputs({"logs": options.logs}, vehicle.files)
 
     design = Designer(vehicle, search=False).design
-    runs = comparison.run_named(vehicle, names, design, road, time)
+    runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
     first = run_metrics.first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [run_metrics.measure_run(run, first) for run in runs]
     roughness = run_metrics.driven_roughness(vehicle, road, time)

@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
     stage("designs")
     designer = Designer(vehicle, search=False)
-    controllers, how = controllers_of(vehicle, names, designer.design), (options.amplitude, options.timestep, options.speed)
+    controllers = controllers_of(vehicle, names, designer.design, options.exported)
+    how = options.amplitude, options.timestep, options.speed
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
     swept = sweep(vehicle, linear, *how, stage) if linear else []

@@ -44,7 +44,7 @@ ROOMS = {
     "synth.design": "models.laws synth.analysis synth.lmi synth.plant",
     "synth.vehicle": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.controller "
     "synth.design synth.lmi synth.plant",
-    "synth.command": "models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
+    "synth.command": "models models.figures models.laws models.vehicle synth.analysis synth.controller synth.design synth.lmi "
     "synth.plant synth.vehicle",
     "synth.__main__": "models.laws models.vehicle synth.command",
     # sim: what a run is
@@ -59,7 +59,7 @@ ROOMS = {
     "sim.linear sim.physics sim.response sim.runs",
     "sim.studies": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle synth.analysis "
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
-    "sim.command": "models models.figures models.roads models.vehicle synth.controller sim.recording "
+    "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
     "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs sim.studies",
     "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "

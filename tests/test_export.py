@@ -18,8 +18,9 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.controller.export import cortex_m4
-from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS, CSource
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
+from synth.controller.export.c_source import FLAGS
+from synth.controller.export.fixed_source import source_of
 from tests.commands import attacks, prose
 
 COMPILER = shutil.which("cc")
@@ -36,12 +37,22 @@ D = [[4000.0, -1500.0]]
 sample_period = 0.005
 anti_windup = 5.0
 """
+WHOLE = ["--controller", "I", "--numbers", "int16"]
+GROWING = """
+[controllers.law]
+measured = ["sprung_velocity"]
+A = [[1.0]]
+B = [[1.0]]
+C = [[-900.0]]
+D = [[-1500.0]]
+sample_period = 0.005
+"""
 SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
 
 
 def compiled(law: ExportedLaw, folder: Path) -> ctypes.CDLL:
     """Returns the code of a law as a library, without a warning of the compiler's."""
-    source = CSource(law, "0" * 64)
+    source = source_of(law, "0" * 64)
     for name, text in (
         (f"{law.name}.h", source.header()),
         (f"{law.name}.c", source.source()),
@@ -57,7 +68,7 @@ def compiled(law: ExportedLaw, folder: Path) -> ctypes.CDLL:
 
 def differing(law: ExportedLaw, folder: Path, samples: int) -> int:
     """Returns the number of outputs in which compiled code and Python differ in any bit."""
-    library, number = compiled(law, folder), {"double": ctypes.c_double, "float": ctypes.c_float}[law.numbers]
+    library, number = compiled(law, folder), cortex_m4.C_TYPES[law.numbers]
     state = (ctypes.c_double * (law.states + law.delay * len(law.outputs) + 8))()
     seen, given = (number * len(law.inputs))(), (number * len(law.outputs))()
     step, python, wrong = getattr(library, f"{law.name}_step"), PythonStep(law), 0
@@ -70,7 +81,10 @@ def differing(law: ExportedLaw, folder: Path, samples: int) -> int:
 
 
 def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> ExportedLaw:
-    """Returns a random law of a half-car's signals: 0 to 12 states, quantised, delayed, limited, with anti-windup."""
+    """Returns a random law of a half-car's signals: 0 to 12 states, quantised, delayed, limited, with anti-windup.
+
+    In fixed point its ranges are such that now and then a reading is clipped.
+    """
     k, signals = int(rng.integers(13)), list(vehicle.linear_model.measurable)
     q, m = int(rng.integers(1, 5)), len(vehicle.linear_model.inputs)
     A = rng.standard_normal((k, k))
@@ -83,18 +97,22 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
     limits = dataclasses.replace(vehicle.limits, actuator_force=float(rng.uniform(50, 2000)) if rng.random() < 0.5 else None)
     built = dataclasses.replace(vehicle, implementation=how, limits=limits)
     controller = dataclasses.replace(_given(vehicle, "passive"), name="law", measured=measured, law=law)
-    return exported_law(built, controller, numbers, "law")
+    double = exported_law(built, controller, "double", "law")
+    if numbers in ("double", "float"):
+        return exported_law(built, controller, numbers, "law")
+    most = 1.5 * np.abs(list(random_inputs(double, 50, 1))).max(axis=0)
+    return exported_law(built, controller, numbers, "law", dict(zip(measured, most.tolist(), strict=True)))
 
 
 @needs_cc
 @pytest.mark.parametrize("seed", [0, 1, *attacks(range(2, 100))])
 def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
-    """For a random law every output of the compiled code is that of Python to the last bit, in double and in float."""
-    for numbers in ("double", "float"):
+    """For a random law every output of the compiled code is that of Python to the last bit, in floating and in fixed point."""
+    for numbers in NUMBERS:
         law = random_law(np.random.default_rng(seed), read_vehicle("half_car"), numbers)
         folder = tmp_path / numbers
         folder.mkdir()
-        assert differing(law, folder, 1000 if seed < 2 else 10_000) == 0
+        assert differing(law, folder, 1000 if seed < 2 else 5_000) == 0
 
 
 @needs_cc
@@ -152,7 +170,11 @@ def test_a_folder_proves_itself(exported, capsys, tmp_path):
     assert "nothing is changed" in said
     assert ("1000 samples, 0 outputs differ" in said) == (COMPILER is not None)
     assert main(["--controller", "II", "--export", str(tmp_path / "two"), "--numbers", "float", "--json"]) == 0
-    files = json.loads(capsys.readouterr().out)["files"]
+    printed = json.loads(capsys.readouterr().out)
+    files, (ideal, coded) = printed["files"], printed["loop"]["loops"].values()
+    assert ideal["norm"] != coded["norm"]
+    assert coded["norm"] == pytest.approx(ideal["norm"], rel=1e-5)  # float has 7 digits
+    assert 0 < printed["loop"]["rounding"]["rms_share"] < 1e-5
     assert {path.relative_to(tmp_path / "two").as_posix() for path in (tmp_path / "two").rglob("*") if path.is_file()} == {*files}
     assert main(["--check", str(tmp_path / "two")]) == 0
     assert "every claim of its certificate holds" in prose(capsys.readouterr().out)
@@ -198,6 +220,11 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         ("", ["--controller", "I", "--controller", "II"], "--export writes one controller"),
         ("", ["--controller", "I", "--refine"], "it goes with --controller"),
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not a whole number"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
+        ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
+        ("", [*WHOLE, "--range", "sprung_velocity=fast"], "--range sprung_velocity=fast: give a signal and its largest"),
+        ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is of whole numbers"),
+        (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state grows or stays for ever"),
     ],
 )
 def test_what_is_not_exported(vehicle, options, said, tmp_path):
@@ -206,6 +233,24 @@ def test_what_is_not_exported(vehicle, options, said, tmp_path):
     with pytest.raises(InputError, match=said):
         main(["--vehicle", str(tmp_path / "car.toml"), *options, "--export", str(tmp_path / "ecu")])
     assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
+
+
+@needs_cc
+def test_a_folder_in_fixed_point(capsys, tmp_path):
+    """It says the step of every input and output and the given ranges, runs back to back, and a changed range is named."""
+    ranges = ["--range", "suspension_deflection=0.12", "--range", "sprung_velocity=1.0"]
+    assert main([*WHOLE, *ranges, "--export", str(tmp_path / "ecu"), "--json"]) == 0
+    loops = json.loads(capsys.readouterr().out)["loop"]["loops"]
+    assert loops["int16"]["norm"] == pytest.approx(loops["ideal"]["norm"], rel=1e-3)  # coefficients of 15 bits
+    assert main(["--check", str(tmp_path / "ecu")]) == 0
+    assert "1000 samples, 0 outputs differ" in prose(capsys.readouterr().out)
+    page = (tmp_path / "ecu" / "README.md").read_text()
+    assert "`sprung_velocity` ±1 m/s" in page
+    assert "m, in steps of 3.814697265625e-06" in page  # 0.12 m over 32767 is a little less
+    record = tmp_path / "ecu" / "certificate.json"
+    record.write_text(record.read_text().replace("0.12", "0.13"))
+    assert main(["--check", str(tmp_path / "ecu")]) == 1
+    assert "certificate.json: is changed" in prose(capsys.readouterr().out)
 
 
 def test_nothing_is_overwritten(exported):
@@ -217,7 +262,7 @@ def test_nothing_is_overwritten(exported):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("numbers", ["double", "float"])
+@pytest.mark.parametrize("numbers", NUMBERS)
 def test_another_processor_has_the_same_bits(numbers):
     """A Cortex-M4 without floating-point unit, simulated, gives every output to the last bit."""
     for package in cortex_m4.PACKAGES:

@@ -6,6 +6,7 @@ from pathlib import Path
 from models.common.command import Parser, run_command
 from models.common.errors import InputError
 from sim.campaign import HERE, MOST_RUNS
+from sim.command.road_options import add_exported
 from sim.physics import RUNS_AT_ONCE
 
 MOST_WORKERS = 1024
@@ -40,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("runs", "seed") if options.verify is None else ():
         if name in options.given:
             raise InputError(f"--{name} says what --verify drives again; give it with --verify, or leave it out")
+    if options.verify is not None and options.exported is not None:
+        raise InputError("--verify drives a controller as its campaign did, and finds the code there; leave --as out")
     from sim.campaign.command import check_results, run_campaign
     from sim.command.comparison import leave_out_pandas
 
@@ -71,6 +74,7 @@ def _parser() -> Parser:
         help="of those only that have at most this of another metric, in SI units (m, m/s2, N; shares of time are 0 to 1); may "
         "be repeated",
     )
+    add_exported(parser)
     parser.add_argument("--save", type=Path, metavar="FILE", help="write a vehicle file with the best one")
     parser.add_count("--workers", "threads that run batches", "one per core", 1, MOST_WORKERS)
     parser.add_count("--batch", "most runs in a batch", "what is done in a few seconds", 1, RUNS_AT_ONCE)

@@ -17,7 +17,7 @@ from models.figures.picture import write_picture
 from sim.campaign import MOST_RUNS
 from sim.campaign.best import choose, requested, save
 from sim.campaign.columns import columns, described
-from sim.campaign.controllers import designed, designed_at_start, drawn_laws
+from sim.campaign.controllers import check_code, designed, designed_at_start, drawn_laws
 from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, locked, read_manifest
 from sim.campaign.plan import Plan, Progress
@@ -56,7 +56,7 @@ def run_campaign(options: argparse.Namespace) -> int:
     with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
         stage = Stages("designs", "runs", "results")
         stage("designs")
-        plan, manifest = _plan(campaign, folder, options.file)
+        plan, manifest = _plan(campaign, folder, options.file, options.exported)
         store = _store(plan, folder, manifest)
         store.tidy()
         for remark in store.damaged:
@@ -196,18 +196,20 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
     return plan.count, verified, remark
 
 
-def _plan(campaign: Campaign, folder: Path, file: Path) -> tuple[Plan, Manifest]:
+def _plan(campaign: Campaign, folder: Path, file: Path, exported: Path | None) -> tuple[Plan, Manifest]:
     """The runs with the gains that the campaign began with, designed now where it begins; and what the folder says of them."""
     count = Plan(campaign, {}).count
     if count > MOST_RUNS:
         raise InputError(f"{count} runs are too many; at most {MOST_RUNS}")
     manifest, used = read_manifest(folder), _versions()
     if manifest is None:
-        gains = gains_of(designed(campaign))
+        gains = gains_of(designed(campaign, exported))
         about = described(campaign)
         manifest = Manifest(str(file.absolute()), digest(campaign.sources), used, campaign.text, gains, about, count)
         manifest.write(folder)
     check_same(manifest, folder, campaign.sources, used, described(campaign))
+    if exported is not None:
+        check_code(manifest.controllers, exported)
     return _planned(campaign, manifest.controllers, folder), manifest
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
+from models.common.files import TEXT, read_text
 from models.laws.linear import law_of
-from models.laws.python_law import Programmed
+from models.laws.python_law import Programmed, sha256
 from models.laws.semi_active import SemiActive
 from models.vehicle.controllers import ControllerEntry
+from models.vehicle.vehicle import Vehicle
 from sim.campaign.file import Campaign
 from sim.campaign.law_keys import drawn_entry
 from sim.campaign.manifest import ELSEWHERE, FaultError, Gains, gains_of
@@ -22,15 +24,18 @@ from synth.vehicle.designer import Designer
 Controllers = Mapping[str, Mapping[str, Driver]]  # by vehicle and name
 
 
-def designed(campaign: Campaign) -> Controllers:
+def designed(campaign: Campaign, exported: Path | None = None) -> Controllers:
     """Returns the controllers of a new campaign, by vehicle and name.
 
+    Args:
+        exported: folder whose code drives one of them, or None.
+
     Raises:
-        InputError: one cannot be designed, or the file of a law cannot be read.
+        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
     """
     controllers_by_vehicle = {}
     for name, vehicle in campaign.vehicles.items():
-        controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design)
+        controllers = controllers_of(vehicle, campaign.controllers, Designer(vehicle, search=False).design, exported)
         say_false_claims(controllers)
         controllers_by_vehicle[name] = dict(zip(campaign.controllers, controllers, strict=True))
     return controllers_by_vehicle
@@ -57,8 +62,9 @@ def designed_at_start(campaign: Campaign, gains: Gains, folder: Path) -> Control
             except KeyError as error:
                 raise _strange(error) from error
             if linear:
-                controllers[name][each] = _gain_of_then(designer, each, entry)
+                controllers[name][each] = _coded(vehicle, _gain_of_then(designer, each, entry), entry)
             elif isinstance(law := vehicle.controllers[each].driver(), SemiActive):  # as the campaign's vehicle file has it
+                law = _coded(vehicle, law, entry)
                 controllers[name][each] = law
                 if gains_of({"": {each: law}})[""][each] != entry:
                     raise FaultError(f"the folder's gains are not those of the campaign (controller {each!r}); {ELSEWHERE}")
@@ -91,6 +97,28 @@ def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Co
         return designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
     except (KeyError, ValueError) as error:
         raise _strange(error) from error
+
+
+def _coded(vehicle: Vehicle, driver: Driver, entry: Mapping[str, Any]) -> Driver:
+    """Returns a controller, driven by its exported code if the campaign began so; the code is made again."""
+    if "code" not in entry:
+        return driver
+    from synth.controller.export.compiled import code_again, driven_by
+
+    return driven_by(driver, code_again(vehicle, driver, entry["code"]))
+
+
+def check_code(gains: Gains, exported: Path) -> None:
+    """Refuses the code of a folder with which a campaign did not begin.
+
+    Raises:
+        InputError: it is other code, or the campaign began without any.
+    """
+    from synth.controller.export.folder import MANIFEST
+
+    codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
+    if sha256(read_text(exported / MANIFEST, "manifest", TEXT, "name a folder of --export")) not in codes:
+        raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")
 
 
 def _strange(error: Exception) -> FaultError:

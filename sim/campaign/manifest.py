@@ -131,10 +131,18 @@ def _is_its_kind(name: str, value: Any) -> bool:
     def matrix(value: Any) -> bool:
         return isinstance(value, list) and all(row(each) for each in value)
 
+    def code(value: Any) -> bool:
+        if not isinstance(value, dict) or set(value) != {"numbers", "name", "ranges", "manifest_sha256"}:
+            return False
+        ranges = value["ranges"] is None or by_text(value["ranges"], lambda most: type(most) is float)
+        return ranges and all(text(value[key]) for key in ("numbers", "name", "manifest_sha256"))
+
     def law(value: Any) -> bool:
         numbers = ("sample_period", "anti_windup")
         if not isinstance(value, dict) or not texts(value.get("measured")) or not row([value.get(key, 0) for key in numbers]):
             return False
+        if "code" in value:
+            return code(value["code"]) and law({key: each for key, each in value.items() if key != "code"})
         if key := next((key for key in ("law", "fmu") if key in value), None):
             return set(value) - {"preview"} == {"measured", key, "sha256"} and text(value[key]) and text(value["sha256"])
         if "semi_active" in value:

@@ -16,7 +16,16 @@ from models.roads.road import Road
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
-from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING, claims, controller_lines, energy_lines, run_lines, verdict_lines
+from sim.runs.report import (
+    NO_CLAIM,
+    NO_CLAIM_OF_SWITCHING,
+    claims,
+    code_line,
+    controller_lines,
+    energy_lines,
+    run_lines,
+    verdict_lines,
+)
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver
 
@@ -25,14 +34,29 @@ if TYPE_CHECKING:
     from sim.studies.ride.standing import Standing
 
 
-def controllers_of(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller]) -> list[Driver]:
+def controllers_of(
+    vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
+) -> list[Driver]:
     """Returns the controllers of these names; no law in Python is run.
 
+    Args:
+        exported: folder whose code drives one of them, or None.
+
     Raises:
-        InputError: one cannot be designed, or the file of a law cannot be read.
+        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
     """
     linear = vehicle.linear_names
-    return [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
+    drivers: list[Driver] = [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
+    if exported is None:
+        return drivers
+    from synth.controller.export.folder import as_exported, read_folder
+    from synth.vehicle.designer import Designer
+
+    def driver_of(vehicle: Vehicle, name: str) -> Driver:
+        given = name in vehicle.linear_names
+        return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
+
+    return as_exported(read_folder(exported, driver_of), vehicle, drivers)
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:
@@ -163,12 +187,19 @@ def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
     (open_viewer if options.open else serve_viewer)(Path(recording))
 
 
-def run_named(vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], road: Road, time: Array) -> list[Run]:
+def run_named(
+    vehicle: Vehicle,
+    names: Sequence[str],
+    design: Callable[[str], Controller],
+    road: Road,
+    time: Array,
+    exported: Path | None = None,
+) -> list[Run]:
     """Returns a run of every controller asked for, in their order. Claims of theirs that are false are said first.
 
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
-    controllers = controllers_of(vehicle, names, design)
+    controllers = controllers_of(vehicle, names, design, exported)
     say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)
 
@@ -196,6 +227,8 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
             without[claim].append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
+        if code := code_line(run):
+            lines += wrapped(code, f"{run.controller.name}: ", 4)
         told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
         lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
@@ -234,6 +267,7 @@ def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:
     table = run_lines(run, passive)
     return [
         *controller_lines(run.vehicle, run.controller),
+        *(f"  {line}" for line in filter(None, [code_line(run)])),
         "",
         *table,
         "",

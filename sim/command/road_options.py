@@ -62,7 +62,8 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """Adds `--duration` with its default [s], `--timestep`, those of logs and viewers, `--verbose`, `--brief` and `--json`."""
+    """Adds `--duration` with its default [s], `--timestep`, `--as`, those of logs and viewers, and those of what is printed."""
+    add_exported(parser)
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
     logs = parser.add_mutually_exclusive_group()
@@ -76,6 +77,17 @@ def add_run_options(parser: Parser, duration: float) -> None:
     parser.add_printed(
         "gains, every signal and all sentences behind the verdict",
         "print only which controller is best at what, and the verdicts",
+    )
+
+
+def add_exported(parser: Parser) -> None:
+    """Adds `--as`."""
+    parser.add_argument(
+        "--as",
+        dest="exported",
+        type=Path,
+        metavar="DIR",
+        help="let the compiled code of this folder of python -m synth --export drive its controller",
     )
 
 

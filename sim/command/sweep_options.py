@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
 from models.common.command import Parser, chosen
-from sim.command.road_options import USUAL
+from sim.command.road_options import USUAL, add_exported
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -35,6 +35,7 @@ def parser() -> Parser:
     parser.add_number("--amplitude", 1e-4, "m", "largest height of every road; larger ones meet the vehicle's limits")
     parser.add_number("--speed", 12.5, "m/s", "forward speed; only the later wheels of longer vehicles notice")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    add_exported(parser)
     parser.add_logs("every controller on its worst sinusoid")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the responses, as .png or .svg; needs matplotlib")
     parser.add_printed("every signal, invariant and road of each controller, as of a single one")

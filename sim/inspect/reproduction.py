@@ -87,6 +87,23 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
 
 
 def recorded_controller(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
+    """The controller of a run, driven by its exported code if the log says so, which is made again; see `recorded_law`.
+
+    Raises:
+        InputError: it is no controller of this vehicle, or there is no such code of it.
+    """
+    controller = recorded_law(log, vehicle, run)
+    if "code" not in run.claims:
+        return controller
+    record = run.claim("code")
+    if not isinstance(record, dict):
+        raise InputError("its exported code is none")
+    from synth.controller.export.compiled import code_again, driven_by
+
+    return driven_by(controller, code_again(vehicle, controller, record))
+
+
+def recorded_law(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
     """The controller of a run, with a certificate computed anew from its gain and the proof in the log; numpy and scipy alone.
 
     A law in Python is the text that is attached. Nobody runs it.

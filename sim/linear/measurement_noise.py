@@ -25,25 +25,28 @@ def noise_rms(loop: LoopModel, samples: int) -> Array:
     """Returns the standard deviation of every output signal under the measurement noise, at every timestep, shape (T, p)."""
     noise = loop.vehicle.implementation.noise
     rms = np.array([noise.get(name, 0.0) for name in loop.controller.measured])
-    return np.sqrt(_summed(loop, rms, 2, samples))
+    return np.sqrt(summed(loop, loop.open_loop.reading * rms, 2, samples))
 
 
 def most_quantised(loop: LoopModel, samples: int) -> Array:
     """Returns a bound on every output signal's error by quantised measurements. Arguments and shape as for `noise_rms`."""
     resolution = loop.vehicle.implementation.quantisation
     half = np.array([resolution.get(name, 0.0) / 2 for name in loop.controller.measured])
-    return _summed(loop, half, 1, samples)
+    return summed(loop, loop.open_loop.reading * half, 1, samples)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
-def _summed(model: LoopModel, size: Array, power: int, samples: int) -> Array:
-    """Returns sums of |response|^power to measurement disturbances of these sizes, by timestep, shape (T, p)."""
+def summed(model: LoopModel, read: Array, power: int, samples: int) -> Array:
+    """Returns sums of |response|^power to disturbances at every sample, by timestep, shape (T, p).
+
+    Args:
+        read: from each disturbance of a sample, by its size, to the inputs computed there, shape (m + k, j).
+    """
     loop, steps, p = model.closed_loop, model.steps, len(model.open_loop.model.outputs)
     sums = np.zeros((-(-samples // steps), steps, p))
-    if not size.any():
+    if not read.any():
         return sums.reshape(-1, p)[:samples]
-    read = loop.open_loop.reading * size
-    rows, direct = _between(loop, read, model.timestep)
+    rows, direct = between(loop, read, model.timestep)
     response, total, at_once = loop.added @ read, np.zeros(steps * p), _sum(direct, power)
     lasts = _lasts(loop.transition)
     for k in range(len(sums)):
@@ -59,7 +62,7 @@ def _summed(model: LoopModel, size: Array, power: int, samples: int) -> Array:
     return sums.reshape(-1, p)[:samples]
 
 
-def _between(loop: SampledClosedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
+def between(loop: SampledClosedLoop, read: Array, timestep: float) -> tuple[Array, Array]:
     """Maps the loop's state, and the readings, to the outputs at every timestep up to the next sample, shape (steps p, ...)."""
     model = loop.open_loop.model
     Phi, Gamma = held_inputs(model.A, timestep, linalg.expm, model.B)

@@ -351,6 +351,8 @@ class Limited:
 class Clipped:
     """Sets the adjustable dampers of N runs to the forces of linear laws; see `sim.physics.stepping.Setting`."""
 
+    flat = False
+
     def __init__(self, of: "CoefficientRange") -> None:
         """Prepares dampers of this range."""
         self.of, self.actuators = of, of.low.shape[1]
@@ -376,6 +378,8 @@ class SemiActiveLaws:
     A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its
     steps.
     """
+
+    flat = False
 
     def __init__(self, controllers: Sequence[SemiActive], dampers: Dampers, names: Sequence[str] | None = None) -> None:
         """Prepares laws on signals of these names, which are followed by the suspensions' closing velocities.

@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.laws.python_law import Programmed
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
@@ -28,13 +29,14 @@ from sim.physics.sensor_readout import (
     force_from_road,
     laws_on,
     measured_by,
+    measurement_noise,
     mix,
     prepared,
     sensed_stage,
     signal_from_road,
 )
 from sim.physics.stepping import Alone, Push, Reading, step_batch
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, code_of
 
 DIVERGED = 1e8  # of any signal, in SI units: beyond it the run has diverged
 
@@ -171,13 +173,14 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
 
     # A measurement is read before a step: from the state if it is linear in it, else from its sensor. The part of the road that
     # the reading lacks is added.
-    linear = [one if isinstance(one, Controller) else None for one in controllers]
+    coded = code_of(controllers[0]) is not None
+    linear = [one if isinstance(one, Controller) and not coded else None for one in controllers]
     others = [one for one in controllers if not isinstance(one, Controller)]
     semi_active = [one for one in others if isinstance(one, SemiActive)]
     ways = [other.implementation for other in distinct.values()]
     ideal = undelayed is None and all(one.ideal for one in ways)
-    if semi_active and ideal:
-        K, memory = measured_by(readout.names, [one.measured for one in semi_active])
+    if coded or (semi_active and ideal):
+        K, memory = measured_by(readout.names, [one.measured for one in controllers])
     else:
         K, memory = laws_on(readout.names, vehicles, linear, timestep)
     beside, beside_memory = np.zeros((1, 1, len(readout.names))), np.zeros(0)
@@ -199,10 +202,18 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
     if undelayed is None and going is None and not (others or vehicle.dampers) and len(periods) == 1:
         # Runs that may drop out hold forces for different times; all runs are read as if they did.
         plain = not any(one.delay or one.has_measurement_noise for one in ways)
+    plain = plain or coded
     unseen = np.zeros(0) if plain else signal_from_road(now, readout, True) + signal_from_road(unmoved, readout, False)
     of_reading = _of_reading(readout, sensors)
     dampers = drivers.dampers_of(vehicles, readout)
     follows = None if undelayed is not None else anti_windup_on(vehicles, linear, timestep)
+    if coded:
+        if undelayed is not None or len(periods) > 1:
+            raise InputError("exported code drives whole controllers of one sample period; leave out --as")
+        noise = measurement_noise([one.implementation for one in vehicles], _seen_names(readout, dampers), len(now))
+        if len(noise):
+            for i, one in enumerate(controllers):
+                offset[:, i] += noise[:, i, [readout.names.index(name) for name in one.measured]]
     reads = (gain, memory, offset)
     if dampers is not None:
         reads = dampers.beside(gain, memory, offset)
@@ -232,10 +243,15 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         setting = (
             None if mine is None else drivers.SemiActiveLaws(semi_active[runs], mine) if semi_active else drivers.Clipped(mine.of)
         )
+        code = None
+        if coded:
+            from sim.physics.exported_code import CodeInTheLoop
+
+            code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)
-            seen = readout.names if mine is None else (*readout.names, *("" for _ in mine.closing))
+            seen = _seen_names(readout, mine)
             samplers = [Sampler(how, laws, seen, timestep, len(now))]
             if undelayed is not None:
                 ideal = [Implementation()] * len(how)
@@ -249,7 +265,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         reading = Reading(
             *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
             *(sensors, stage, fresh, fresh and not course.accelerations),
-            damped=setting,
+            damped=code or setting,
             lagging=mine is not None and mine.lags,
             held=max(periods) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
@@ -258,6 +274,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         push = None if course.held is None else _push(course.held[:, runs], readout)
         steps = step_batch(batch, readout.mocap, reading, road, at_samples, law, edges, wanted, stopped, push)
         for start, sensed, qpos, qvel, requested, kept, acts in steps:
+            kept = kept if code is None else code.kept
             some = slice(start, start + len(sensed))
             recorded = np.zeros((len(sensed), len(signals), batch.nsim))
             mix(place @ readout.of_sensors, sensed, recorded)
@@ -288,6 +305,11 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 yield block
 
     return [functools.partial(quietly, runs) for runs in shares]
+
+
+def _seen_names(readout: Readout, dampers: drivers.Dampers | None) -> tuple[str, ...]:
+    """Returns the names of the signals that a sampler reads; the dampers' closing velocities at their end have none."""
+    return readout.names if dampers is None else (*readout.names, *("" for _ in dampers.closing))
 
 
 def _push(held: Array, readout: Readout) -> Push:

@@ -106,11 +106,7 @@ class Sampler:
         self.period = np.array([steps_per_sample(one, timestep) for one in how])
         self.late = np.array([round(one.delay * steps) for one, steps in zip(how, self.period, strict=True)])  # steps
         self.resolution = np.array([[one.quantisation.get(name, 0.0) for name in names] for one in how])
-        rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
-        self.noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
-        for i, one in enumerate(how):
-            if np.any(rms[i]):
-                self.noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+        self.noise = measurement_noise(how, names, samples)
         self.coarse = bool(np.any(self.resolution))
         self.queue = np.zeros((max(one.pending_forces for one in how) + 1, len(how), laws.forces))  # forces by sample, in a ring
         self.force = np.zeros((len(how), laws.forces))
@@ -153,6 +149,16 @@ class Sampler:
     def _act(self, due: Array | slice, which: Array, k: int) -> None:
         """Applies the queued forces that are due; before the first arrives, their place in the ring is still zero."""
         self.force[due] = self.queue[(k - self.late[due]) // self.period[due] % len(self.queue), which]
+
+
+def measurement_noise(how: Sequence[Implementation], names: Sequence[str], samples: int) -> Array:
+    """Returns the noise of N controllers on signals of these names, shape (samples, N, S), or (0, N, S) without any."""
+    rms = np.array([[one.noise.get(name, 0.0) for name in names] for one in how])
+    noise = np.zeros((samples if np.any(rms) else 0, *rms.shape))
+    for i, one in enumerate(how):
+        if np.any(rms[i]):
+            noise[:, i] = rms[i] * np.random.default_rng(one.seed).standard_normal((samples, len(names)))
+    return noise
 
 
 # pyright: reportAttributeAccessIssue=false

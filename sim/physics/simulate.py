@@ -27,7 +27,7 @@ from sim.physics.drivers import Failure, RunDriver, steps_ahead
 from sim.physics.run_blocks import BatchInputs, Block, in_blocks, in_shares
 from sim.response.regime import BLOCK, EndDetector
 from sim.response.response import Response
-from synth.controller.controller import Controller, has_anti_windup
+from synth.controller.controller import Controller, code_of, has_anti_windup
 
 FEWEST = 4  # runs per thread: with fewer, numpy between the steps, one thread at a time, takes as long as the steps
 
@@ -113,14 +113,21 @@ def _of_state(law: LinearLaw, vehicle: Vehicle, timestep: float) -> float:
     return law.of_state(steps_per_sample(vehicle.implementation, timestep) * timestep)
 
 
-def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int]:
-    """Returns the type of a controller and the steps for which it holds a force, 0 if noise or a delay comes between."""
-    computer = vehicle.implementation
-    return type(controller), 0 if computer.delay or computer.has_measurement_noise else steps_per_sample(computer, timestep)
+def _kind(controller: RunDriver, vehicle: Vehicle, timestep: float) -> tuple[type, int, str]:
+    """Returns the type of a controller, the steps for which it holds a force, 0 if noise or a delay comes between, and the
+    checksum of the exported code that drives it, or an empty text.
+    """
+    computer, code = vehicle.implementation, code_of(controller)
+    late = code is None and (computer.delay or computer.has_measurement_noise)
+    return (
+        type(controller),
+        0 if late else steps_per_sample(computer, timestep),
+        "" if code is None else code.sha256,
+    )
 
 
 def _by_kind(
-    kinds: Sequence[tuple[type, int]], controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int
+    kinds: Sequence[tuple[type, int, str]], controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], threads: int
 ) -> PhysicsRuns:
     """Returns the runs of `simulate`, computed for each kind of runs apart (see `_kind`), in the given order."""
     which, parts = [], []

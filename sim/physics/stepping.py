@@ -67,9 +67,11 @@ class Setting(Protocol):
 
     Attributes:
         actuators: number m of each run's actuators, force actuators included.
+        flat: True if the signals of a single run have shape (d,).
     """
 
     actuators: int
+    flat: bool
 
     def set(self, seen: Array, acting: Array) -> None:
         """Writes the commands of every actuator, shape (N, m), from the signals that decide them, shape (N, d)."""
@@ -199,7 +201,7 @@ def step_batch(
     gain = np.concatenate([gain, known_beside], axis=-1)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
     # For a single run the product of a matrix and a vector has the same result at a third of the cost.
-    alone = count == 1 and law is None and not kept and damped is None
+    alone = count == 1 and law is None and not kept and (damped is None or damped.flat)
     last, used = np.zeros(commands), states
     ask = gain[0].dot if alone else functools.partial(np.matvec, gain)
     activations = batch.bind("act")

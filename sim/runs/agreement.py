@@ -122,7 +122,8 @@ class Agreement(Shown):
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
             does not end it. A state that the vehicle's exact equations do not take does.
-        blurred: True if measurements are noisy or quantised: then differences up to their predicted spread are allowed.
+        blurred: True if measurements are noisy or quantised, or exported code rounds: then differences up to the predicted
+            spread are allowed.
         steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
     """
 

@@ -23,10 +23,11 @@ from models.vehicle.mjcf import has_geometry
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import continuous_response, response_of, sampled_response, taylor4
 from sim.response.response import Response
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
+    from sim.linear.rounding import RoundingEffect
     from sim.linear.switched_response import DecisionMismatch, Switched
 
 
@@ -45,8 +46,8 @@ class Prediction:
         sampled: exact response of the sampled loop: linear, except for curves.
         integrated: the same as RK4 makes it.
         continuous: exact linear response of the continuous closed loop.
-        spread: largest effect of measurement noise (in `SIGMAS` deviations) and quantisation on each output signal, at every
-            sample, shape (T,); empty without them.
+        spread: largest effect of measurement noise (in `SIGMAS` deviations), quantisation and the rounding of exported code on
+            each output signal, at every sample, shape (T,); empty without them.
         radius: growth per timestep of the sampled loop, unstable above 1; NaN if the loop is too large, or not linear.
         requested_force: requests of a law in Python, shape (T, m): forces [N], or with adjustable dampers the commands,
             shape (T, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`; empty for a linear controller, which
@@ -54,6 +55,7 @@ class Prediction:
         otherwise: samples at which the responses follow a different decision of physics on adjustable dampers.
         played: True if they follow all decisions of physics, because of noisy measurements or a law in Python.
         loop: the linear loop, or None.
+        rounding: effect of the rounding of exported code in other numbers than double, which is in `spread`, or None.
     """
 
     input: RoadInput
@@ -67,6 +69,7 @@ class Prediction:
     otherwise: "tuple[DecisionMismatch, ...]" = ()
     played: bool = False
     loop: LoopModel | None = None
+    rounding: "RoundingEffect | None" = None
 
     @property
     def vehicle(self) -> Vehicle:
@@ -88,6 +91,12 @@ class Prediction:
         """Returns the timestep of the run [s]."""
         return self.input.timestep
 
+    @property
+    def blur_text(self) -> str:
+        """Names of what `spread` is of; empty without any."""
+        noise, code = self.vehicle.implementation.noise_text, code_of(self.controller)
+        return " and ".join(filter(None, [noise, f"rounding to {code.law.numbers}" if self.rounding and code else ""]))
+
 
 def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> Prediction:
     """Returns the prediction of one run, from rest.
@@ -106,15 +115,23 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
         raise InputError(
             f"the spread of its {vehicle.implementation.noise_text} is not computed: its loop has too many delayed forces"
         )
+    sampled = sampled_response(loop, road)
+    spread, rounding, code = _spread(loop, len(road.time)) if noisy else {}, None, code_of(loop.controller)
+    if code is not None and code.law.numbers != "double":
+        from sim.linear.rounding import rounding_effect
+
+        rounding = rounding_effect(loop, code.law, sampled)
+        spread = {name: most + spread.get(name, 0.0) for name, most in rounding.most.items()}
     return Prediction(
         input=road,
         controller=loop.controller,
-        sampled=sampled_response(loop, road),
+        sampled=sampled,
         integrated=sampled_response(loop, road, exponential=taylor4),
         continuous=continuous_response(loop, road),
-        spread=_spread(loop, len(road.time)) if noisy else {},
+        spread=spread,
         radius=loop.radius if small else math.nan,
         loop=loop,
+        rounding=rounding,
     )
 
 

@@ -28,7 +28,7 @@ from sim.response.regime import (
 from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
-from synth.controller.controller import Controller, Driver, has_anti_windup
+from synth.controller.controller import Controller, Driver, code_of, has_anti_windup
 from synth.controller.report import (
     BOUND,
     NORM,
@@ -101,7 +101,31 @@ def run_object(run: Run) -> dict[str, Any]:
         "agrees": agreement.agrees,
         "steps": steps_object(agreement.steps),
         **_dampers_object(run),
+        **rounding_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
+
+
+def rounding_object(run: Run) -> dict[str, Any]:
+    """Returns the predicted effect of the rounding of exported code as JSON has it; empty without."""
+    effect = run.prediction.rounding
+    if effect is None:
+        return {}
+    return {"rounding": {name: {"rms": finite(rms), "most": finite(effect.most[name].max())} for name, rms in effect.rms.items()}}
+
+
+def code_line(run: Run) -> str:
+    """Returns a sentence on the exported code that drives a run and what its rounding does to the forces; empty without."""
+    code, effect = code_of(run.controller), run.prediction.rounding
+    if code is None:
+        return ""
+    line = f"compiled code in {code.law.numbers} drives it"
+    forces = [name for name in run.vehicle.linear_model.inputs if effect and name in effect.rms]
+    if effect is None or not forces:
+        return line
+    rms, most = max(effect.rms[name] for name in forces), max(float(effect.most[name].max()) for name in forces)
+    if effect.beyond:
+        return f"{line}; {effect.beyond[0]} leaves its range on this road and is clipped there: export with a larger --range"
+    return f"{line}; rounding is predicted to move a force by {rms:.2g} N rms, and by {most:.2g} N at most"
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
@@ -232,7 +256,7 @@ def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
 
 def verdict_lines(run: Run) -> list[str]:
     """Returns the verdict on physics against analysis in sentences."""
-    agreement, blur, lines = run.agreement, run.vehicle.implementation.noise_text, []
+    agreement, blur, lines = run.agreement, run.prediction.blur_text, []
     if run.prediction.radius > 1:
         lines.append(f"unstable: the sampled loop grows by a factor of {run.prediction.radius:.6g} every step")
     elif run.prediction.radius == 1:
@@ -298,7 +322,8 @@ def verdict_lines(run: Run) -> list[str]:
             f"{small}{with_it} MuJoCo {is_it} {error.small:.1e} of it"
         )
     elif agreement.agrees and agreement.blurred:
-        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its measurements' {blur} ({numbers})")
+        of = f"measurements' {blur}" if run.vehicle.implementation.noise_text else blur
+        lines.append(f"agrees {when}: MuJoCo stays within the spread that is predicted of its {of} ({numbers})")
     elif agreement.agrees:
         lines.append(f"agrees {when}: MuJoCo follows {_reference(run)} to within RK4's own error ({numbers})")
     elif error.excess > 1:

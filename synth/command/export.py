@@ -1,26 +1,27 @@
 """`python -m synth --export DIR` and `--check DIR`: a controller as C99, and if it still is the one that was certified."""
 
-import hashlib
 import json
-import shutil
+import math
 import subprocess
 import tempfile
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 from models.common.command import one_chosen
 from models.common.errors import InputError
-from models.common.files import made_folder, read_text
+from models.common.files import made_folder
 from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
+from synth.command.export_numbers import numbers_lines, numbers_object
 from synth.command.save import SUFFIX, saved_text
 from synth.controller.controller import Controller, Driver
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
-from synth.controller.export.folder import CERTIFICATE, MANIFEST, SEED, VEHICLE, files, with_tables
+from synth.controller.export.compiled import compiler
+from synth.controller.export.folder import SEED, VEHICLE, files, read_folder
 from synth.vehicle.designer import Designer
 
-MOST = 10_000_000  # bytes of a file of the folder
 FEW = 50  # samples on a simulated processor
 
 
@@ -39,7 +40,10 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
         raise InputError(f"--export {folder}: is there already, and not empty; name another folder, or remove it")
     prefix = c_name(name)
     saved, own = saved_with_law(vehicle, name)
-    texts = _texts(saved, own, options.numbers, prefix)
+    driver = driver_of(saved, own)
+    law = exported_law(saved, driver, options.numbers, prefix, _ranges(options.ranges))
+    texts = files(saved, driver, law)
+    about = numbers_object(saved, driver, law) if isinstance(driver, Controller) and not law.dampers else None
     with (
         made_folder(folder.parent, "export"),
         tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,
@@ -53,15 +57,15 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             folder.rmdir()
         whole.rename(folder)
     if options.json:
-        print(
-            json.dumps({"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]})
-        )
+        found = {"folder": str(folder), "name": prefix, "controller": own, "numbers": options.numbers, "files": [*texts]}
+        print(json.dumps({**found, "loop": about}, allow_nan=False))
         return 0
     say(
         [
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
+            *([*numbers_lines(about), ""] if about is not None else []),
             f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
@@ -81,9 +85,22 @@ def saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     return parse_vehicle(text, folder=folder), name + SUFFIX
 
 
-def _texts(vehicle: Vehicle, name: str, numbers: str, prefix: str) -> dict[str, str]:
-    driver = driver_of(vehicle, name)
-    return files(vehicle, driver, exported_law(vehicle, driver, numbers, prefix))
+def _ranges(given: Sequence[str]) -> dict[str, float]:
+    """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
+
+    Raises:
+        InputError: one is not written so, or no number above 0.
+    """
+    ranges = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            ranges[name] = float(number)
+        except ValueError:
+            ranges[name] = math.nan
+        if not 0 < ranges[name] < math.inf:
+            raise InputError(f"--range {text}: give a signal and its largest magnitude, as in --range sprung_velocity=1.5")
+    return ranges
 
 
 def driver_of(vehicle: Vehicle, name: str) -> Driver:
@@ -102,45 +119,14 @@ def check_folder(folder: Path, options: Namespace) -> int:
     Raises:
         InputError: the folder is no exported controller.
     """
-    try:
-        about = json.loads(read_text(folder / CERTIFICATE, "certificate", MOST, "name a folder of --export"))
-        name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
-        tables = about["tables"]
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{folder / CERTIFICATE}: is not as --export writes it ({error}); export the controller again"
-        ) from error
-    text = read_text(folder / VEHICLE, "vehicle file", MOST, "name a folder of --export")
-    try:
-        vehicle = parse_vehicle(text, folder=folder)
-        driver = driver_of(vehicle, name)
-        law = exported_law(vehicle, driver, numbers, prefix)
-    except (InputError, KeyError) as error:
-        raise InputError(
-            f"{folder / VEHICLE}: {error}; it is changed, or {CERTIFICATE} is: export the controller again"
-        ) from error
-    failures = list[str]()
-    exact = with_tables(law, tables)
-    if exact is None:
-        failures.append(f"{CERTIFICATE}: its tables are not those of the law in {VEHICLE}")
-    wanted = files(vehicle, driver, exact or law)
-    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    for path in sorted({*wanted, *there}):
-        if path not in there:
-            failures.append(f"{path}: is missing")
-        elif path not in wanted:
-            failures.append(f"{path}: was not exported")
-        elif (folder / path).read_bytes() != wanted[path].encode():
-            failures.append(f"{path}: is changed")
-    said = _manifest(folder, there)
-    failures += [one for one in said if one not in failures]
+    found = read_folder(folder, driver_of)
+    vehicle, law, failures = found.vehicle, found.law, list(found.failures)
+    name, prefix = law.controller, law.name
     claims = _claims(vehicle, name)
     ran, same = _back_to_back(folder, prefix) if not failures else ("the code was not run", True)
     failures += [] if same else [ran]
     if options.cortex_m4:
-        elsewhere, same = _on_cortex_m4(exact or law)
+        elsewhere, same = _on_cortex_m4(law)
         ran = f"{ran}; {elsewhere}"
         failures += [] if same else [elsewhere]
     verdict = f"NOT AS EXPORTED: {'; '.join(failures)}" if failures else "nothing is changed"
@@ -151,7 +137,7 @@ def check_folder(folder: Path, options: Namespace) -> int:
     else:
         say(
             [
-                f"controller {name} as C99 in {numbers}",
+                f"controller {name} as C99 in {law.numbers}",
                 f"  {claims if isinstance(claims, str) else 'its claims do not hold'}",
                 f"  {ran}",
                 "",
@@ -172,16 +158,6 @@ def _on_cortex_m4(law: ExportedLaw) -> tuple[str, bool]:
     return f"Cortex-M4: {FEW} samples, {differ} differ; {counts}", differ == 0
 
 
-def _manifest(folder: Path, there: set[str]) -> list[str]:
-    """Returns the files whose checksum is not the manifest's."""
-    if MANIFEST not in there:
-        return []
-    lines = [line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8", errors="replace").splitlines()]
-    sums = {name: digest for digest, _, name in lines}
-    found = {path: hashlib.sha256((folder / path).read_bytes()).hexdigest() for path in there & set(sums)}
-    return [f"{path}: is changed" for path, digest in sorted(found.items()) if digest != sums[path]]
-
-
 def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
     from synth.command.check import check
 
@@ -193,16 +169,17 @@ def _claims(vehicle: Vehicle, name: str) -> str | list[str]:
 
 def _back_to_back(folder: Path, prefix: str) -> tuple[str, bool]:
     """Returns what the compiled code says of the test vectors, or that there is no compiler; and False if it is wrong."""
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
+    try:
+        command = compiler()
+    except InputError:
         return "no C compiler is here: the code was not run", True
     with tempfile.TemporaryDirectory() as beside:
         program = str(Path(beside) / "back_to_back")
         sources = [str(folder / f"{prefix}.c"), str(folder / "test" / "main.c")]
-        built = subprocess.run([compiler, *FLAGS.split(), *sources, "-o", program], capture_output=True, text=True, check=False)
+        built = subprocess.run([*command, *FLAGS.split(), *sources, "-o", program], capture_output=True, text=True, check=False)
         if built.returncode:
             why = "; ".join(built.stderr.splitlines()[:1])
-            return f"the compiler {Path(compiler).name} refuses the code: {why}", False
+            return f"the compiler {Path(command[0]).name} refuses the code: {why}", False
         ran = subprocess.run([program, str(folder / "test" / "vectors.csv")], capture_output=True, text=True, check=False)
     said = ran.stdout.strip() or "it crashed"
     return f"back to back: {said}", ran.returncode == 0

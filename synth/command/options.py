@@ -59,10 +59,13 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     others = {"zero_l", "refine", "save", "check", "cross_check", "prove", "rates", "fragility", "front", "picture"}
     if options.export is not None and options.given & others:
         raise InputError(
-            "--export writes one controller; it goes with --controller, --vehicle, --numbers, --part, --fmi and --json only"
+            "--export writes one controller; it goes with --controller, --vehicle, --numbers, --range, --part, --fmi and --json "
+            "only"
         )
     if options.cortex_m4 and not (options.check is not None and options.check.is_dir()):
         raise InputError("--cortex-m4 runs exported code; give its folder with --check, or leave it out")
+    if options.ranges and options.numbers not in ("int32", "int16"):
+        raise InputError("--range is of whole numbers; give --export with --numbers int32 or int16, or leave it out")
     if options.export is None and "numbers" in options.given:
         raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
     fmu = options.export is not None and options.export.suffix == ".fmu"
@@ -128,7 +131,18 @@ def _parser() -> Parser:
     )
     parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI of an FMU of --export (default: 2)")
     parser.add_argument(
-        "--numbers", choices=("double", "float"), default="double", help="numbers of the code of --export (default: double)"
+        "--numbers",
+        choices=("double", "float", "int32", "int16"),
+        default="double",
+        help="numbers of the code of --export (default: double)",
+    )
+    parser.add_argument(
+        "--range",
+        dest="ranges",
+        action="append",
+        default=[],
+        metavar="SIGNAL=NUMBER",
+        help="largest magnitude of a reading, in SI units; for int32 and int16, which need one for each",
     )
     parser.add_numbers("--rates", "ms", "what computers of these sample periods cost: norms of the loops as they run them")
     parser.add_argument("--front", metavar="AXES", help=f"about 200 designs between two or three of {AXES_HELP}")

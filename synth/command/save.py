@@ -11,10 +11,8 @@ from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
-from synth.controller.controller import Controller
+from synth.controller.controller import SUFFIX, Controller
 from synth.controller.report import norm_if_implemented, norm_record
-
-SUFFIX = "_designed"
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from synth.analysis.specification import Specification
 
 
+SUFFIX = "_designed"  # of the name of a design that becomes a section of a vehicle file
+
+
 class Law(Protocol):
     """The protocol of a law from measurements to forces."""
 
@@ -191,6 +194,11 @@ class Controller(Checked, Shown):
             raise ValueError(f"controller {self.name!r} has states, so no state gain; use loop(vehicle)")
         C, through = vehicle.linear_model.rows(self.measured)
         return self.law.continuous().fed_back(through).D @ C
+
+
+def code_of(driver: object) -> Any:
+    """Returns the `ExportedCode` that computes a controller's outputs in runs, or None if our own law does."""
+    return getattr(driver, "code", None)
 
 
 def has_anti_windup(controller: object) -> bool:

@@ -7,21 +7,23 @@ bits.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
+from models.common.errors import InputError, listing
 from models.laws.anti_windup import anti_windup_gain
 from models.laws.semi_active import LAWS, LawCoefficients, SemiActive
 from models.vehicle.semi_active_coefficients import numbers_of
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, Driver
+from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, rounded_shift
 
-NUMBERS = {"double": np.float64, "float": np.float32}
+NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
 STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
 KEYWORDS = frozenset(
@@ -36,7 +38,7 @@ class ExportedLaw:
     Attributes:
         name: prefix of all its names in C.
         controller: its name in the vehicle file.
-        numbers: "double" or "float".
+        numbers: "double", "float", "int32" or "int16".
         period: seconds between samples; None if it needs none, as it has no states.
         inputs: names of the q readings, then of the velocities of the suspensions that have an adjustable damper.
         units: of the inputs.
@@ -52,6 +54,7 @@ class ExportedLaw:
         semi_active: name of a semi-active law, or empty.
         coefficients: of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
+        ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
     """
 
     name: str
@@ -75,6 +78,15 @@ class ExportedLaw:
     semi_active: str = ""
     coefficients: LawCoefficients | None = None
     modes: int = 0
+    ranges: Array | None = None
+
+    @cached_property
+    def fixed(self) -> FixedPoint | None:
+        """Its units and coefficients in fixed point, or None in floating point."""
+        if self.ranges is None:
+            return None
+        tables = self.A, self.B, self.C, self.D
+        return fixed_point(self.numbers, tables, self.anti_windup, self.limit, self.resolution, self.ranges)
 
     @property
     def states(self) -> int:
@@ -93,14 +105,17 @@ def c_name(name: str) -> str:
     return f"law_{plain}" if plain[0].isdigit() or plain[0] == "_" or plain in KEYWORDS else plain
 
 
-def exported_law(vehicle: Vehicle, driver: Driver, numbers: str, name: str) -> ExportedLaw:
+def exported_law(
+    vehicle: Vehicle, driver: Driver, numbers: str, name: str, ranges: Mapping[str, float] | None = None
+) -> ExportedLaw:
     """Returns a controller as it is exported.
 
     Args:
         vehicle: with its limits and implementation.
         driver: a controller of it.
-        numbers: "double" or "float".
+        numbers: see `ExportedLaw`.
         name: prefix in C.
+        ranges: largest magnitude of each reading, by name, for fixed point.
 
     Raises:
         InputError: the controller is a law in Python, has states but no sample period, or sets dampers with curves.
@@ -141,6 +156,7 @@ def exported_law(vehicle: Vehicle, driver: Driver, numbers: str, name: str) -> E
         "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
         "delay": int(how.delay),
         "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
+        "ranges": _ranges(vehicle, driver, ranges or {}) if numbers in BITS else None,
     }
     if isinstance(driver, SemiActive):
         none = {"A": np.zeros((0, 0)), "B": np.zeros((0, q)), "C": np.zeros((m, 0)), "D": np.zeros((m, q)), "anti_windup": None}
@@ -148,7 +164,27 @@ def exported_law(vehicle: Vehicle, driver: Driver, numbers: str, name: str) -> E
         return ExportedLaw(**common, **none, semi_active=driver.law.name, coefficients=of, modes=len(driver.law.modes))
     law = driver.law.sampled(how.sample_period) if how.sample_period is not None else driver.law
     L = anti_windup_gain(law) if law.anti_windup is not None and k else None
-    return ExportedLaw(**common, A=law.A, B=law.B, C=law.C, D=law.D, anti_windup=L)
+    made = ExportedLaw(**common, A=law.A, B=law.B, C=law.C, D=law.D, anti_windup=L)
+    made.fixed  # noqa: B018 - what has no fixed point is said here
+    return made
+
+
+def _ranges(vehicle: Vehicle, driver: Driver, given: Mapping[str, float]) -> Array:
+    """Returns the range of each reading of a controller in fixed point, shape (q,).
+
+    Raises:
+        InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
+    """
+    if vehicle.dampers:
+        raise InputError("fixed point sets forces, and this vehicle has adjustable dampers; give double or float")
+    unknown = [name for name in given if name not in driver.measured]
+    if unknown:
+        raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; leave it out")
+    lacking = [name for name in driver.measured if name not in given]
+    if lacking:
+        name = lacking[0]
+        raise InputError(f"fixed point needs the range of {name}; give it: --range {name}=NUMBER, its largest magnitude")
+    return np.array([given[name] for name in driver.measured])
 
 
 @dataclass
@@ -173,13 +209,31 @@ class PythonStep:
         return [self._number(value) for value in values]
 
     def __call__(self, seen: Sequence[float]) -> list[Any]:
-        """Returns the outputs for the inputs of a sample."""
+        """Returns the outputs for the inputs of a sample; in fixed point both are whole numbers."""
+        if self.law.fixed is not None:
+            return self._late(self._whole(self.law.fixed, [int(value) for value in seen]))
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             computed = self._computed(self._all(seen))
+        return self._late(computed)
+
+    def _late(self, computed: list[Any]) -> list[Any]:
         if not self.law.delay:
             return computed
         self._line.append(computed)
         return self._line.pop(0)
+
+    def _whole(self, fixed: FixedPoint, seen: list[int]) -> list[int]:
+        m, q, k, top = len(self.law.outputs), len(seen), self.law.states, fixed.largest
+        rows, shifts = fixed.rows.astype(int).tolist(), fixed.shifts.tolist()
+        values = [max(-top, min(top, value)) for value in seen] + [int(value) for value in self._x]
+        totals = [sum(a * b for a, b in zip(row, values, strict=False)) for row in rows]
+        forces = [rounded_shift(totals[j], shifts[j], top) for j in range(m)]
+        tops = [top] * m if fixed.limit is None else fixed.limit.astype(int).tolist()
+        given = [max(-most, min(most, force)) for most, force in zip(tops, forces, strict=True)]
+        missing = [g - f for g, f in zip(given, forces, strict=True)]
+        lost = [sum(a * b for a, b in zip(rows[m + i][q + k :], missing, strict=True)) for i in range(k)]
+        self._x = [rounded_shift(totals[m + i] + lost[i], shifts[m + i], top) for i in range(k)]
+        return given
 
     def _computed(self, seen: list[Any]) -> list[Any]:
         law, number, zero = self.law, self._number, self._number(0)
@@ -243,4 +297,7 @@ def random_inputs(law: ExportedLaw, count: int, seed: int) -> Iterator[list[floa
     rng, scale = np.random.default_rng(seed), np.array([sizes.get(unit, 1.0) for unit in law.units])
     for row in rng.standard_normal((count, len(scale))) * scale:
         row[rng.random(len(row)) < 0.02] = 0.0
-        yield [float(NUMBERS[law.numbers](value)) for value in row]
+        if law.fixed is not None:
+            yield [int(value) for value in np.clip(np.rint(row / law.fixed.seen), -law.fixed.largest - 1, law.fixed.largest)]
+        else:
+            yield [float(NUMBERS[law.numbers](value)) for value in row]

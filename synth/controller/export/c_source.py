@@ -6,7 +6,7 @@ from textwrap import indent
 import numpy as np
 
 from models.common.arrays import Array
-from synth.controller.export.c_law import NEAREST, NUMBERS, STILL, ExportedLaw
+from synth.controller.export.c_law import NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
@@ -92,10 +92,11 @@ class CSource:
     def __init__(self, law: ExportedLaw, certificate: str) -> None:
         """Prepares a law, with the SHA-256 of its certificate's file."""
         self.law, self.certificate, self.p = law, certificate, law.name
+        self.ctype, self.include, self.in_units, self.out_units = law.numbers, "", law.units, law.output_units
 
     def number(self, value: float) -> str:
         """Returns the shortest literal that is read as this number."""
-        own = NUMBERS[self.law.numbers](value)
+        own = (np.float32 if self.law.numbers == "float" else np.float64)(value)
         if not np.isfinite(own):
             return "0.0"  # no table holds one
         text = np.format_float_scientific(own, unique=True, trim="0")
@@ -103,17 +104,18 @@ class CSource:
 
     def header(self) -> str:
         """Returns NAME.h."""
-        law, p, number = self.law, self.p, self.law.numbers
+        law, p, number = self.law, self.p, self.ctype
         guard = f"{p.upper()}_H"
-        ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, law.units, strict=True))
-        outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, law.output_units, strict=True))
+        ins = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.inputs, self.in_units, strict=True))
+        outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
         state = state or "    int unused; /* the law keeps nothing; C99 has no empty struct */\n"
-        period = f"#define {p.upper()}_SAMPLE_PERIOD {self.number(law.period)} /* s */\n\n" if law.period is not None else ""
+        seconds = "" if law.period is None else CSource.number(self, law.period)
+        period = f"#define {p.upper()}_SAMPLE_PERIOD {seconds} /* s */\n\n" if seconds else ""
         return (
             f"/* Controller {law.controller}. Units, signs and the order of calls stand in README.md of this folder. */\n"
-            f"#ifndef {guard}\n#define {guard}\n\n{period}"
+            f"#ifndef {guard}\n#define {guard}\n\n{self.include}{period}"
             f"typedef struct\n{{\n{state}}} {p}_state;\n\ntypedef struct\n{{\n{ins}}} {p}_in;\n\n"
             f"typedef struct\n{{\n{outs}}} {p}_out;\n\n"
             f"/* SHA-256 of certificate.json. */\nextern const char {p}_certificate[65];\n\n"
@@ -123,7 +125,7 @@ class CSource:
     def table(self, name: str, matrix: Array) -> str:
         """Returns a table, one row a line."""
         rows = ",\n    ".join("{" + ", ".join(self.number(value) for value in row) + "}" for row in matrix)
-        return f"static const {self.law.numbers} {self.p}_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
+        return f"static const {self.ctype} {self.p}_{name}[{len(matrix)}][{matrix.shape[1]}] = {{\n    {rows}}};\n"
 
     def data(self) -> str:
         """Returns NAME_data.h."""
@@ -200,6 +202,11 @@ class CSource:
                 still = self.number(STILL[law.numbers])
                 lines.append(f"closing[{j}] = (in->{name} == {zero}) ? {still} : -in->{name};")
         lines += self._semi_active() if law.semi_active else self._linear()
+        return self._ended(lines)
+
+    def _ended(self, lines: list[str]) -> str:
+        """Returns the step function of lines that compute the outputs, with its delay."""
+        law, p, m = self.law, self.p, len(self.law.outputs)
         if law.delay:
             lines += [f"out->{name} = state->line[state->oldest][{j}];" for j, name in enumerate(law.outputs)]
             lines += [f"for (i = 0; i < {m}; i++)\n{{\n    state->line[state->oldest][i] = computed[i];\n}}"]
@@ -276,9 +283,10 @@ class CSource:
 
     def main(self) -> str:
         """Returns test/main.c, which holds the code against test/vectors.csv."""
-        law, p, read = self.law, self.p, "strtof" if self.law.numbers == "float" else "strtod"
-        ins = "\n".join(f"        in.{name} = {read}(at, &at); at++;" for name in law.inputs)
-        outs = "\n".join(f"        differ += (out.{name} != {read}(at, &at)) ? 1L : 0L; at++;" for name in law.outputs)
+        law, p = self.law, self.p
+        read = {"float": "strtof(at, &at)", "double": "strtod(at, &at)"}.get(law.numbers, f"({self.ctype})strtol(at, &at, 10)")
+        ins = "\n".join(f"        in.{name} = {read}; at++;" for name in law.inputs)
+        outs = "\n".join(f"        differ += (out.{name} != {read}) ? 1L : 0L; at++;" for name in law.outputs)
         longest = 40 * (len(law.inputs) + len(law.outputs)) + 200
         return f"""/* Runs vectors.csv through the code, back to back: every output must have the bits of the file. */
 #include <stdio.h>

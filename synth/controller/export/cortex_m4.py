@@ -16,12 +16,13 @@ from pathlib import Path
 
 from models.common.errors import InputError
 from synth.controller.export.c_law import ExportedLaw
-from synth.controller.export.c_source import CSource
+from synth.controller.export.fixed_source import source_of
 
 PACKAGES = ("ziglang", "unicorn")
 TARGET = "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -fcompiler-rt -O ReleaseFast -fentry=entry"
 STACK, MEMORY, END = 0x2010_0000, 0x2000_0000, 0x0FFF_0000  # where the stack begins, where data lies, where a call returns to
 PAGE = 0x1000
+C_TYPES = {"double": ctypes.c_double, "float": ctypes.c_float, "int32": ctypes.c_int32, "int16": ctypes.c_int16}
 MOST = 10_000_000  # instructions of a step; more, and it does not end
 FUNCTION = 2  # type of a symbol in an ELF file
 
@@ -71,11 +72,11 @@ def run(law: ExportedLaw, inputs: Sequence[Sequence[float]]) -> ProcessorRun:
     size = _loaded(machine, program)
     machine.mem_map(MEMORY, STACK - MEMORY + PAGE)
     machine.mem_map(END, PAGE)
-    number = {"double": ctypes.c_double, "float": ctypes.c_float}[law.numbers]
+    number = C_TYPES[law.numbers]
     width = ctypes.sizeof(number)
     state, seen = MEMORY, MEMORY + (law.states + law.delay * len(law.outputs)) * width + 64
     seen += -seen % 8
-    given = seen + len(law.inputs) * width
+    given = seen + 8 * len(law.inputs)
     count, deepest = [0], [STACK]
 
     def counted(machine, address, length, user) -> None:
@@ -107,7 +108,7 @@ def run(law: ExportedLaw, inputs: Sequence[Sequence[float]]) -> ProcessorRun:
 
 def _built(law: ExportedLaw, folder: Path) -> Path:
     """Returns the program: both functions of a law, kept by a table that an endless loop reads."""
-    source, p = CSource(law, "0" * 64), law.name
+    source, p = source_of(law, "0" * 64), law.name
     entry = (
         f'#include "{p}.h"\ntypedef void (*function)(void);\nvolatile const function kept[2] = '
         f"{{(function){p}_init, (function){p}_step}};\nvoid entry(void);\nvoid entry(void) {{ for (;;) {{ (void)kept[0]; }} }}\n"

@@ -1,0 +1,195 @@
+"""Exported code as a library of this machine: built by its C compiler, or by Zig's of the extra `[export]`, and called by sample.
+
+A controller that is `driven_by` exported code is the same to the analysis; the code gives its outputs in every run.
+"""
+
+import ctypes
+import functools
+import importlib.util
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.errors import InputError
+from models.laws.semi_active import SemiActive
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import SUFFIX, Controller, Driver
+from synth.controller.export.c_law import NUMBERS, ExportedLaw, c_name, exported_law
+from synth.controller.export.c_source import FLAGS
+from synth.controller.export.fixed_source import source_of
+
+INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integer and the padding
+
+
+def compiler() -> list[str]:
+    """Returns the command of a C compiler.
+
+    Raises:
+        InputError: no compiler is installed.
+    """
+    own = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if own is not None:
+        return [own]
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-m", "ziglang", "cc"]
+    raise InputError("no C compiler is here; install cc, or Zig's with pip install 'roadproof[export]'")
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedCode:
+    """The code of an exported folder.
+
+    Attributes:
+        law: the law, with the tables of the folder.
+        texts: of NAME.c, NAME.h and NAME_data.h, as they lie in the folder, by name.
+        sha256: of its manifest.
+    """
+
+    law: ExportedLaw
+    texts: dict[str, str]
+    sha256: str
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Numbers, prefix and ranges, by which the code is made again, and the checksum, as JSON has them."""
+        law, ranges = self.law, None
+        if law.ranges is not None:
+            ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+        return {"numbers": law.numbers, "name": law.name, "ranges": ranges, "manifest_sha256": self.sha256}
+
+    @functools.cached_property
+    def library(self) -> ctypes.PyDLL:
+        """The compiled code, built and loaded when first used.
+
+        Raises:
+            InputError: there is no compiler, or it refuses the code.
+        """
+        return _library(self.law.name, tuple(self.texts.items()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leaves the library behind: another process builds its own."""
+        return ExportedCode, (self.law, self.texts, self.sha256)
+
+    def start(self) -> "CompiledStep":
+        """Returns the code at its start."""
+        return CompiledStep(self)
+
+
+@functools.lru_cache(maxsize=16)
+def _library(name: str, texts: tuple[tuple[str, str], ...]) -> ctypes.PyDLL:
+    command = compiler()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as beside:  # Windows keeps a loaded library
+        for file, text in texts:
+            (Path(beside) / file).write_text(text, encoding="utf-8", newline="\n")
+        library = Path(beside) / f"{name}.so"
+        arguments = [*FLAGS.split(), "-shared", "-fPIC", str(Path(beside) / f"{name}.c"), "-o", str(library)]
+        built = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+        if built.returncode:
+            raise InputError(f"the compiler {Path(command[0]).name} refuses {name}.c: {'; '.join(built.stderr.splitlines()[:1])}")
+        return ctypes.PyDLL(str(library))  # not CDLL: a step is shorter than letting other threads in takes
+
+
+class CompiledStep:
+    """One controller of the compiled code: `step()` computes `given` from `seen`, and `x` are its states.
+
+    Attributes:
+        seen: inputs in the order of the law's, to be written before a step.
+        given: outputs of the last step.
+        x: states, as they are after the last step.
+        step: makes a step.
+    """
+
+    def __init__(self, code: ExportedCode) -> None:
+        """Initialises the state of the code."""
+        law, number = code.law, NUMBERS[code.law.numbers]
+        kept = (law.states + law.delay * len(law.outputs)) * np.dtype(number).itemsize
+        self._state = np.zeros(kept + INTEGER, dtype=np.uint8)
+        self.seen, self.given = np.zeros(len(law.inputs), number), np.zeros(len(law.outputs), number)
+        self.x: Array = self._state[: law.states * np.dtype(number).itemsize].view(number)
+        state, seen, given = (ctypes.c_void_p(one.ctypes.data) for one in (self._state, self.seen, self.given))
+        code.library[f"{law.name}_init"](state)
+        step = code.library[f"{law.name}_step"]
+        step.restype = None
+        self.step = functools.partial(step, state, seen, given)
+        self.fixed = law.fixed
+
+    def read(self, seen: Array) -> None:
+        """Writes the inputs in their units, shape (i,); to fixed point they are rounded and clipped, as a converter does."""
+        if self.fixed is None:
+            self.seen[...] = seen
+        else:
+            most = self.fixed.largest
+            self.seen[...] = np.minimum(np.maximum(np.rint(seen / self.fixed.seen), -most), most)
+
+    @property
+    def forces(self) -> Array:
+        """Outputs of the last step in their units, shape (m,)."""
+        return self.given.astype(float) if self.fixed is None else self.given * self.fixed.given
+
+    @property
+    def states(self) -> Array:
+        """States after the last step, in the law's own units, shape (k,)."""
+        return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CompiledController(Controller):
+    """A linear controller whose outputs exported code computes.
+
+    Attributes:
+        code: the code.
+    """
+
+    code: ExportedCode | None = None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Name, signals, law and code as JSON has them."""
+        return super().record | ({"code": self.code.record} if self.code is not None else {})
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledSemiActive(SemiActive):
+    """A semi-active controller whose outputs exported code computes.
+
+    Attributes:
+        code: the code.
+    """
+
+    code: ExportedCode | None = None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Name, signals, law and code as JSON has them."""
+        return super().record | ({"code": self.code.record} if self.code is not None else {})
+
+
+def code_again(vehicle: Vehicle, driver: Driver, record: Mapping[str, Any]) -> ExportedCode:
+    """Returns the code that a record tells of, made again from a controller.
+
+    Raises:
+        InputError: the record tells of no code that this controller can have.
+    """
+    numbers, name, ranges = record.get("numbers"), record.get("name"), record.get("ranges")
+    if numbers not in NUMBERS or not isinstance(name, str) or name != c_name(driver.name.removesuffix(SUFFIX)):
+        raise InputError(f"its exported code is in {numbers!r} with the prefix {name!r}, as no code of it is")
+    if ranges is not None and not all(isinstance(most, float) and 0 < most < np.inf for most in ranges.values()):
+        raise InputError("the ranges of its exported code are no numbers above 0")
+    law = exported_law(vehicle, driver, numbers, name, ranges)
+    source = source_of(law, "0" * 64)
+    texts = {f"{name}.c": source.source(), f"{name}.h": source.header(), f"{name}_data.h": source.data()}
+    return ExportedCode(law, texts, str(record.get("manifest_sha256")))
+
+
+def driven_by(driver: Driver, code: ExportedCode) -> Driver:
+    """Returns a controller whose outputs this code computes."""
+    kind = CompiledController if isinstance(driver, Controller) else CompiledSemiActive
+    return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
