@@ -8,7 +8,7 @@ from models.kinds import links, rigid_body, signals
 from models.kinds.kind import BodyLoad, Parameter, Parameters, Variation, VehicleKind, Wheel, nowhere_else
 from models.kinds.linear_model import LinearModel
 from models.kinds.rigid_body import Corner, RigidBody
-from models.kinds.tyre import TYRE_DAMPING
+from models.kinds.strut_and_tyre import TYRE_DAMPING
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion

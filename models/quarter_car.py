@@ -12,8 +12,7 @@ import numpy as np
 from models.kinds import signals
 from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Parameters, Variation, VehicleKind, Wheel
 from models.kinds.linear_model import LinearModel
-from models.kinds.strut import write_strut
-from models.kinds.tyre import TYRE_DAMPING, write_tyre
+from models.kinds.strut_and_tyre import TYRE_DAMPING, write_strut, write_tyre
 
 if TYPE_CHECKING:
     from models.kinds.motion import Motion

@@ -47,8 +47,7 @@ from models.kinds.signals import (
     TYRE_DEFLECTION,
     Signal,
 )
-from models.kinds.strut import write_strut
-from models.kinds.tyre import write_tyre
+from models.kinds.strut_and_tyre import write_strut, write_tyre
 
 # External loads on the body, along the joints of its modes q, in their order.
 LOADS = tuple(BodyLoad(load.name, joint) for load, joint in ((HEAVE_LOAD, "heave"), (PITCH_LOAD, "pitch"), (ROLL_LOAD, "roll")))

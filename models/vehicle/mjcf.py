@@ -18,7 +18,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.common.files import MIB, TEXT, open_plain
 from models.kinds.kind import GRAVITY, LOWEST_HUB
-from models.kinds.tyre import actuator_of
+from models.kinds.strut_and_tyre import actuator_of
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
 
@@ -283,7 +283,7 @@ def pushed_dofs(vehicle: Vehicle, model: mujoco.MjModel) -> list[int]:
 
 
 def damped_tyres(vehicle: Vehicle, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Returns the wheels whose tyres damp, and the actuator of each, controlled by the road's velocity; see `kinds/tyre.py`."""
+    """Returns the wheels whose tyres damp, and the actuator of each, controlled by the road's velocity."""
     actuators = {model.actuator(i).name: i for i in range(model.nu)} if vehicle.linear_model.tyres_damp else {}
     names = [actuator_of(wheel.tyre_deflection) for wheel in vehicle.kind.wheels]
     some = [i for i, name in enumerate(names) if name in actuators]

@@ -42,8 +42,7 @@ from mujoco.batch import Batch
 
 from models.common.arrays import Array
 from models.common.printed import Shown
-from models.kinds.strut import STATIC_LOAD
-from models.kinds.tyre import DAMPER
+from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
 from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle

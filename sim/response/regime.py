@@ -231,7 +231,7 @@ class EndDetector:
     tyre on a hub that has jumped. Therefore a tyre also counts as flat if its hub has jumped and the road is above the hub's
     extrapolated position.
 
-    A tyre that damps leaves the road where its whole force ends, by its equivalent deflection (`models/kinds/tyre.py`).
+    A tyre that damps leaves the road where its whole force ends, by its equivalent deflection (`models/kinds/strut_and_tyre.py`).
 
     Anti-windup acts from the first sample at which the demand on an actuator is clipped. Behind a lag that is before the force
     reaches its limit. The demand follows from the forces at both ends of a step, and its clipping counts as saturation.

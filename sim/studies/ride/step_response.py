@@ -7,7 +7,7 @@ wheel reaches the edge.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from models.common.printed import Column, cells, finite, json_object, table, tit
 from models.roads.obstacles import Step
 from models.roads.road import Road
 from sim.runs.run import Run
-from sim.studies.ride.between_samples import Pieces, exact, sampled
+
+if TYPE_CHECKING:
+    from sim.studies.ride.between_samples import Pieces
 
 BAND = 2.0  # %
 BANDS = (1e-6, 99.0)  # %, smallest and largest
@@ -97,7 +99,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
         raise InputError("--band is that of a step's response; drive over --road step, without loads, or leave it out")
 
 
-def step_metrics(pieces: Pieces, final: float, height: bool, half_band: float) -> StepMetrics:
+def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float) -> StepMetrics:
     """Returns the metrics of a signal.
 
     Args:
@@ -144,6 +146,8 @@ def measure_step(run: Run, percent: float = BAND) -> dict[str, SignalSteps]:
     peaks = {name: float(run.sampled.peak(name)) for name in model.outputs}
     loudest = {unit: max(peaks[name] for name in units if units[name] == unit) for unit in units.values()}
     names = tuple(name for name in model.outputs if not peaks[name] <= SILENT * loudest[units[name]])
+    from sim.studies.ride.between_samples import exact, sampled  # no other road needs it
+
     routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names)}
     if run.broke_off is None:
         routes["mujoco"] = sampled(run, run.physics, names)

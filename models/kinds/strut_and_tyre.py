@@ -1,4 +1,11 @@
-"""Tyres in the MJCF: a spring that pushes and never pulls, and its damping, which acts only while the tyre is on the road.
+"""Suspensions and tyres in the MJCF.
+
+A suspension is a spring preloaded with the weight at rest; without a spring, a constant force that carries it.
+
+A strut without a spring is purely active (Thompson 1976, Hrovat 1997). Its actuator then carries the weight at rest beside the
+force u of the equations, which is measured from there. `[limits]` and the actuator's lag are of u alone.
+
+A tyre is a spring that pushes and never pulls, and its damping, which acts only while the tyre is on the road.
 
 A tyre with damping pushes its hub up with
 
@@ -13,11 +20,30 @@ its rubber is taken to return at once, without a force on the hub.
 from typing import Any
 
 from models.kinds.signals import TYRE_DEFLECTION
-from models.kinds.strut import AFFINE, TENDON
 
+STATIC_LOAD = "fitted_static_load_"  # prefix of the actuator with the constant force, before its tendon
+TENDON, AFFINE = 3, 1  # mjTRN_TENDON, mjBIAS_AFFINE; no kind imports MuJoCo
 TYRE_DAMPING = "of a tyre on the road, between hub and road; in the air it has none"
 DAMPER = "fitted_damped_"  # prefix of the actuator of a tyre with damping, after its tendon
 MOST_FORCE = 1e9  # N; above any tyre's force, and below the limit at which MuJoCo reports a mistake
+
+
+def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: float, length: float = 0.0) -> None:
+    """Writes a suspension into an MjSpec.
+
+    Args:
+        tendon: of the suspension.
+        stiffness, damping: [N/m] and [N s/m].
+        load: of the weight at rest [N].
+        length: of the tendon at rest [m].
+    """
+    tendon.stiffness[0], tendon.damping[0] = stiffness, damping
+    if stiffness:
+        tendon.springlength = [length + load / stiffness] * 2
+        return
+    tendon.springlength = [length] * 2
+    actuator = spec.add_actuator(name=f"{STATIC_LOAD}{tendon.name}", target=tendon.name)
+    actuator.trntype, actuator.biastype, actuator.biasprm[0] = TENDON, AFFINE, load
 
 
 def actuator_of(tyre_deflection: str) -> str:
