@@ -449,7 +449,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     found, expected = (simulate([one], [design(one, "passive")], [ROAD], time).run(0) for one in (vehicle, plain))
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
-    (tmp_path / "mine.py").write_text(source.replace('suspension.damping[0] = p["c_strut"]', "suspension.damping[0] = 400.0"))
+    (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
     with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can stand in for it"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 

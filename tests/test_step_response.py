@@ -197,6 +197,10 @@ def test_command(capsys):
     assert step["band"] == 5.0
     ((one,),) = (step["runs"],)
     assert main([*options, "--band", "5"]) == 0
+    brief = prose(capsys.readouterr().out)
+    travel = one["signals"]["suspension_deflection"]["mujoco"]
+    assert f"step: suspension_deflection [m] peak at s over % settled s IAE ITAE I {travel['peak']:.5g}" in brief
+    assert main([*options, "--band", "5", "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     for name in ("suspension_deflection", "tyre_deflection", "sprung_acceleration", "control_force"):
         signal = one["signals"][name]

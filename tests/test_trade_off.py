@@ -69,6 +69,7 @@ def test_bars_are_two_standard_errors():
     values = rng.gamma(9.0, size=60)
     again = np.sqrt(np.mean(rng.choice(values, (20_000, 60)) ** 2, axis=1))
     error = summary._standard_error(values)
+    assert error is not None
     assert error == pytest.approx(again.std(), rel=0.03)  # of 60 values the two differ by a share of 1/60, and some noise
     entry = {"controller": "I", "load": {"rms": 0.3, "standard_error": 0.01}, "ride": {"rms": 1.0, "standard_error": error}}
     (bars,) = summary._error_bars(entry, "#000000")

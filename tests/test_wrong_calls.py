@@ -202,7 +202,7 @@ GOOD = {
     "force stiffness damping stem",
     "-1": "height depth amplitude factor index",
     "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
-    "names measured noise bounds family",
+    "names measured noise bounds family heights Bt Dw",
 }
 # By what the text has, or by the parameter that a value is of.
 NAMED_OTHERWISE = {

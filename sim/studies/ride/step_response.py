@@ -199,18 +199,17 @@ def step_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]
     """Returns the step metrics of runs as tables, with what they mean below.
 
     Args:
-        every: True for all signals, False for heights and those with a weight.
+        every: True for all signals, with the linear responses; False for MuJoCo's first height, or travel without one.
     """
+    if not every:
+        return _short_lines(runs, measured)
     lines = []
     for run, metrics in zip(runs, measured, strict=True):
-        weighted = {name for name, weight in run.vehicle.performance.items() if weight}
         rows: list[Sequence[str] | str] = [(f"{run.controller.name}: step", *titles(COLUMNS))]
         for name, one in metrics.items():
-            if not (every or one.final or name in weighted):
-                continue
             rows.append(f"{name} [{one.unit}]")
             for what, by in (("MuJoCo", one.mujoco), ("sampled", one.sampled), ("exact", one.continuous)):
-                if by is not None and (every or what != "sampled"):
+                if by is not None:
                     rows.append((f"  {what}", *cells(COLUMNS, [by])[0]))
         lines += [*table(rows), ""]
     return [
@@ -220,3 +219,14 @@ def step_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]
         "  over: of a height beyond the step, of others to the opposite side after the peak, over that peak",
         "  exact: the continuous linear response, located between samples; MuJoCo: cubics through its samples, forces held",
     ]
+
+
+def _short_lines(runs: Sequence[Run], measured: Sequence[Mapping[str, SignalSteps]]) -> list[str]:
+    """Returns the metrics of one signal in MuJoCo, a row for each run."""
+    first = {name: one.final for name, one in measured[0].items()}
+    shown = next((name for name, final in first.items() if final), next(iter(first)))
+    rows: list[Sequence[str] | str] = [(f"step: {shown} [{measured[0][shown].unit}]", *titles(COLUMNS))]
+    for run, metrics in zip(runs, measured, strict=True):
+        by = metrics[shown].mujoco
+        rows.append((f"  {run.controller.name}", *(cells(COLUMNS, [by])[0] if by is not None else ["-"] * len(COLUMNS))))
+    return table(rows)
