@@ -8,7 +8,10 @@ from tests.pages import GENERATED, LIGHTER, PAGES, PICTURES, ROOT, THINNER, Sect
 
 SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
 # Each some seconds or more: in test_slow_pages.py, after the suite.
-SLOW = ("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "synth --vehicle quarter_car_goals", "synth --front")
+SLOW = (
+    *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
+    *("synth --vehicle quarter_car_goals", "synth --front"),
+)
 
 
 def slow(one: Section) -> bool:
