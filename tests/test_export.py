@@ -222,6 +222,8 @@ def test_every_changed_file_is_named(exported, capsys, tmp_path):
         (BUILT + "delay = 0.5\n", ["--controller", "I"], "is not a whole number"),
         ("", [*WHOLE, "--range", "sprung_velocity=1"], "needs the range of suspension_deflection; give it: --range"),
         ("", [*WHOLE, "--range", "tyre_deflection=1"], "--range tyre_deflection: controller 'I_designed' measures"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1e300"], "--range sprung_velocity=1e300: give a signal and its largest"),
+        ("", [*WHOLE, "--range", "sprung_velocity=1", "--range", "sprung_velocity=2"], "has a range already; give it once"),
         ("", [*WHOLE, "--range", "sprung_velocity=fast"], "--range sprung_velocity=fast: give a signal and its largest"),
         ("", ["--controller", "I", "--range", "sprung_velocity=1"], "--range is of whole numbers"),
         (GROWING + BUILT, ["--controller", "law", *WHOLE[2:], "--range", "sprung_velocity=1"], "a state grows or stays for ever"),

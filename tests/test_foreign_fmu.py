@@ -94,6 +94,8 @@ def test_it_drives_as_its_law_does(tmp_path):
     text = vehicle.text_for(tmp_path.parent / "elsewhere.toml")
     assert f'fmu = "{tmp_path.name}/their.fmu"' in text
     assert theirs.controller.record["fmu"] == "their.fmu"
+    with refused("controller 'theirs' is an FMU, their.fmu, which has no linear loop to analyse"):
+        vehicle.linear_entry("theirs")
 
 
 @pytest.mark.parametrize(

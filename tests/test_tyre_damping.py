@@ -13,7 +13,9 @@ import pytest
 
 from models.common.errors import InputError
 from models.roads.choice import choose_road
+from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, RoadInput, delays, under_wheels
+from models.roads.spectrum import sources
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
@@ -23,8 +25,12 @@ from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure
+from synth.controller.controller import Controller
+from synth.controller.export.linear_system import loop_system
+from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
+from synth.vehicle.expected_ride import WEIGHTED, expected_ride
 from tests.faults import built_with
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -244,6 +250,81 @@ def test_the_damping_is_in_the_model_of_no_vehicle_without_it():
     assert build_model(zero, 1e-3).nu == 1
     one, other = (driven(each, "I", "iso8608:class=C", 0.5).physics.values for each in (plain, zero))
     assert np.array_equal(one, other)
+
+
+def reading_the_wheel() -> tuple[Vehicle, Controller, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """A quarter-car whose law reads the wheel's acceleration, and its loop from the road's velocity to all signals, by hand."""
+    vehicle = damped(
+        "quarter_car",
+        '[controllers.felt]\nmeasured = ["sprung_velocity", "unsprung_acceleration"]\ngain = [[-2000.0, -30.0]]',
+    )
+    model, row = vehicle.linear_model, "unsprung_acceleration"
+    controller, i = Designer(vehicle).design("felt"), model.outputs.index(row)
+    Cy = np.vstack([model.C[model.outputs.index("sprung_velocity")], model.C[i]])
+    share = 1 / (1 + 30.0 * model.D[i, 0])  # u = ... - 30 D u
+    K, k = share * np.array([[-2000.0, -30.0]]) @ Cy, share * -30.0 * model.Dw[i]
+    loop = (
+        model.A + model.B @ K,
+        model.Bw + np.outer(model.B[:, 0], k),
+        model.C + model.D @ K,
+        model.Dw + np.outer(model.D[:, 0], k),
+    )
+    return vehicle, controller, loop
+
+
+def test_the_expected_ride_counts_the_road_in_a_reading():
+    """The accelerometer of a wheel on a tyre that damps reads the road's velocity, which the force follows at once.
+
+    By a sum over 40000 frequencies, that is right to 1e-4; without that reading the ride is 4 % off.
+    """
+    vehicle, controller, (A, B, C, D) = reading_the_wheel()
+    road = Iso8608("C", speed=20.0).spectrum
+    omega = np.geomspace(*road.band, 40_000)
+    i, own = vehicle.linear_model.outputs.index("sprung_acceleration"), np.eye(len(A))
+    response = (C[i] @ np.linalg.solve(1j * omega[:, None, None] * own - A, B))[:, 0] + D[i, 0]
+    weighted = np.abs(WEIGHTED.response(omega) * response * sources(vehicle, road, omega)[:, 0, 0]) ** 2
+    ride = np.sqrt(road.density * np.trapezoid(weighted, omega) / (2 * np.pi))
+    assert expected_ride(vehicle, controller) == pytest.approx(ride, rel=1e-3)
+
+
+def test_the_sampled_norm_counts_the_road_in_a_reading():
+    """With fast sampling the norm as implemented tends to that of the continuous loop, whose peak is found by hand.
+
+    At 10 us the difference is of the order of the period times 65 rad/s; without that reading it is 3 %.
+    """
+    vehicle, controller, (A, B, C, D) = reading_the_wheel()
+    weights = np.array([vehicle.performance.get(name, 0.0) for name in vehicle.linear_model.outputs])
+    omega = np.geomspace(0.1, 1e3, 20_000)
+    z = weights * ((C @ np.linalg.solve(1j * omega[:, None, None] * np.eye(len(A)) - A, B))[:, :, 0] + D[:, 0])
+    peak = np.linalg.norm(z, axis=1).max()
+    assert controller.certificate.norm.value == pytest.approx(peak, rel=1e-5)
+    assert norm_as_implemented(vehicle, controller, 1e-5).value == pytest.approx(peak, rel=1e-3)
+
+
+def test_a_sampled_design_refuses_a_reading_of_the_road():
+    """No energy of the road bounds its velocity at an instant, which such a reading samples."""
+    vehicle = damped(
+        "quarter_car",
+        '[implementation]\nsample_period = 0.005\n[controllers.felt]\nmeasured = ["unsprung_acceleration"]\nsampled = true',
+    )
+    with pytest.raises(InputError, match="'unsprung_acceleration' jumps with the road's velocity"):
+        Designer(vehicle).design("felt")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_exported_vehicle_reads_the_road_as_its_wheels_do(kind):
+    """The system of FMUs and MATLAB files has the response of the linear analysis, in accelerations of wheels too."""
+    weighed = "".join(f"unsprung_acceleration{end} = 0.1\n" for end in CORNERS[kind])
+    vehicle = parse_vehicle(damped(kind).text.replace("[performance]\n", f"[performance]\n{weighed}"))
+    omega, controllers = np.array([0.3, 5.0, 70.0, 2000.0]), [Designer(vehicle).design(name) for name in ("passive", "held")]
+    for controller in controllers:
+        system = loop_system(vehicle, controller)
+        roads = slice(len(CORNERS[kind]))
+        response = np.array(
+            [system.C @ np.linalg.solve(1j * w * np.eye(len(system.A)) - system.A, system.B) + system.D for w in omega]
+        )
+        expected = continuous_frequency_response(vehicle, controller, omega)
+        assert response[..., roads] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
 
 def test_negative_damping_is_refused():

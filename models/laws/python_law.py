@@ -48,6 +48,16 @@ class PythonLaw:
         return FMU.fullmatch(self.law) is not None
 
     @property
+    def kind(self) -> str:
+        """Describes what the file holds."""
+        return "FMU" if self.is_fmu else "law in Python"
+
+    @property
+    def with_article(self) -> str:
+        """The same with its article."""
+        return f"{'an' if self.is_fmu else 'a'} {self.kind}"
+
+    @property
     def function(self) -> str:
         """Name of the function."""
         return "step" if self.is_fmu else self.law.rpartition(":")[2]
@@ -115,8 +125,7 @@ class Programmed:
         """The law on one line."""
         preview = self.law.preview
         ahead = "" if preview is None else f", told the road {preview:g} s ahead"
-        kind = "FMU" if self.law.is_fmu else "law in Python"
-        return f"{kind} {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
+        return f"{self.law.kind} {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
 
     @property
     def record(self) -> dict[str, Any]:

@@ -317,10 +317,10 @@ class Vehicle(ShownVehicle):
             raise InputError(f"unknown controller {name!r}; this vehicle has {listing(self.controller_names)}")
         entry = self.controllers[name]
         if not entry.linear:
-            what = "law in Python, " + entry.python.law if entry.python else "semi-active law"
+            what = f"{entry.python.with_article}, {entry.python.law}" if entry.python else "a semi-active law"
             raise InputError(
-                f"controller {name!r} is a {what}, which has no linear loop to analyse; name another controller, or drive this "
-                "one with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
+                f"controller {name!r} is {what}, which has no linear loop to analyse; name another controller, or drive this one "
+                "with sim.bump, sim.drive, sim.sweep, sim.campaign or sim.report"
             )
         return entry
 

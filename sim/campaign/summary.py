@@ -16,7 +16,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import cell, table
 from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
-from models.laws.python_law import Programmed
+from models.laws.python_law import Programmed, PythonLaw
 from models.roads.spectrum import Spectrum
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
@@ -207,11 +207,12 @@ def _broken_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _law_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Returns a sentence on each law in Python."""
+    """Returns a sentence on each law in Python or FMU."""
     lines = []
     for entry in entries:
         if "law" in entry:
-            said = f"{entry['controller']} is a law in Python, {entry['law']}: no linear claim, so nothing is predicted of it"
+            what = PythonLaw(entry["law"]).with_article
+            said = f"{entry['controller']} is {what}, {entry['law']}: no linear claim, so nothing is predicted of it"
             if entry["failed"]:
                 said += f"; {entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}"
             lines.append(f"  {said}")

@@ -31,7 +31,7 @@ from models.vehicle.limits_and_implementation import Implementation, steps_held,
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import Elements
 from synth.controller.controller import Controller
-from synth.controller.open_loop import OpenLoop, continuous, sampled
+from synth.controller.open_loop import OpenLoop, continuous, readings_of_road, sampled
 from synth.plant.discrete import held_inputs
 
 LOWEST, GRID = 1e-2, 3000  # rad/s, points: grid of the peak search, which ends at the Nyquist frequency
@@ -51,14 +51,6 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
     felt = readings_of_road(cut, controller)
     x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.B @ felt + model.Br / s)
     return (model.C + model.D @ G) @ x + model.Dw + model.D @ felt + model.Cr / s
-
-
-def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
-    """Returns the effect of the road's velocity on all inputs, by measured accelerations of wheels on tyres that damp.
-
-    Its shape is (m + k, r).
-    """
-    return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
 
 
 def sampled_frequency_response(

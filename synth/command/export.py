@@ -23,6 +23,7 @@ from synth.controller.export.folder import SEED, VEHICLE, files, read_folder
 from synth.vehicle.designer import Designer
 
 FEW = 50  # samples on a simulated processor
+RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 
 
 def export(vehicle: Vehicle, options: Namespace) -> int:
@@ -89,17 +90,22 @@ def _ranges(given: Sequence[str]) -> dict[str, float]:
     """Returns the ranges of `--range SIGNAL=NUMBER`, by signal.
 
     Raises:
-        InputError: one is not written so, or no number above 0.
+        InputError: one is not written so, out of range, or given twice.
     """
     ranges = {}
     for text in given:
         name, _, number = text.partition("=")
+        if name in ranges:
+            raise InputError(f"--range {text}: {name} has a range already; give it once")
         try:
             ranges[name] = float(number)
         except ValueError:
             ranges[name] = math.nan
-        if not 0 < ranges[name] < math.inf:
-            raise InputError(f"--range {text}: give a signal and its largest magnitude, as in --range sprung_velocity=1.5")
+        low, high = RANGES
+        if not low <= ranges[name] <= high:
+            raise InputError(
+                f"--range {text}: give a signal and its largest magnitude, {low:g} to {high:g}, as in --range sprung_velocity=1.5"
+            )
     return ranges
 
 

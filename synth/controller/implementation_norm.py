@@ -6,10 +6,13 @@ counts if the controller asks for it. Behind a lag, z weights the acting force.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from models import USUAL_TIMESTEP
+from models.common.arrays import Array
 from models.common.errors import InputError
 from models.vehicle.controllers import NOMINAL, ControllerEntry
 from models.vehicle.vehicle import Vehicle
@@ -19,10 +22,12 @@ from synth.analysis.sampled_loop import SampledDataProblem, SampledLoop, hold_in
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
-from synth.controller.open_loop import sampled
+from synth.controller.open_loop import readings_of_road, sampled
 from synth.controller.problem import generalized_plant, measurements
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
+
+FORGOTTEN = 1e-5  # per period, of what the mean of the road's velocity is from: without, its integral would not decay
 
 
 def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledNorm:
@@ -38,7 +43,11 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
 
 
 def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USUAL_TIMESTEP) -> SampledLoop:
-    """Returns the loop as implemented, with the plant's weights and lag; arguments as for `norm_as_implemented`."""
+    """Returns the loop as implemented, with the plant's weights and lag; arguments as for `norm_as_implemented`.
+
+    A reading that contains the road's velocity, by tyres that damp, contains its mean over the last period: no energy of the road
+    bounds the velocity at an instant. As in MuJoCo, where a road that is held moves by steps.
+    """
     how = vehicle.implementation
     period = how.sample_period or timestep
     cut = sampled(vehicle, controller, period)
@@ -52,20 +61,54 @@ def sampled_loop(vehicle: Vehicle, controller: Controller, timestep: float = USU
         rms = np.array(controller.hardware.noise)
         heard = cut.reading @ np.diag(rms)[:, rms > 0] / math.sqrt(period)  # as in `SampledDataProblem`
         noise = np.vstack([heard[: cut.forces], period * heard[cut.forces :]])
-    return SampledLoop(plant, hold_intervals(period, how.delay), G[: cut.forces], memory, period * cut.hold, noise)
+    loop = SampledLoop(plant, hold_intervals(period, how.delay), G[: cut.forces], memory, period * cut.hold, noise)
+    felt = readings_of_road(cut, controller)
+    return _with_mean_velocity(loop, np.vstack([felt[: cut.forces], period * felt[cut.forces :]])) if felt.any() else loop
+
+
+def _with_mean_velocity(loop: SampledLoop, felt: Array) -> SampledLoop:
+    """Returns the loop whose readings contain the road's mean velocity over the last period.
+
+    The plant integrates the velocity, with a decay of `FORGOTTEN` a period, and the controller keeps the integral of the last
+    sample: their difference is the mean.
+
+    Args:
+        felt: from the velocities to the computed forces and the next controller states, shape (m + k, r).
+    """
+    (n, m), k, r, plant = loop.plant.B.shape, len(loop.A_register), felt.shape[1], loop.plant
+    more = plant.Bw.shape[1]
+    wide = replace(
+        plant,
+        A=linalg.block_diag(plant.A, -FORGOTTEN / loop.period * np.eye(r)),
+        B=np.vstack([plant.B, np.zeros((r, m))]),
+        Bw=np.vstack([plant.Bw, np.eye(r, more)]),
+        C=np.hstack([plant.C, np.zeros((len(plant.C), r))]),
+    )
+    now, before = felt / loop.period, -math.exp(-FORGOTTEN) * felt / loop.period
+    gains = np.vstack([loop.K, loop.A_register])
+    gains = np.hstack([gains[:, :n], now, gains[:, n:], before])
+    kept = np.hstack([np.zeros((r, n)), np.eye(r), np.zeros((r, k + r))])
+    noise = None if loop.noise is None else np.vstack([loop.noise, np.zeros((r, loop.noise.shape[1]))])
+    hold = np.vstack([loop.B_register, np.zeros((r, m))])
+    return SampledLoop(wide, loop.pieces, gains[:m], np.vstack([gains[m:], kept]), hold, noise)
 
 
 def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem:
     """Returns the sampled-data problem of a controller: the vehicle with its filters, its actuators' lag, and the measurements.
 
     Raises:
-        InputError: the vehicle has no sample period.
+        InputError: the vehicle has no sample period, or a measurement contains the road's velocity.
     """
-    how = vehicle.implementation
+    how, model = vehicle.implementation, vehicle.linear_model
     if how.sample_period is None:
         raise InputError(
             f"controller {entry.name!r} is designed for the loop that a computer closes, and [implementation] gives no sample "
             "period; give it, as in sample_period = 0.01, seconds"
+        )
+    if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
+        raise InputError(
+            f"controller {entry.name!r} is designed for the loop that a computer closes, and {pushed[0]!r} jumps with the road's "
+            "velocity, by the damping of the tyre, of which no energy bounds a sample; leave out the signal, or tyre_damping"
         )
     Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
@@ -95,7 +138,10 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None:
         return controller.certificate.norm.value
     Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
-    plant, G = on_larger_plant(plant_as_built(vehicle), Cy, controller.law.continuous().fed_back(through))
+    plant, model = plant_as_built(vehicle), vehicle.linear_model
+    felt = model.Dw[[model.outputs.index(name) for name in controller.measured]]
+    Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))]) if felt.any() else None
+    plant, G = on_larger_plant(plant, Cy, controller.law.continuous().fed_back(through), Dyw)
     return hinf_norm(plant.closed_loop(G)).value
 
 

@@ -76,6 +76,14 @@ class OpenLoop:
         return np.concatenate([acting, rates], axis=-2)
 
 
+def readings_of_road(cut: OpenLoop, controller: Controller) -> Array:
+    """Returns the effect of the road's velocity on all inputs, by measured accelerations of wheels on tyres that damp.
+
+    Its shape is (m + k, r).
+    """
+    return cut.reading @ cut.model.Dw[[cut.model.outputs.index(name) for name in controller.measured]]
+
+
 def continuous(vehicle: Vehicle, controller: Controller) -> OpenLoop:
     """Returns the open loop in continuous time; a discrete law as its bilinear counterpart.
 

@@ -24,7 +24,7 @@ from models.roads.spectrum import longest_panel, sources
 from models.vehicle.filter import WEIGHTINGS, Filter
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
-from synth.controller.open_loop import continuous
+from synth.controller.open_loop import continuous, readings_of_road
 
 ROAD_CLASS, SPEED = "C", 20.0  # an average road; m/s
 WEIGHTED = Filter(WEIGHTINGS["iso2631_wk"], "iso2631_wk")
@@ -48,12 +48,13 @@ def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
     if not rows or not controller.certificate.stable:
         return None
     road = Iso8608(ROAD_CLASS, speed=SPEED, track_width=track_width(vehicle)).spectrum
-    C, Cr = (model.C + model.D @ cut.G)[rows], model.Cr[rows]
+    C, Cr, felt = (model.C + model.D @ cut.G)[rows], model.Cr[rows], readings_of_road(cut, controller)
+    Bw, Dw = model.Bw + model.B @ felt, (model.Dw + model.D @ felt)[rows]
 
     def spectra(omega: Array) -> Array:
         """Returns the spectra of the weighted accelerations over the road's, shape (F, a)."""
         s = 1j * omega[:, None, None]
-        response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, model.Bw + model.Br / s) + Cr / s
+        response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, Bw + model.Br / s) + Dw + Cr / s
         weighted = WEIGHTED.response(omega)[:, None, None] * (response @ sources(vehicle, road, omega))
         return np.sum(np.abs(weighted) ** 2, axis=-1)
 

@@ -164,7 +164,7 @@ def describing_lines(one: DescribingFunction) -> list[str]:
     """Returns the describing function in words and numbers."""
     hertz, law = one.omega / (2 * np.pi), one.controller.text
     if isinstance(one.controller, Programmed):
-        law = f"law in Python {one.controller.law.law}"
+        law = f"{one.controller.law.kind} {one.controller.law.law}"
     lines = [
         f"controller {one.controller.name}",
         f"  {law}: no linear claim, and no line of analysis beside it. Its describing function, from {len(hertz)} "

@@ -1,10 +1,11 @@
 """Signals between their samples, as polynomials: extrema, crossings and integrals by location, and not by the nearest sample.
 
-A piece is one timestep. A linear response is exact at any time, so that it gives as many points of each step as a polynomial
-takes: one of degree 8 follows a mode of 1 rad a step to 1e-11. Samples alone, as MuJoCo's, are joined by cubics through the four
-nearest; a held force is constant from one sample to the next.
+A piece is one timestep, or a part of one while wheels are on an edge of a few steps or less. A linear response is exact at any
+time, so that each piece has as many points as a polynomial takes: one of degree 8 follows a mode of 1 rad a step to 1e-11.
+Samples alone, as MuJoCo's, are joined by cubics through the four nearest; a held force is constant from one sample to the next.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from numpy.polynomial import chebyshev
 
 from models.common.arrays import Array
 from models.laws.python_law import Programmed
-from models.roads.road import RoadInput
+from models.roads.road import RoadInput, delays
 from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response
 from sim.response.response import Response
@@ -21,6 +22,7 @@ from sim.runs.run import Run
 
 DEGREE = 8  # of the polynomial of a step
 CUBIC = 3
+PER_GAP = 8  # pieces of a road between two of its kinks, or more
 MOST_POINTS = 2_000_000  # of a response between samples; of longer runs a polynomial has a lower degree
 BULGE = 0.1  # of its range: by more than this a polynomial of a step does not exceed its points
 ROUNDING = 1e-13  # of the largest value: less is no change of sign
@@ -28,16 +30,16 @@ ROUNDING = 1e-13  # of the largest value: less is no change of sign
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Signal as one polynomial per step.
+    """Signal as one polynomial per step, or part of one.
 
     Attributes:
         start: of every step [s], shape (K,).
-        length: of every step [s].
+        length: of every step [s], shape (K,).
         values: at equidistant points of every step, both ends included, shape (K, d + 1).
     """
 
     start: Array
-    length: float
+    length: Array
     values: Array
 
     def less(self, value: float) -> "Pieces":
@@ -48,10 +50,21 @@ class Pieces:
         """Returns the multiplied signal."""
         return replace(self, values=self.values * factor)
 
+    def before(self, whole: "Pieces", steps: int) -> "Pieces":
+        """Returns these pieces, then those of a whole run but for its first steps."""
+        if self.values.shape[1] != whole.values.shape[1]:
+            return whole
+        both = [np.concatenate([mine, theirs[steps:]]) for mine, theirs in zip(self._parts, whole._parts, strict=True)]
+        return Pieces(*both)
+
+    @property
+    def _parts(self) -> tuple[Array, Array, Array]:
+        return self.start, self.length, self.values
+
     def since(self, time: float) -> "Pieces":
         """Returns the steps that begin at a time [s] or later."""
         later = self.start >= time
-        return replace(self, start=self.start[later], values=self.values[later])
+        return replace(self, start=self.start[later], length=self.length[later], values=self.values[later])
 
     def polynomial(self, k: int) -> Array:
         """Returns the Chebyshev coefficients of a step, over -1..1."""
@@ -59,12 +72,13 @@ class Pieces:
 
     def time(self, k: int, x: float) -> float:
         """Returns the time [s] of a point of a step, from -1 to 1."""
-        return float(self.start[k] + self.length * (x + 1) / 2)
+        return float(self.start[k] + self.length[k] * (x + 1) / 2)
 
     def at(self, times: Array) -> Array:
         """Returns the values at times within the steps [s], same shape."""
-        k = np.clip(np.floor((times - self.start[0]) / self.length + ROUNDING).astype(int), 0, len(self.start) - 1)
-        x = 2 * (times - self.start[k]) / self.length - 1
+        after = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right")
+        k = np.clip(after - 1, 0, len(self.start) - 1)
+        x = 2 * (times - self.start[k]) / self.length[k] - 1
         points = self.values.shape[1]
         coefficients = self.values[k] @ _fit(points).T
         return (chebyshev.chebvander(x, points - 1) * coefficients).sum(axis=-1)
@@ -99,9 +113,9 @@ class Pieces:
     def integral_of_size(self) -> tuple[float, float]:
         """Returns the integrals of the signal's size, and of its product with time, over all steps."""
         points = self.values.shape[1]
-        weights = _integral(points) * self.length / 2
-        at = self.start[:, None] + self.length * (np.linspace(-1, 1, points) + 1) / 2
-        plain, timed = self.values @ weights, (self.values * at) @ weights
+        weights, lengths = _integral(points) / 2, self.length[:, None]
+        at = self.start[:, None] + lengths * (np.linspace(-1, 1, points) + 1) / 2
+        plain, timed = (lengths * self.values) @ weights, (lengths * self.values * at) @ weights
         size, signed = np.abs(self.values), np.sign(self.values)
         turning = (size.min(axis=1) < BULGE * np.ptp(self.values, axis=1)) | (signed.min(axis=1) != signed.max(axis=1))
         turning &= size.max(axis=1) > ROUNDING * size.max(initial=0.0)
@@ -112,9 +126,9 @@ class Pieces:
             edges = np.array([-1.0, *_roots(coefficients), 1.0])
             half = np.diff(edges) / 2
             x = (edges[:-1] + half)[:, None] + half[:, None] * nodes
-            part = np.abs(chebyshev.chebval(x, coefficients)) * half[:, None] * node_weights * self.length / 2
+            part = np.abs(chebyshev.chebval(x, coefficients)) * half[:, None] * node_weights * self.length[k] / 2
             plain[k] = part.sum()
-            timed[k] = (part * (self.start[k] + self.length * (x + 1) / 2)).sum()
+            timed[k] = (part * (self.start[k] + self.length[k] * (x + 1) / 2)).sum()
         return float(plain.sum()), float(timed.sum())
 
     def _point(self, i: int) -> float:
@@ -132,28 +146,45 @@ class Pieces:
 def exact(run: Run, signals: tuple[str, ...]) -> dict[str, Pieces]:
     """Returns signals of a run's continuous linear response, exact between samples; empty if there is no such response.
 
-    A polynomial of a step within which the road's velocity has a kink is off by 1e-3 of what the kink does in that step.
+    A polynomial of a step within which the road's velocity has a kink is off by 1e-3 of what the kink does in that step. Where
+    kinks are closer than a few steps, the steps until the last wheel is past them are cut into so many parts that they are not.
     """
-    prediction, time = run.prediction, run.prediction.time
     if run.vehicle.dampers:
         return {}
-    parts = max(min(DEGREE, MOST_POINTS // len(time)), 2)
-    h = prediction.timestep
-    within = np.arange((len(time) - 1) * parts + 1) * (h / parts)
-    road, model = RoadInput(run.vehicle, run.road, within), run.vehicle.linear_model
+    (time, h), road = (run.prediction.time, run.prediction.timestep), run.road
+    kinks = np.unique([kink + delay for kink in road.kinks for delay in delays(road, run.vehicle)])
+    kinks = kinks[kinks < time[-1]]
+    gap = min((one for one in np.diff(np.unique(road.kinks)) if one > 0), default=math.inf)
+    cut = math.ceil(PER_GAP * h / gap * (1 - ROUNDING))
+    whole = _exact_steps(run, signals, len(time) - 1, 1)
+    if cut <= 1 or not len(kinks) or not whole:
+        return whole
+    some = min(math.ceil(kinks[-1] / h) + 1, len(time) - 1)
+    fine = _exact_steps(run, signals, some, min(cut, max(MOST_POINTS // (DEGREE * some), 1)))
+    return {name: fine[name].before(one, some) for name, one in whole.items()}
+
+
+def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> dict[str, Pieces]:
+    """Returns signals of the continuous response over the first steps of a run, each step cut into so many pieces."""
+    prediction, model, h = run.prediction, run.vehicle.linear_model, run.prediction.timestep
+    parts = max(min(DEGREE, MOST_POINTS // (steps * cut)), 2)
+    every = parts * cut
+    road = RoadInput(run.vehicle, run.road, np.arange(steps * every + 1) * (h / every))
     if prediction.loop is not None:
-        response = continuous_response(replace(prediction.loop, timestep=h / parts), road)
+        response = continuous_response(replace(prediction.loop, timestep=h / every), road)
     elif isinstance(run.controller, Programmed):
-        response = forced_continuous_response(np.repeat(prediction.requested_force, parts, axis=0)[: len(within)], road)
+        response = forced_continuous_response(np.repeat(prediction.requested_force, every, axis=0)[: steps * every + 1], road)
     else:
         return {}
+    start = (prediction.time[:steps, None] + np.arange(cut) * (h / cut)).ravel()
     found = {}
     for name in signals:
         values = response[name]
         ends = values[parts::parts].copy()
         if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes behind its step
-            ends -= np.diff(prediction.requested_force, axis=0) @ model.D[model.outputs.index(name)]
-        found[name] = Pieces(time[:-1], h, np.column_stack([values[:-1].reshape(-1, parts), ends]))
+            leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
+            ends[cut - 1 :: cut] -= leaps
+        found[name] = Pieces(start, np.full(steps * cut, h / cut), np.column_stack([values[:-1].reshape(-1, parts), ends]))
     return found
 
 
@@ -162,7 +193,11 @@ def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str,
     time, h = response.time, run.prediction.timestep
     held = set() if run.vehicle.limits.actuator_bandwidth is not None else set(run.vehicle.linear_model.inputs)
     return {
-        name: Pieces(time[:-1], h, np.repeat(response[name][:-1, None], 2, axis=1) if name in held else _cubics(response[name]))
+        name: Pieces(
+            time[:-1],
+            np.full(len(time) - 1, h),
+            np.repeat(response[name][:-1, None], 2, axis=1) if name in held else _cubics(response[name]),
+        )
         for name in signals
     }
 

@@ -81,7 +81,7 @@ def _all_signals(vehicle: Vehicle) -> LinearSystem:
         A,
         np.hstack([Bw, B]),
         C,
-        np.hstack([np.zeros((p, r)), model.Dl.reshape(p, -1), model.D]),
+        np.hstack([model.Dw, model.Dl.reshape(p, -1), model.D]),
         (*(kind.signal(wheel.road_velocity) for wheel in wheels), *loads, *forces),
         tuple(states),
         tuple(kind.signal(name) for name in model.outputs),
