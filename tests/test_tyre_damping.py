@@ -25,7 +25,9 @@ from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure
+from synth.command.export_numbers import numbers_lines, numbers_object
 from synth.controller.controller import Controller
+from synth.controller.export.c_law import exported_law
 from synth.controller.export.linear_system import loop_system
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
@@ -299,6 +301,14 @@ def test_the_sampled_norm_counts_the_road_in_a_reading():
     peak = np.linalg.norm(z, axis=1).max()
     assert controller.certificate.norm.value == pytest.approx(peak, rel=1e-5)
     assert norm_as_implemented(vehicle, controller, 1e-5).value == pytest.approx(peak, rel=1e-3)
+
+
+def test_no_bound_on_rounding_is_said_of_a_reading_of_the_road():
+    """What such a reading gives at an instant is no part of the loop's response, of which the bound on rounding is computed."""
+    vehicle, controller, _ = reading_the_wheel()
+    found = numbers_object(vehicle, controller, exported_law(vehicle, controller, "float", "felt"))
+    assert found["rounding"] is None
+    assert "a reading has the road's velocity in it" in numbers_lines(found)[-1]
 
 
 def test_a_sampled_design_refuses_a_reading_of_the_road():

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
 from models.common.printed import finite, table
@@ -13,7 +15,7 @@ from synth.controller.controller import Controller
 from synth.controller.export.c_law import ExportedLaw
 from synth.controller.export.rounding import rounded_law, steady_rounding
 from synth.controller.implementation_norm import norm_as_implemented
-from synth.controller.open_loop import LoopModel
+from synth.controller.open_loop import LoopModel, readings_of_road
 from synth.vehicle.designer import Designer
 
 
@@ -35,9 +37,17 @@ def numbers_object(vehicle: Vehicle, controller: Controller, law: ExportedLaw) -
         kept = [promise.holds for promise in judged.specifications]
         norm = norm_as_implemented(vehicle, judged).value
         loops[name] = {"norm": finite(norm), "promises": len(kept), "kept": sum(kept)}
-    effect = steady_rounding(LoopModel(vehicle, controller, vehicle.implementation.sample_period or USUAL_TIMESTEP), law)
+    loop = LoopModel(vehicle, controller, vehicle.implementation.sample_period or USUAL_TIMESTEP)
+    if np.any(readings_of_road(loop.open_loop, controller)):
+        return {
+            "loops": loops,
+            "rounding": None,
+            "why": "a reading has the road's velocity in it, of which no bound on rounding is computed",
+        }
+    effect = steady_rounding(loop, law)
     rounding = None if effect is None else {"rms_share": effect.rms, "most": effect.most}
-    return {"loops": loops, "rounding": rounding}
+    why = "the loop is not stable, and rounding grows with everything" if effect is None else None
+    return {"loops": loops, "rounding": rounding, "why": why}
 
 
 def _law(law: ExportedLaw, matrix: Array) -> LinearLaw:
@@ -58,7 +68,7 @@ def numbers_lines(about: Mapping[str, Any]) -> list[str]:
         rows.append(("promises kept", *(f"{one['kept']} of {one['promises']}" for one in (ideal, coded))))
     effect = about["rounding"]
     if effect is None:
-        return [*table(rows), "the loop is not stable, and rounding grows with everything"]
+        return [*table(rows), about["why"]]
     rows += [("rounding, of a force", "0", f"{effect['rms_share']:.1e} rms"), ("", "0", f"{effect['most']:.2g} N at most")]
     return [
         *table(rows),

@@ -114,7 +114,7 @@ def steady_rounding(loop: LoopModel, law: ExportedLaw) -> SteadyRounding | None:
     """Returns what rounding does for ever, or None if the loop is not stable.
 
     Args:
-        loop: with the sample period as its timestep.
+        loop: with the sample period as its timestep; no reading has the road's velocity in it.
         law: the exported law of its controller, linear and without adjustable dampers.
     """
     if loop.radius >= 1:
