@@ -103,7 +103,7 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     every = max(len(time) // POINTS, 1)
     some = thinned(exact, every)
     marks = slice(None, None, max(len(time) // MARKS, 1))
-    unit = one.unit or run.vehicle.kind.signal(one.signal).unit
+    unit = one.unit or (run.vehicle.kind.signal(one.signal).unit if one.scale == 1 else "-")
     side = math.copysign(1.0, float(exact[np.abs(exact).argmax()]))
     curves = [_line(time[some], exact[some])]
     physics = one.scale * run.physics[one.signal]
