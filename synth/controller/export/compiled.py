@@ -29,13 +29,18 @@ from synth.controller.export.fixed_source import source_of
 INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integer and the padding
 
 
+def own_compiler() -> str | None:
+    """Returns the path of the machine's own C compiler, or None without one."""
+    return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
 def compiler() -> list[str]:
     """Returns the command of a C compiler.
 
     Raises:
         InputError: no compiler is installed.
     """
-    own = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    own = own_compiler()
     if own is not None:
         return [own]
     if importlib.util.find_spec("ziglang") is not None:

@@ -5,7 +5,6 @@ import html
 import importlib.util
 import io
 import platform
-import shutil
 import struct
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from synth.controller.export.c_source import FLAGS
+from synth.controller.export.compiled import own_compiler
 from synth.controller.export.fmu_description import build_description, description
 from synth.controller.export.fmu_model import FmuModel
 
@@ -114,7 +114,7 @@ def _binaries(sources: Mapping[str, str], compiled: Sequence[str], version: int)
                 for folder, targets in TARGETS[version].items()
             }
             return {folder: _universal(TARGETS[version][folder], parts) for folder, parts in built.items()}, ""
-        compiler, host = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"), _host(version)
+        compiler, host = own_compiler(), _host(version)
         if compiler is None or host is None:
             return {}, "no binaries, as there is no C compiler; the extra [export] brings one for Linux, Windows and macOS"
         only = {host: _built([compiler, "-s"], place, compiled, host)}

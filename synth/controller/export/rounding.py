@@ -99,7 +99,7 @@ def entering(loop: LoopModel, law: ExportedLaw) -> Array:
 
 @dataclass(frozen=True)
 class SteadyRounding:
-    """What rounding does to the forces of a stable loop for ever, on two kinds of road under every wheel.
+    """Effect of rounding on the forces of a stable loop for ever, on two kinds of road under every wheel.
 
     Attributes:
         rms: rms of the error over that of the force, the largest of any force, where the road's velocity is white noise.
