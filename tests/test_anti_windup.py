@@ -52,6 +52,7 @@ def runs_of(vehicle, names, road, duration):
     return run_controllers(vehicle, [designed(vehicle, name) for name in names], road, sample_times(vehicle, duration, 1e-3))
 
 
+@pytest.mark.attack
 def test_an_unstable_law_behind_a_damper_stays_bounded():
     """Over class C the states of an unstable law run away; with anti-windup they stay, and it is said so."""
     vehicle = parse_vehicle(SEMI_ACTIVE, source="mine")

@@ -137,6 +137,7 @@ def test_no_plant_is_too_odd(first, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.attack
 def test_odd_plants(capfd):
     """So of one plant of each family."""
     with warnings.catch_warnings():

@@ -62,6 +62,7 @@ def endless(scope: Scope) -> None:
     signal.pause()
 
 
+@pytest.mark.attack
 def test_the_page_is_the_same(paper):
     """A report says the same whether this process does all of it or another one does what it can."""
     designer, told = Designer(paper), []

@@ -136,7 +136,8 @@ def test_a_fault_is_of_one_run(tmp_path, monkeypatch, sound, fault):
             assert row == untouched
 
 
-@pytest.mark.parametrize("others", [(), pytest.param(("--workers", "2"), marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("others", [(), ("--workers", "2")])
 def test_the_same_whatever_runs_it(tmp_path, capsys, others):
     """Laws may end their process, and one for many runs fails by the fault of a few; workers and batches change no bit of that.
 
@@ -165,6 +166,7 @@ def test_the_same_whatever_runs_it(tmp_path, capsys, others):
             assert f"{entry['failed']} of {entry['runs']} runs failed, the first: {entry['first_failure']}" in prose(said)
 
 
+@pytest.mark.attack
 def test_no_code_but_the_users_own(tmp_path, capsys):
     """A results folder has checksums of laws and no code; a changed law, or one that lies in the folder, is refused in one line.
 

@@ -482,6 +482,7 @@ def test_a_curve_that_bends_at_rest_has_its_line_where_only_that_is_spoken_of():
     assert near < 1e-3  # RK4's at 4 ms: measured 5e-4
 
 
+@pytest.mark.attack
 def test_a_map_foretells_when_curves_leave_their_lines():
     """Over bumps of many heights MuJoCo's curves leave their lines when their own response does, to the sample, or not at all."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE)

@@ -30,6 +30,7 @@ def named(panel, label):
     return next(curve for curve in panel.curves if curve.label == label)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("kind", "curves"),
     [("quarter_car", {"suspension_damping": DIGRESSIVE, "suspension_stiffness": PROGRESSIVE}), ("half_car", AXLES)],

@@ -249,6 +249,7 @@ def test_a_decision_that_rounding_makes():
         assert near <= found <= 100 * near
 
 
+@pytest.mark.attack
 def test_physics_is_followed_where_rounding_decides():
     """A coefficient that physics could have set for rounding is played from there on, and said; one that it could not is not."""
     vehicle = parse_vehicle(QUARTER + DAMPER)

@@ -236,7 +236,7 @@ def odd_plant(seed: int) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray | Non
     return GeneralizedPlant(A, B, Bw, C, D, np.zeros((d + m, r)), dt=dt), Cy, rng.standard_normal((len(Cy), r)) * 0.1
 
 
-@pytest.mark.parametrize("seed", [4, *attacks([0, *range(5, 14)])])
+@pytest.mark.parametrize("seed", [4, *attacks([0, *range(5, 9)])])
 def test_it_finds_what_any_method_finds(seed):
     """Where one of today's functions has a certified gain, so has the door, from lists; else it says why in one line."""
     plant, Cy, noise = odd_plant(seed)

@@ -270,7 +270,7 @@ def test_slopes_are_those_of_the_norm(seed):
     np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())  # the step squared, and edges
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (5, *range(100, 115)))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.attack) for seed in (5, *range(100, 108)))])
 def test_no_lower_bound_above_what_is_reached(seed):
     """Searched static gains and full-order laws of random plants are proved, and none lies below the lower bound.
 
@@ -341,7 +341,8 @@ def test_a_mode_that_z_does_not_see_and_that_grows():
     assert np.abs(design.certificate.poles).max() < 1
 
 
-@pytest.mark.parametrize("orders", [("static",), *attacks([(("static", "full"),)])], ids=" ".join)
+@pytest.mark.attack
+@pytest.mark.parametrize("orders", [("static",), ("static", "full")], ids=" ".join)
 def test_a_pole_at_minus_one(orders):
     """A plant with a pole at z = -1 and another at 1 is designed, bounded and refined, also at full order: both are moved."""
     A, one = np.diag([-1.0, 1.0, 0.3]), np.ones((3, 1))

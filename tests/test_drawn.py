@@ -157,6 +157,7 @@ def test_geometry_where_curves_do_not_bend(seed):
         assert one.excess < 0.8  # 1 / SLACK, and rounding
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("name", in_the_suite(["height of the roll axis"], FAULTS))
 def test_what_is_2_percent_off_is_found_there(name):
     """What does not vanish with the height is no geometry: signals tell it, and the steps do."""

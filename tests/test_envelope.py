@@ -64,6 +64,7 @@ def cells(limited, designer):
     return validity(limited, designer.design("I"), bumps, TIME)
 
 
+@pytest.mark.attack
 def test_dampers_that_are_short_of_force(tmp_path, capsys, of_one_map, monkeypatch):
     """A clipped controller's map says how much force is missing, cell by cell, and what ends the analysis with its dampers."""
     arguments = ["--vehicle", "quarter_car_semi_active", "--controller", "I", "--timestep", "2e-3", "--duration", "1.5"]
@@ -95,6 +96,7 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys, of_one_map, monkeypat
     assert "missing" not in capsys.readouterr().out  # nothing is asked of them
 
 
+@pytest.mark.attack
 def test_loads_over_every_bump(tmp_path, capsys):
     """Under a brake a map is of bumps and brake: what breaks first, and when, is as foretold, and is a run's; a log proves it."""
     arguments = ["--vehicle", "half_car", "--controller", "passive", "--timestep", "2e-3", "--duration", "1.5"]

@@ -91,7 +91,7 @@ def test_as_built(extra, controller):
     assert load_failures([dataclasses.replace(load, measured=math.nan)])
 
 
-@pytest.mark.parametrize("name", ["half_car", "full_car"])
+@pytest.mark.parametrize("name", ["full_car"])
 def test_every_wheel(name):
     """Every wheel of a car has its own plate, and left and right the same load."""
     vehicle = read_vehicle(name)

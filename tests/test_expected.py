@@ -302,6 +302,7 @@ def test_expected_is_the_sum_over_the_roads_lines(name, controller):
             assert found.mean[f"{signal}_rms"] == pytest.approx(rms, rel=2e-4)
 
 
+@pytest.mark.attack
 def test_lightly_damped_sum_over_the_roads_lines(paper):
     """At a damping of 0.002 of critical, too, if the road is so long that its lines resolve the resonance."""
     p = paper.parameters

@@ -23,7 +23,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
-from tests.commands import prose
+from tests.commands import attacks, prose
 
 TOO_LARGE = (
     "the LMI problem has 15 unknowns, and the two steps are gone with at most 14; take states out of the model"  # 10 + 4 + 1
@@ -68,7 +68,7 @@ def test_too_large_for_a_path(designer, monkeypatch):
 @pytest.mark.parametrize(
     ("performance", "reason", "best"),
     [
-        ({"suspension_deflection": 1.0}, "some control force costs nothing", 0.1044),  # the largest gain stops it at 0.10431
+        *attacks([({"suspension_deflection": 1.0}, "some control force costs nothing", 0.1044)]),
         ({"sprung_acceleration": 1.0}, "z does not see the mode at 0 rad/s", 7.836),  # with a weight on the force: 7.8364
     ],
 )
@@ -147,9 +147,9 @@ def test_projected_starts_are_good(states):
 @pytest.mark.attack
 def test_a_large_plant():
     """A chain too large for the two steps has a gain by descent; that is said, and where rounding leaves no proof of a bound."""
-    design = two_steps_or_descent(*chain(60))
+    design = two_steps_or_descent(*chain(46))
     certificate = design.certificate
     assert certificate.failures == ()
     assert (certificate.bound is None) == ("rounding leaves no proof of a bound" in design.instead)
-    assert certificate.norm.value < 1.40  # measured 1.3765 at 60; a chain of 40 has 1.4526 by the two steps
+    assert certificate.norm.value < 1.45  # a chain of 40 has 1.4526 by the two steps, one of 50 1.4041, one of 60 1.3765
     assert "unknowns, and the two steps are gone with at most 1100" in design.instead

@@ -133,7 +133,7 @@ def test_the_lmis_of_one_plant(designer):
     assert hinf_norm(plant.closed_loop(Feedback(second.K, row))).value <= second.eta**-0.5
 
 
-@pytest.mark.parametrize("seed", [*range(2), *attacks(range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *attacks(range(1, 6))])
 def test_bounds_hold_on_random_families(seed):
     """On random families, with a Dw, the bound that Clarabel claims is above every norm, and proofs hold."""
     rng = np.random.default_rng(seed)

@@ -255,6 +255,7 @@ def test_the_readmes_example():
     assert len(controller.certificate.poles) == 4 + 8 + 1 + 1
 
 
+@pytest.mark.attack
 def test_what_synths_readme_says_of_the_two_steps():
     """With W_k the two steps bring I to 20.97 and `state` to 10.31; what is designed comes next to the lower bound, and says so.
 
@@ -285,6 +286,7 @@ def test_filters_poles_are_not_too_fast():
         assert not found.remarks
 
 
+@pytest.mark.attack
 def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
     """A bump with filters is recorded and inspected: the certificate is computed again from the log's own vehicle file."""
     file, brief = tmp_path / "felt.toml", ("--duration", "0.5")

@@ -145,6 +145,7 @@ def _brute(gain: ScaledGain, factors) -> tuple[float, float]:
     return float(poles.real.max()), highest
 
 
+@pytest.mark.attack
 def test_errors_inside_a_box_may_do_most():
     """A spring that is tuned to the filter before it, and a damper: the worst is less damping with the spring as it is."""
     A = np.array([[0.0, 1.0, 0.0, 0.0], [-0.459, -0.1, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, -1.0, -0.2]])

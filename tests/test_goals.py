@@ -38,7 +38,7 @@ from synth.vehicle.multi_objective import goal_problem, run_search
 from tests import shared
 from tests.analysed import continuous_response
 from tests.benchmarks.states import chain
-from tests.commands import main_of, refused
+from tests.commands import attacks, main_of, refused
 
 HZ = 2 * np.pi
 THREE = '["suspension_deflection", "sprung_velocity", "unsprung_velocity"]'
@@ -67,7 +67,7 @@ def designed(section: str, name: str = "quarter_car"):
     return controller, {each.what: each.value if each.proved is None else each.proved for each in controller.specifications}
 
 
-@pytest.mark.parametrize(("measured", "best"), [(THREE, 0.782), (TWO, 2.034)])
+@pytest.mark.parametrize(("measured", "best"), [(TWO, 2.034), *attacks([(THREE, 0.782)])])
 def test_a_band(measured, best):
     """From 4 to 8 Hz, the norm bounded and the poles held left: as good as is known, all three proved."""
     controller, promises = designed(f"measured = {measured}\n{BAND}\nbounds = [{KEPT}]")
@@ -107,11 +107,12 @@ def test_a_tolerance(measured, best):
     assert max(norms) <= found * (1 + 1e-9) <= proved
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("measured", "family", "count", "worst", "regret"),
     [
-        pytest.param(TWO, SIX, 6, 12.533, 1.0024, marks=pytest.mark.attack),
-        pytest.param(ONE, SIX, 6, 12.517, 1.0207, marks=pytest.mark.attack),
+        (TWO, SIX, 6, 12.533, 1.0024),
+        (ONE, SIX, 6, 12.517, 1.0207),
         (ONE, TWO_OF_SIX, 2, 12.516, 1.0077),
     ],
 )
@@ -164,6 +165,7 @@ def test_a_wrong_file_of_a_family(tmp_path, content, said):
     assert "[controllers.goal]" in str(error.value)
 
 
+@pytest.mark.attack
 def test_per_corner():
     """The half-car's gain of two corners apart, of at most 3e4, is better than what was known, and zero where it has to be."""
     measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in CORNERS])
@@ -173,6 +175,7 @@ def test_per_corner():
     assert np.array_equal(controller.gain != 0, [[1, 0, 1, 0], [0, 1, 0, 1]])
 
 
+@pytest.mark.attack
 def test_what_cannot_be_had_is_named():
     """Bounds that exclude each other are both named, with how far they are passed where both are passed alike."""
     bounds = '{ norm = 7.5 }, { peak = "suspension_deflection", at_most = 0.05 }, { decay = 1.19 }'
@@ -371,6 +374,7 @@ def test_goals_leave_plain_designs_alone(paper):
     assert again.certificate.norm.value == controller.certificate.norm.value
 
 
+@pytest.mark.attack
 def test_a_structure_has_its_price():
     """The half-car's whole gain is designed, too, from the structured one: never worse, and what it saves is said in per cent."""
     measured = json.dumps([f"{name}_{corner}" for name in ("suspension_deflection", "sprung_velocity") for corner in CORNERS])
@@ -394,6 +398,7 @@ def test_the_full_car_per_corner():
     assert 0 < float(re.findall(r"[\d.]+(?= %)", price)[0]) < 7
 
 
+@pytest.mark.attack
 def test_roads_of_given_energy(paper):
     """Travel and force are bounded for every road of 0.01 m2/s: by a road that runs backwards along the impulse response, too."""
     bounds = (
@@ -534,6 +539,7 @@ def test_nothing_to_minimise_is_no_error():
     assert promises["norm"] <= 40
 
 
+@pytest.mark.attack
 def test_a_band_with_errors(paper):
     """The norm with errors is at least that without, and that of any sample of the errors; proved lies above."""
     section = f'measured = {TWO}\nminimise = {{ signals = ["sprung_acceleration"], band = [0.5, 10.0] }}\n'
@@ -629,6 +635,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path, capsys, monkeypatch):
     assert "promise: norm from 4 to 8 Hz" in printed
 
 
+@pytest.mark.attack
 def test_an_energy_peak_beside_a_filter():
     """Whatever is minimised beside filters in [performance], a road's energy bounds a signal as where there are none."""
     bound = '{ energy_peak = "tyre_deflection", energy = 0.01, at_most = 0.05 }'
@@ -698,7 +705,7 @@ def test_a_band_alone_leaves_no_loop_of_the_box_unstable(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(5, 15))
+@pytest.mark.parametrize("seed", range(5, 10))
 def test_no_design_is_unstable_in_its_box(seed):
     """So of many random plants."""
     try:

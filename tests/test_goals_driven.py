@@ -91,6 +91,7 @@ def test_nothing_is_searched_for_to_drive(vehicles, monkeypatch, capsys):
     assert len(asked) == 1
 
 
+@pytest.mark.attack
 def test_a_report_has_them(vehicles, tmp_path, capsys):
     """Its table of goals is what `synth` says of each, digit by digit, and its answer names the one that is missed first."""
     pytest.importorskip("jinja2", reason="a report needs the extra [report]")

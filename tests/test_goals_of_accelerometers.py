@@ -42,6 +42,7 @@ def largest(gain: Array, d: float = 0.0, a: float = 0.0) -> float:
     return float(np.linalg.norm(z, axis=0).max())
 
 
+@pytest.mark.attack
 def test_promises_hold_with_errors():
     """No loop of Newton's equations exceeds what is promised of all errors; the worst meets it, and the two steps do worse."""
     tolerance = f"tolerance = {{ suspension_deflection = {OFF}, sprung_acceleration = {OFF} }}"

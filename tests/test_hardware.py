@@ -47,6 +47,7 @@ def scenario_file(folder: Path, handling: float) -> Path:
     return path
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(("handling", "names"), [(0.01, ("full",)), *attacks([(0.99, ("full", "static"))])])
 def test_active_suspension_from_its_file(handling, names, tmp_path, capsys):
     """MathWorks' scenarios come from a vehicle file to the printed digits, and static gains to what was found elsewhere.

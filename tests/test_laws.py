@@ -245,7 +245,7 @@ def test_what_is_printed_of_a_law_with_states(period):
     )
 
 
-@pytest.mark.parametrize("period", [None, 0.002])
+@pytest.mark.parametrize("period", [0.002, *attacks([None])])
 def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     """Over a campaign their linear errors are RK4's own; its folder holds their laws, confirms them, and goes on with them."""
     one = controller(read_vehicle("quarter_car"), "acceleration", 3)

@@ -236,6 +236,7 @@ def test_refusals_say_why(kind, lines, words):
         linked(kind, lines)
 
 
+@pytest.mark.attack
 def test_designs_weigh_banks_and_loads_on_wheels():
     """A car with roll centres is designed for: a bank acts by its height, beside the twist, and wheels' loads are weighed."""
     entry = '\n[controllers.held]\nmeasured = ["heave_velocity", "pitch_rate", "roll_rate"]\n'

@@ -97,6 +97,7 @@ def test_a_recording_without_room_for_rerun_says_so(error, lifting, monkeypatch,
         record(tmp_path, "run", [lifting], {}, {})
 
 
+@pytest.mark.attack
 def test_files_of_the_users_own_names(tmp_path):
     """`models.py` and `synth.py` beside the user's files hinder no command; nor does `sim.py` the installed `roadproof`."""
     for name in ("models", "synth"):

@@ -225,7 +225,9 @@ def test_curves_carry_too(text, name):
         ("I", "", QUARTER[:1]),
         pytest.param("passive", "", QUARTER, marks=pytest.mark.attack),
         pytest.param("I", "", QUARTER[1:], marks=pytest.mark.attack),
-        ("accelerometer", "bandwidth = 90.0", QUARTER[1:]),  # of nothing that is asked nothing lags
+        pytest.param(
+            "accelerometer", "bandwidth = 90.0", QUARTER[1:], marks=pytest.mark.attack
+        ),  # of nothing that is asked nothing lags
         pytest.param("accelerometer", "", QUARTER, marks=pytest.mark.attack),
         pytest.param("I", "bandwidth = 90.0", QUARTER[1:], marks=pytest.mark.attack),
     ],

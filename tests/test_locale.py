@@ -84,6 +84,7 @@ def test_what_the_terminal_lacks(tmp_path, locale):
     assert [path.name for path in (tmp_path / "logs").glob("*.mcap")]
 
 
+@pytest.mark.attack
 def test_the_locales_own(tmp_path, latin):
     """A name typed in the locale's own encoding is that name; a file that cannot be named as it should is said in one line."""
     vehicle(tmp_path / "car.toml", "é")

@@ -30,6 +30,7 @@ def held(tmp_path, paper):
     return path
 
 
+@pytest.mark.attack
 def test_a_sampled_design_is_judged_by_its_sampled_loop(held, tmp_path, capsys):
     """Its loop is stable as it runs, by a route of its own, and has a norm: no claim fails, in the table, in JSON, or saved."""
     vehicle = read_vehicle(str(held))
@@ -96,6 +97,7 @@ def test_what_its_computer_loses_is_said_in_the_verdict(tmp_path, paper, capsys)
     assert prose(capsys.readouterr().out).endswith("every claim holds, of 2 controllers; UNSTABLE as the computer runs it: I")
 
 
+@pytest.mark.attack
 def test_a_report_of_it(held, tmp_path, capsys):
     """A report treats it as stable: its norm as built, its responses and the end of its regime, and no ideal norm."""
     assert (

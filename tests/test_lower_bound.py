@@ -290,6 +290,7 @@ def gaps(seeds: range) -> np.ndarray:
     return np.array(ratios)
 
 
+@pytest.mark.attack
 def test_stable_zeros_cost_nothing():
     """Stable zeros of what is measured, and those at infinity of a discrete plant, take nothing from the bound."""
     ratios = gaps(range(3000, 3012))

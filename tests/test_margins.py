@@ -392,7 +392,8 @@ def of_every_kind(vehicle, controller, timestep):
     return [*trials, searches(vehicle, weak, [0], timestep).delay.trial(1.5)]
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", pytest.param("half_car", marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
 def test_a_loop_that_is_not_the_runs_confirms_nothing(kind, monkeypatch):
     """Held against its loop a run ends sooner, and says what it says alone, or held against a loop that does the contrary."""
     vehicle, timestep = read_vehicle(kind), 4e-3
@@ -511,9 +512,8 @@ def test_a_kind_that_varies_nothing_says_so(hopper, capsys, of_one_search):
 VARIED = (', varied=Variation("weight", 0.9, 1.2)', ', varied=Variation("tyre rate", 0.75, 1.0)')
 
 
-@pytest.mark.parametrize(
-    "hopper", [VARIED, pytest.param((VARIED[0], ""), marks=pytest.mark.attack)], indirect=True, ids=["two", "one"]
-)
+@pytest.mark.attack
+@pytest.mark.parametrize("hopper", [VARIED, (VARIED[0], "")], indirect=True, ids=["two", "one"])
 def test_the_kind_says_what_varies(hopper, monkeypatch):
     """The box, its worst norm and its words are of the parameters that the kind lets vary, as far as it does, and no others."""
     monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # errors of readings are not asked about
@@ -610,6 +610,7 @@ def test_fragility_in_physics(paper, designer):
     assert found.rounding["float16"].norm.value < found.rounding["float16"].bound
 
 
+@pytest.mark.attack
 def test_errors_are_borne_by_the_loop_with_its_lag(paper, monkeypatch):
     """A gain that bears any error of an actuator without lag is lost with one at 27.7 %; MuJoCo tends to that with its step."""
     monkeypatch.setattr("synth.design.uncertainty.fragility.SHARES", ())  # what errors cost of the norm is not asked

@@ -84,6 +84,7 @@ def test_the_exact_response(name, more):
     check_physics(run, 1e-4)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("text", [ROUGH + DAMPER, QUARTER + PAIR], ids=["beside", "measured"])
 def test_half_the_step_is_nearer(text):
     """With half the step physics is nearer to its exact response, the controller sampled as before."""
@@ -92,7 +93,7 @@ def test_half_the_step_is_nearer(text):
     assert off(half, half.sampled) < 0.6 * off(whole, whole.sampled)
 
 
-@pytest.mark.parametrize("bandwidth", [None, 80.0])
+@pytest.mark.parametrize("bandwidth", [80.0, *attacks([None])])
 def test_against_equations_written_out_and_integrated_by_scipy(bandwidth):
     """Settings at random make the motion that SciPy makes of (28) with all tables, friction and lag, to 1e-8."""
     vehicle = parse_vehicle(ROUGH + PAIR + (f"bandwidth = {bandwidth}\n" if bandwidth else ""))

@@ -160,7 +160,7 @@ def test_a_damaged_proof_in_a_band_proves_nothing():
     assert not proof.holds(gain, wider) or _largest(gain, wider, low, high, np.random.default_rng(1)) <= proof.gamma
 
 
-@pytest.mark.parametrize("seed", [*range(3), *attacks(range(3, 5))])
+@pytest.mark.parametrize("seed", [0, *attacks(range(1, 5))])
 def test_random_norms_with_errors(seed):
     """For random plants in odd units: no sample of the errors exceeds what is proved, which is close above where it is found."""
     generator = np.random.default_rng(2000 + seed)

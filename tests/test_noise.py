@@ -21,7 +21,7 @@ from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, measurement_matrices
 from synth.plant.numerics import InfeasibleError
 from tests.active_suspension import SCENARIOS, active_suspension
-from tests.commands import attacks, in_the_suite
+from tests.commands import attacks
 
 NOTHING = LowerBound(0.0)  # in the place of an invariant point's bound, which knows no measurement
 
@@ -193,7 +193,8 @@ def test_slope_at_infinity():
     assert landscape.heights(x, cuts)[0].max() == pytest.approx(height, rel=1e-6)  # the far frequency is FAR times the poles
 
 
-@pytest.mark.parametrize("scenario", in_the_suite((0.5,), SCENARIOS))
+@pytest.mark.attack
+@pytest.mark.parametrize("scenario", SCENARIOS)
 def test_static_gains_of_the_active_suspension(scenario):
     """Static gains on the noisy signals of MathWorks' example come to 0.948, 0.728 and 1.226 at most, as was found elsewhere."""
     plant, Cy, Dyw = active_suspension(scenario)

@@ -90,6 +90,7 @@ def test_a_gain_in_python_is_that_gain(tmp_path, reality):
         assert np.abs(ours[name] - linear[name]).max() < 1e-10 * linear.scale(name)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
 def test_physics_agrees_with_the_response_to_the_forces(tmp_path, kind):
     """MuJoCo follows the linear response to whatever forces were asked for, its energy balances, and the forces are held."""

@@ -181,7 +181,7 @@ def test_designed_for_the_rate(never_lost):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("car", ["quarter_car", "half_car"])
+@pytest.mark.parametrize("car", ["half_car"])
 def test_what_is_designed_for_a_rate_is_never_worse(car):
     """At every rate the norm of the design for it is at most that of the continuous design there."""
     vehicle, periods = read_vehicle(car), [1e-3, 1e-2, 0.1, 0.5]
@@ -247,7 +247,7 @@ def _not_asked_for(*given):
     raise DesignError("it does not matter here")
 
 
-@pytest.mark.parametrize("name", ["state", "I"])
+@pytest.mark.parametrize("name", ["I", *attacks(["state"])])
 def test_islands(name, capsys, monkeypatch, norms_once):
     """No rate is called unstable that the table has stable: the slower ones that are, beyond the first loss, are named."""
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
@@ -344,6 +344,7 @@ def drawn(one: Cost, label: str) -> tuple[list[float], list[float]]:
     return list(curve.x), list(curve.y)
 
 
+@pytest.mark.attack
 def test_picture(tmp_path, monkeypatch, never_lost):
     """The curves are the norms, which end where the loop is unstable; every rate that was asked for is one of theirs."""
     vehicle = read_vehicle("quarter_car")

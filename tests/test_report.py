@@ -153,6 +153,7 @@ def test_numbers_of_the_paper(report):
     assert "solver" in rows["(58)", "K_II[1, 1]"]["to the digits printed"]
 
 
+@pytest.mark.attack
 def test_remarks_of_the_paper(report, designer):
     """The page has what becomes of L = 0; a full one the genetic algorithm beside the two steps: gain, norm, work and time."""
     _, _, result = report
@@ -184,7 +185,8 @@ def test_figures_and_tables_as_files(report):
     assert result["not_of_this_report"] == []
 
 
-@pytest.mark.parametrize("as_json", [False, pytest.param(True, marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("as_json", [False, True])
 def test_what_is_old_in_a_folder_is_told(as_json, tmp_path, capsys):
     """Into the folder of an earlier report: what that left of a controller that is not reported now is named, and not removed."""
     common = ["--quick", "--timestep", "8e-3", "--out", str(tmp_path / "a.html"), "--figures", str(tmp_path / "f")]
@@ -199,6 +201,7 @@ def test_what_is_old_in_a_folder_is_told(as_json, tmp_path, capsys):
     assert (tmp_path / "f" / "gain-I.csv").exists()
 
 
+@pytest.mark.attack
 def test_every_kind_of_ground_is_drawn(tmp_path):
     """Cells, shades, bars and contours go to the page and to a picture alike; the same figure gives the same bytes."""
     from models.figures.page import Page, Section, render
@@ -261,6 +264,7 @@ def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):
     assert all(looks[0][name] == looks[1][name] for name in ("mild", "firm"))
 
 
+@pytest.mark.attack
 def test_ride_is_of_runs_that_came_through(monkeypatch):
     """MuJoCo's numbers are roots of mean squares over the roads, as predicted ones are; a loop that diverges has none."""
     monkeypatch.setattr(report_ride, "CLASSES", "B")
@@ -296,6 +300,7 @@ sprung_acceleration = 0.01
 """
 
 
+@pytest.mark.attack
 def test_what_is_left_out_is_said(tmp_path, capsys):
     """All controllers of a file are reported but printed copies, and one line names these and how to have them.
 
@@ -320,6 +325,7 @@ def test_what_is_left_out_is_said(tmp_path, capsys):
     assert [row["controller"] for row in found["tables"]["designs"]] == ["passive", "accelerated"]
 
 
+@pytest.mark.attack
 def test_a_file_without_the_papers_controllers_is_reported_whole(tmp_path, capsys):
     """If neither I nor II is in the file, all that is there is reported."""
     text = read_vehicle("quarter_car").text.partition("[controllers")[0] + OTHERS

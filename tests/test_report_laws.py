@@ -91,6 +91,7 @@ def check_ride(ride: list[dict], classes: int) -> None:
     assert 1.9 < load[1] / load[0] < 2.1  # and a skyhook that is switched by signs alone is homogeneous
 
 
+@pytest.mark.attack
 def test_tables_of_a_whole_report(tmp_path, monkeypatch):
     """A whole report has a law's describing function, and its ride, from physics."""
     monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
@@ -128,6 +129,7 @@ def test_a_law_that_fails_is_one_line(tmp_path):
     assert not page.exists()
 
 
+@pytest.mark.attack
 def test_dampers_that_are_short_of_force(tmp_path, capsys):
     """A report of a car with adjustable dampers says how much force they leave out, and which loop its linear claims are of."""
     page = tmp_path / "report.html"

@@ -23,6 +23,7 @@ LOADS = ("--load", "brake:g=0.4", "--load", "payload:mass=80:x=-1.0")
 CAR = ("--vehicle", "half_car", "--timestep", "4e-3")
 
 
+@pytest.mark.attack
 def test_loads_in_a_report_are_those_of_a_drive(tmp_path, capsys):
     """Dive, squat and travel under loads are what sim.drive measures, as they are said at the top and drawn over time."""
     page = tmp_path / "report.html"

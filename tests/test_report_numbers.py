@@ -28,6 +28,7 @@ from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.vehicle.designer import Designer
 from tests import shared
+from tests.commands import attacks
 from tests.pages import site
 from tests.reading import PageRead, number
 from tests.test_report import QUICK
@@ -92,7 +93,7 @@ def test_norms(plain, capsys):
     assert f"{100 * (1 - min(norms) / norms[0]):.0f} % below the passive" in plain.answer[0]
 
 
-@pytest.mark.parametrize("which", ["plain", "real"])
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
 def test_summary(which, request):
     """The page's summary agrees with what it says below: norms, what the body feels over the bump, the end of the linear
     regime."""
@@ -133,6 +134,7 @@ def test_the_first_screen_answers(plain):
     assert plain.headline.startswith("I rides best, ")
 
 
+@pytest.mark.attack
 def test_dive_is_what_a_drive_says(tmp_path, capsys):
     """The dive of a car under 0.5 g stands on the first screen, as `sim.drive` measures it."""
     read = page(tmp_path, "--vehicle", "half_car", "--controller", "passive", "--controller", "II", step=COARSE)
@@ -184,7 +186,7 @@ def test_one_unit_of_frequency(plain, real):
     assert rest != real.text
 
 
-@pytest.mark.parametrize("which", ["plain", "real"])
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
 def test_bump_table(which, request, real_file, capsys):
     """Peaks, rms and differences over the paper's bump are what `sim.bump` says."""
     read = request.getfixturevalue(which)
@@ -207,7 +209,7 @@ def test_bump_table(which, request, real_file, capsys):
     assert rows == len(read.tables["bump"]) == 16
 
 
-@pytest.mark.parametrize("which", ["plain", "real"])
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
 def test_frequency_responses(which, request, real_file, capsys):
     """The errors of the lines, and the headline's bound on them, are what `sim.sweep` says."""
     read = request.getfixturevalue(which)
@@ -233,7 +235,7 @@ def test_frequency_responses(which, request, real_file, capsys):
     assert bound <= 1.1 * max(largest, *errors)
 
 
-@pytest.mark.parametrize("which", ["plain", "real"])
+@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
 def test_end_of_the_linear_regime(which, request, real_file, tmp_path, capsys):
     """The height at the top is the table's, and on either side of it the other commands see nothing break, and that break."""
     read = request.getfixturevalue(which)
@@ -474,6 +476,7 @@ def test_ride_is_what_drive_says(paper, designer, capsys):
         assert float(row[5]) == pytest.approx(found[0]["expected"], rel=1e-3), metric
 
 
+@pytest.mark.attack
 def test_a_norm_as_built(tmp_path, plain, capsys):
     """The norm as built is what `synth` says, never below what no controller can beat, and how far it is from the ideal one."""
     file = vehicle_file(tmp_path, "[implementation]\nsample_period = 0.005\ndelay = 1\n")

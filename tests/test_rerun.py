@@ -35,6 +35,7 @@ from sim.recording.scene import LIFTED, LONGEST, ROAD
 from sim.response.response import Response, difference
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 from tests.test_recording import make_run
 
 GREATEST = 1e-6  # m; Rerun's 3D is single precision, on coordinates below 2 m
@@ -91,10 +92,10 @@ def test_strut_and_force(lifting: RunLog, log: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "road", "tracks"),
     [
-        ("quarter_car", Bump(), 1),
+        *attacks([("quarter_car", Bump(), 1)]),
         ("quarter_car", Iso8608("C", speed=20.0), 1),
-        ("half_car", Bump(speed=8.0), 1),
-        ("full_car", Bump(track="left"), 2),
+        *attacks([("half_car", Bump(speed=8.0), 1)]),
+        *attacks([("full_car", Bump(track="left"), 2)]),
         ("full_car", Iso8608("C", speed=20.0, track_width=1.51), 2),
     ],
 )

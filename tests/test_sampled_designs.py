@@ -22,7 +22,7 @@ from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError, TooLargeError
 from synth.vehicle.designer import Designer, certify_given
-from tests.commands import in_the_suite, main_of
+from tests.commands import attacks, in_the_suite, main_of
 
 ASKED = "\n[implementation]\nsample_period = {period}\nsampled = true\ndelay = {delay}\n"
 EYE = np.eye(4)
@@ -34,7 +34,7 @@ def asked(name: str = "quarter_car", period: float = 0.01, delay: float = 0, mor
     return parse_vehicle(read_vehicle(name).text + ASKED.format(period=period, delay=delay) + more)
 
 
-@pytest.mark.parametrize(("name", "best"), [("state", 7.857), ("I", 7.8613), ("II", 7.881)])
+@pytest.mark.parametrize(("name", "best"), [("I", 7.8613), *attacks([("state", 7.857), ("II", 7.881)])])
 def test_at_ten_milliseconds(name, best):
     """At 10 ms the exact norm of each design is at most the best that was known, and below the level of its LMI."""
     vehicle = asked()
@@ -49,6 +49,7 @@ def test_at_ten_milliseconds(name, best):
     assert controller.certificate.failures == ()
 
 
+@pytest.mark.attack
 def test_in_the_time_of_sixty_plain_solves(paper):
     """All three designs take less processor time than sixty solves of (22) by cvxpy as it reads."""
     plant = Designer(paper).plant
@@ -114,7 +115,7 @@ def test_no_unit_decides(paper, name):
     assert np.abs(force * scaled_gain - gain).max() < 1e-3 * np.abs(gain).max()
 
 
-@pytest.mark.parametrize(("name", "period"), [("state", 0.05), ("I", 0.02), ("II", 0.05)])
+@pytest.mark.parametrize(("name", "period"), [("I", 0.02), *attacks([("state", 0.05), ("II", 0.05)])])
 def test_better_than_the_continuous_design(paper, name, period):
     """As it runs, what is designed for the sampled loop gains less than what is designed for the ideal one."""
     vehicle = asked(period=period)
@@ -140,7 +141,7 @@ FELT = '[controllers.felt]\nmeasured = ["suspension_deflection", "sprung_acceler
     ("name", "delay", "more", "controllers"),
     [
         pytest.param("quarter_car", 1, "", ("I",), marks=pytest.mark.attack),
-        ("quarter_car", 2, LAG, ("state",)),
+        pytest.param("quarter_car", 2, LAG, ("state",), marks=pytest.mark.attack),
         ("quarter_car", 0, FELT, ("felt",)),
         pytest.param("quarter_car", 1, FELT, ("felt",), marks=pytest.mark.attack),
         pytest.param("quarter_car", 1, "", ("state", "II"), marks=pytest.mark.attack),
@@ -266,9 +267,9 @@ def test_a_fraction_of_a_sample_is_designed_for(paper, delay, measured):
 BUILT = [(0.001, 0), (0.001, 1), (0.02, 5), (0.1, 1), (0.2, 0), (0.5, 0), (0.5, 1), (0.5, 2.5), (1.0, 1)]
 CARS = [("quarter_car", name, *built) for name, every in (("I", 1), ("II", 2)) for built in BUILT[every - 1 :: every]]
 CARS += [("quarter_car", "state", 0.5, 1)]
-CARS += [("half_car", name, period, 0) for name in ROWS for period in (0.001, 0.05, 0.2)]
-# By two steps and by descent, at once and late, of one force and two.
-SOME = [("quarter_car", "I", 0.5, 0), ("quarter_car", "II", 0.001, 1), ("half_car", "state", 0.2, 0)]
+CARS += [("half_car", name, period, 0) for name in ROWS for period in (0.001, 0.2)]
+# By two steps and by descent, at once and late.
+SOME = [("quarter_car", "I", 0.5, 0), ("quarter_car", "II", 0.001, 1)]
 
 
 def never_worse(name: str, controller: str, period: float, delay: float) -> None:
@@ -290,14 +291,14 @@ def test_never_worse_than_what_is_there(name, controller, period, delay):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(("controller", "period"), [("I", 0.001), ("II", 0.2)])
+@pytest.mark.parametrize(("controller", "period"), [("II", 0.2)])
 def test_never_worse_of_a_full_car(controller, period):
     """The same of a full car."""
     never_worse("full_car", controller, period, 0)
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_never_worse_wherever(seed):
     """The same at random rates and delays, of fractions too."""
     rng = np.random.default_rng(seed)
@@ -305,13 +306,14 @@ def test_never_worse_wherever(seed):
     never_worse(str(rng.choice(["quarter_car", "half_car"])), str(rng.choice(list(ROWS))), 10 ** rng.uniform(-3, 0), delay)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("period", "delay", "known"),
     [
         (0.5, 0, 29.76),
-        pytest.param(0.2, 0, 8.508, marks=pytest.mark.attack),
-        pytest.param(0.1, 1, 10.48, marks=pytest.mark.attack),
-        pytest.param(0.5, 1, 20.83, marks=pytest.mark.attack),
+        (0.2, 0, 8.508),
+        (0.1, 1, 10.48),
+        (0.5, 1, 20.83),
     ],
 )
 def test_descent_finds_the_valley(paper, period, delay, known):
@@ -323,6 +325,7 @@ def test_descent_finds_the_valley(paper, period, delay, known):
     assert found.norm <= min(tried) * (1 + 1e-4)  # flat valleys: a descent that gains less than that is the last
 
 
+@pytest.mark.attack
 def test_long_delays():
     """For many samples of delay the design is by descent, in words that are true, and of too many it is refused, at once."""
     found = Designer(asked(period=0.001, delay=30)).design("II")

@@ -97,7 +97,7 @@ def predicted(vehicle, controller, road, time, physics, asked) -> Prediction:
     return predict(vehicle, controller, road, time)
 
 
-@pytest.mark.parametrize("name", in_the_suite(("friction", "bends", "measured pair, with friction", "full car"), CARS))
+@pytest.mark.parametrize("name", in_the_suite(("friction", "measured pair, with friction"), CARS))
 def test_right_physics_agrees(name):
     """The effect of RK4 at knots near rest is more of a hundredth of the road than of all of it, and is allowed there."""
     run = right_run(name)
@@ -164,6 +164,7 @@ def test_over_the_lowest_roads_rounding_counts(name, height):
     assert run.agreement.agrees
 
 
+@pytest.mark.attack
 def test_a_step_that_is_too_coarse_for_a_small_motion_is_said():
     """If RK4 cannot follow friction near rest at a step, though it can over the whole bump, that is said; a quarter agrees."""
     vehicle, controller, road = car("much friction")
@@ -186,7 +187,7 @@ def random_car(rng: np.random.Generator) -> str:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_right_physics_agrees_anywhere(seed):
     """The same of random friction over random bumps, at random steps."""
     rng = np.random.default_rng(seed)

@@ -83,9 +83,9 @@ def test_slow_discrete_plants(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("first", [8, 58, 158])  # one of the last has poles that rounding cannot tell apart
+@pytest.mark.parametrize("first", [8, 158])  # one of the last has poles that rounding cannot tell apart
 def test_many_slow_discrete_plants(first):
-    """The same of hundreds."""
+    """The same of a hundred."""
     for seed in range(first, first + 50):
         certified_or_infeasible(seed)
 

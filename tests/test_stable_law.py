@@ -18,6 +18,7 @@ HUB = 'measured = ["unsprung_acceleration", "control_force"]\norder = "full"\n'
 TEXT = f"{read_vehicle('quarter_car_semi_active').text}\n[controllers.free]\n{HUB}\n[controllers.calm]\n{HUB}stable = true\n"
 
 
+@pytest.mark.attack
 def test_a_law_that_is_stable_by_itself():
     """Beside the unstable law the same design with `stable = true` is stable by itself, proved, saved and told its price."""
     (free, calm) = (made(_designed, name) for name in ("free", "calm"))

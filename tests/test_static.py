@@ -174,6 +174,7 @@ def test_what_is_unstable_is_not_refined(designer):
         refine(designer.plant, CY["II"], np.array([[1e5]]))
 
 
+@pytest.mark.attack
 def test_the_strategy_finds_what_the_two_steps_miss():
     """x'' = x + u + w with y = x - x' / 2: no gain of one sign works with L from the optimal X; some gain stabilises it."""
     plant = GeneralizedPlant(

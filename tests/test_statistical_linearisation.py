@@ -147,6 +147,7 @@ def test_the_line_is_consistent_and_the_body_stands_lower():
             assert beyond.mean_force[k] + of_line * level == pytest.approx(mean, rel=0.1)  # Gauss's, and a little to second order
 
 
+@pytest.mark.attack
 def test_where_second_order_is_not_enough_that_is_said():
     """If a gain all but cancels a spring that gets far stiffer, lines alone are consistent, and the sentence says so."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
@@ -208,6 +209,7 @@ def test_it_says_so(tmp_path, capsys):
         assert f"{name} is {1e3 * mean:.3g} mm on average" in said
 
 
+@pytest.mark.attack
 def test_energy_has_the_mean_force_in_it():
     """For a controller that holds up what an asymmetric damper pulls down, the energy is that of its mean force, too."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE)
@@ -239,7 +241,7 @@ SEEDS, SETTLED, WINDOW, STEP = 200, 8.0, 9.0, 2e-3  # s; controller I leaves a m
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(("name", "road_class"), [("passive", "C"), ("I", "B"), ("II", "D")])
+@pytest.mark.parametrize(("name", "road_class"), [("passive", "C"), ("II", "D")])
 def test_it_is_within_what_two_hundred_roads_say(road_class, name):
     """Over 200 roads in MuJoCo, ride, travel and load of a quarter-car with a digressive damper have the mean squares expected.
 

@@ -49,7 +49,7 @@ def lead(stiffness: float, zero: float, pole: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("seed", "n", "m"), [(0, 3, 1), (3, 3, 1), *(pytest.param(seed, 5, 2, marks=pytest.mark.attack) for seed in range(6))]
+    ("seed", "n", "m"), [(0, 3, 1), (3, 3, 1), *(pytest.param(seed, 5, 2, marks=pytest.mark.attack) for seed in range(3))]
 )
 def test_not_worse_than_the_two_steps_refined(seed, n, m):
     """On random plants the strategy's gain is proved within 1e-4, in bounds, and no worse than the two steps refined."""
@@ -131,6 +131,7 @@ def test_long_valley_is_followed_to_its_end(monkeypatch):
     assert len(turns) == 1
 
 
+@pytest.mark.attack
 def test_same_gain_again():
     """The same plant gives the same gain, to the last bit."""
     plant, Cy = random_plant(3, n=3, m=1)
@@ -217,6 +218,7 @@ def covariance(A, B, C) -> np.ndarray:
     return np.trapezoid(np.real(answers @ answers.conj().transpose(0, 2, 1)), frequencies, axis=0) / (2 * np.pi)
 
 
+@pytest.mark.attack
 def test_directions_count_alike():
     """In the coordinates that `alike` gives, every direction of the gain feeds as much power from w to z, and no two the same."""
     plant, Cy = follower()

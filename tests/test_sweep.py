@@ -98,6 +98,7 @@ def test_norm_is_the_largest_gain(some):
         assert len(one.gains) == 4
 
 
+@pytest.mark.attack
 def test_a_narrow_peak_is_met():
     """An LQG law leaves a mode of 64 rad/s that decays by 0.24 1/s: what is driven is 0.03 % below its peak at most."""
     entry = '\n[controllers.lqg]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ndesign = "lqg"\n'

@@ -75,9 +75,8 @@ def gain(tmp_path_factory):
     return found_of(tmp_path_factory.mktemp("gain"), GAIN)
 
 
-@pytest.mark.parametrize(
-    "how", [None, pytest.param(Implementation(sample_period=4e-3, delay=1), marks=pytest.mark.attack)], ids=["prompt", "slow"]
-)
+@pytest.mark.attack
+@pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
     """For a gain in Python it is the sampled loop's exact response, and nothing but the images of a slow hold is outside."""
     found, vehicle = gain if how is None else found_of(tmp_path, GAIN, how)
@@ -108,6 +107,7 @@ def test_what_is_outside_is_measured(tmp_path):
     assert 0 < found.outside[slow, acceleration].min() < found.outside[slow, acceleration].max() < 1
 
 
+@pytest.mark.attack
 def test_a_law_that_does_not_follow_the_road(tmp_path, capsys):
     """A force that goes its own way is energy outside; words and numbers say the same, and claim no norm."""
     path = vehicle_of(tmp_path, SQUARE)

@@ -125,9 +125,7 @@ def test_a_design_is_the_same_in_any_units(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize(
-    "seeds", [(3, 7, 10, 17, 25, 270), range(100, 125), range(125, 150)], ids=lambda seeds: f"from {seeds[0]}"
-)
+@pytest.mark.parametrize("seeds", [(3, 7, 10, 17, 25, 270), range(100, 125)], ids=lambda seeds: f"from {seeds[0]}")
 def test_a_design_is_the_same_in_any_units_by_the_dozen(seeds):
     """So are those of fifty more."""
     for seed in seeds:
@@ -181,6 +179,7 @@ def test_units_change_neither_verdict_nor_norm(seed):
         assert one == (pytest.approx(other, rel=1e-6) if isinstance(other, float) else other)  # AT_REST, where gains grow
 
 
+@pytest.mark.attack
 def test_what_z_does_not_see_is_the_same_in_any_units():
     """If a force can keep states out of z, how these follow the others has no unit: the two steps end at the same norm.
 

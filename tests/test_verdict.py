@@ -345,7 +345,7 @@ def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_any_car_is_judged_alike(seed):
     """Half and full cars of any weight and size, on soft and stiff tyres, agree; what is 2 % too strong is found in each."""
     rng = np.random.default_rng(20261124 + seed)

@@ -58,7 +58,7 @@ def largest(vehicle, controller: Controller, loads) -> float:
     ("kind", "text", "name", "loads"),
     [
         *attacks([("quarter_car", CARRIED, "carried", {"heave_load": 1000.0})]),
-        ("quarter_car_accelerometer", FELT, "felt", {"heave_load": 1000.0}),
+        *attacks([("quarter_car_accelerometer", FELT, "felt", {"heave_load": 1000.0})]),
         ("half_car", OF_CAR, "carried", {"heave_load": 1000.0, "pitch_load": 500.0}),
     ],
 )
@@ -124,6 +124,7 @@ def test_what_is_printed_and_saved(tmp_path, capsys):
     assert np.linalg.norm(at_peak, 2) == pytest.approx(controller.certificate.norm.value, rel=1e-9)
 
 
+@pytest.mark.attack
 def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
     """Designs like one that weighs loads, and all beside them, are judged under road and loads, by a sweep; and that is said."""
     monkeypatch.setattr(synth.command.trade_off, "DESIGNS", 6)

@@ -23,7 +23,7 @@ from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.vehicle.designer import design
 from tests.analysed import simulate
-from tests.commands import once, prose
+from tests.commands import attacks, once, prose
 from tests.shared import made
 
 SAMPLED = "\n[implementation]\nsample_period = 0.01\n"
@@ -46,7 +46,7 @@ def claimed(vehicle: Vehicle, name: str) -> tuple[Controller, SampledNorm]:
     ("car", "name", "how", "bandwidth"),
     [
         pytest.param("quarter_car", "state", Implementation(5e-2), None, marks=pytest.mark.attack),
-        ("quarter_car", "II", Implementation(1e-2, 1.3), 60.0),
+        *attacks([("quarter_car", "II", Implementation(1e-2, 1.3), 60.0)]),
         pytest.param("quarter_car", "I", Implementation(delay=1), None, marks=pytest.mark.attack),
         pytest.param("quarter_car_accelerometer", "accelerometer", Implementation(1e-2), None, marks=pytest.mark.attack),
         pytest.param("half_car", "I", Implementation(1e-2, 1), None, marks=pytest.mark.attack),
@@ -64,6 +64,7 @@ def test_physics_reaches_the_norm(car, name, how, bandwidth):
     assert road.timestep <= (how.sample_period or 1e-3) / 8
 
 
+@pytest.mark.attack
 def test_filters_are_in_it():
     """If weights of z and of the road are filters, the gain is from what comes into the road's."""
     weights = 'sprung_acceleration = { weight = 1.0, filter = "iso2631_wk" }\n'
