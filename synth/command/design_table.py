@@ -220,7 +220,10 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
         return Row(name, controller, (*notes(controller), f"not refined: {error}"), ())
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
-    return Row(name, refined.controller, (*said, refined.traded), refined.controller.certificate.failures)
+    judged = designer.judged(refined.controller)
+    return Row(
+        name, judged, (*said, *judged.remarks, refined.traded), (*judged.certificate.failures, *judged.unmet_specifications)
+    )
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:

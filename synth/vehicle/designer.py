@@ -192,6 +192,19 @@ class Designer:
             DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
                 two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
+        return self.judged(self._design(name, zero_l, on_progress))
+
+    def judged(self, controller: Controller) -> Controller:
+        """Returns a controller with what is proved of it for the errors that its section weights by frequency, if any."""
+        errors = self._entry(controller.name).errors
+        if errors is None:
+            return controller
+        from synth.vehicle.weighted_errors import with_robustness
+
+        return with_robustness(self.vehicle, controller, errors)
+
+    def _design(self, name: str, zero_l: bool, on_progress: Callable[[float, bool], None]) -> Controller:
+        """Designs a controller, or certifies a given one; see `design`."""
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
