@@ -8,12 +8,17 @@ import pytest
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
-from models.vehicle.vehicle import parse_vehicle
-from synth.analysis.norm import hinf_norm
+from models.laws.linear import LinearLaw
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm, largest_singular_values, transfer_matrix
 from synth.analysis.stability import is_stable
+from synth.design.full_order.full_order import full_order_design
+from synth.design.uncertainty.robust_design import RobustDesign, robust_design, scaled_plant, scaling_filters
 from synth.design.uncertainty.structured_bound import NEAR, Part, StructuredBound, best_scales, structured_bound
-from synth.design.uncertainty.structured_loop import StructuredLoop
+from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import _all_pass, closed_by_errors, lower_bound, worst_errors
+from synth.plant.augmented import closed_by, transfer_function
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.weighted_errors import structured_plant
@@ -54,7 +59,7 @@ def random_loop(seed: int, errors: int, performance: bool) -> StructuredLoop:
 @pytest.mark.parametrize(("errors", "performance"), [(1, False), (2, False), (3, False), (1, True), (2, True)])
 def test_up_to_three_blocks_the_bounds_meet(errors, performance):
     """The proved bound is never below what errors show, and meets it: with up to three blocks mu is what the best scales give."""
-    for seed in range(3):
+    for seed in range(2):
         loop = random_loop(100 * errors + seed, errors, performance)
         bound = structured_bound(loop)
         assert bound.holds(loop)
@@ -68,12 +73,12 @@ def test_up_to_three_blocks_the_bounds_meet(errors, performance):
 def test_no_sampled_error_does_more():
     """No random stable errors of the size that a bound allows make a loop unstable, or its norm larger than the bound."""
     rng = np.random.default_rng(7)
-    for seed in range(3):
+    for seed in range(2):
         loop = random_loop(900 + seed, 2, True)
         gamma = structured_bound(loop).gamma
         rate = np.abs(np.linalg.eigvals(loop.loop.A))
         worst = 0.0
-        for _ in range(60):
+        for _ in range(40):
             omega = rng.choice(rate) * 10 ** rng.uniform(-0.5, 0.5)
             closed = closed_by_errors(loop, [_all_pass(1 / gamma, angle, omega) for angle in rng.uniform(-np.pi, np.pi, 2)])
             assert closed is not None
@@ -223,3 +228,80 @@ def test_four_blocks_by_slicot():
         value, _ = best_scales(M * 1.0, 4)
         assert value <= bound * (1 + 1e-3)
         assert lower_bound(M, 4)[0] <= bound * (1 + 1e-9)
+
+
+def test_the_gallery_s_car():
+    """Of MathWorks' car both claims are within 0.2 % of what a dense grid of frequencies and scales gives."""
+    vehicle = read_vehicle("models/gallery/mathworks/robust.toml")
+    controller = Designer(vehicle).design("K")
+    performance, stability = controller.robustness
+    errors = vehicle.controllers["K"].errors
+    assert errors is not None
+    loop = structured_plant(vehicle, controller, errors).closed_by(controller.law)
+    M = loop.at(np.geomspace(1.0, 1e3, 800))
+    on_grid = np.full(len(M), np.inf)
+    for scale in np.geomspace(1e-5, 1e-2, 121):  # of a force in N beside z without a unit
+        scaled = M.copy()
+        scaled[:, -1] *= scale
+        scaled[:, :, -1] /= scale
+        on_grid = np.minimum(on_grid, largest_singular_values(scaled))
+    for promise, seen in ((performance, on_grid.max()), (stability, np.abs(M[:, -1, -1]).max())):
+        assert promise.proved is not None
+        assert promise.value <= promise.proved <= promise.value * (1 + MEETS)
+        assert seen == pytest.approx(promise.value, rel=2e-3)  # of the grid: 6 % between scales and 0.9 % between frequencies
+
+
+def small_plant() -> StructuredPlant:
+    """An oscillator whose force has an error, measured with noise."""
+    plant = GeneralizedPlant(
+        A=np.array([[0.0, 1.0], [-4.0, -0.1]]),
+        B=np.array([[0.0], [1.0]]),
+        Bw=np.array([[0.0, 0.0], [1.0, 0.0]]),
+        C=np.array([[1.0, 0.0], [0.0, 0.0]]),
+        D=np.array([[0.0], [0.1]]),
+        Dw=np.zeros((2, 2)),
+    )
+    weight = transfer_function([2.0, 1.0], [1.0, 4.0])
+    acting = plant.B, np.zeros((2, 1))
+    return plant_with_errors(plant, np.array([[1.0, 0.0]]), np.zeros((1, 1)), np.array([[0.0, 0.05]]), acting, ([weight], [None]))
+
+
+def least_norm(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> LinearLaw:
+    """The law of full order."""
+    return full_order_design(plant, Cy, Dyw, LowerBound(0.0)).law
+
+
+def test_a_plant_between_scales():
+    """The loop of a plant between scaling filters is D M D^-1 at every frequency, and the filters follow the best scales."""
+    structured, law = small_plant(), LinearLaw(np.array([[-1.0]]), np.array([[1.0]]), np.array([[-2.0]]), np.array([[-0.5]]))
+    loop = structured.closed_by(law)
+    ((scale, inverse),) = scaling_filters(loop)
+    plant, Cy, Dyw = scaled_plant(structured, [(scale, inverse)])
+    omega = np.array([0.3, 1.9, 20.0])
+    between = StructuredLoop(closed_by(plant, Cy, law, Dyw), 1).at(omega)
+    D, D_inverse = (transfer_matrix(one.A, one.B, one.C, one.D, omega) for one in (scale, inverse))
+    assert D * D_inverse == pytest.approx(np.ones_like(D), rel=1e-9)
+    expected = loop.at(omega)
+    expected[:, -1] *= D[:, :, 0]
+    expected[:, :, -1] *= D_inverse[:, :, 0]
+    assert between == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.attack
+def test_designed_for_its_errors():
+    """Turns of scales and law lower the bound of the least norm's law, and what is kept is what its own loop proves."""
+    structured = small_plant()
+    plain = GeneralizedPlant(
+        structured.plant.A,
+        structured.plant.B,
+        structured.plant.Bw[:, :-1],
+        structured.plant.C[:-1],
+        structured.plant.D[:-1],
+        structured.plant.Dw[:-1, :-1],
+    )
+    law = least_norm(plain, structured.Cy, structured.Dyw[:, :-1])
+    first = RobustDesign(law, structured_bound(structured.closed_by(law)).gamma)
+    turns: list[float] = []
+    found = robust_design(structured, least_norm, first, lambda best: turns.append(best.gamma))
+    assert found.gamma == min(turns) < 0.9 * first.gamma
+    assert found.gamma == structured_bound(structured.closed_by(found.law)).gamma

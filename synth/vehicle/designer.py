@@ -219,7 +219,7 @@ class Designer:
 
                 return full_order_sampled_design(self.vehicle, entry, posed, lower_bound, self._sampled_bound(entry))
             if entry.design:
-                return self._named(entry, posed, lower_bound)
+                return self._for_errors(entry, self._named(entry, posed, lower_bound), on_progress)
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
@@ -233,6 +233,16 @@ class Designer:
             return self._in_two_steps(entry, posed, lower_bound, zero_l)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
+
+    def _for_errors(
+        self, entry: ControllerEntry, controller: Controller, on_progress: Callable[[float, bool], None]
+    ) -> Controller:
+        """Returns a controller that is designed for its weighted errors, if it has some that its design knows; else as it is."""
+        if entry.errors is None:
+            return controller
+        from synth.vehicle.weighted_errors import is_robust_design, robust_controller
+
+        return robust_controller(self.vehicle, entry, controller, on_progress) if is_robust_design(entry) else controller
 
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""

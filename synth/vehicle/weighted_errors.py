@@ -4,22 +4,36 @@ Both are peaks over frequency of the structured singular value mu of its loop. T
 1 / mu. With the performance, mu <= gamma says that for all errors of size 1 / gamma its norm is at most gamma.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
+from models.laws.combinations import FULL
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import ControllerEntry
 from models.vehicle.filter import Filter
 from models.vehicle.vehicle import Vehicle
 from models.vehicle.weighted_errors import WeightedErrors
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification, digits
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, InterruptedDesign, on_readings
 from synth.controller.problem import generalized_plant, plant_states
+from synth.design.full_order.by_name import named_design
+from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_design
 from synth.design.uncertainty.structured_bound import structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
 from synth.design.uncertainty.structured_perturbation import worst_errors
 from synth.plant.augmented import System
+from synth.plant.generalized import GeneralizedPlant
+
+if TYPE_CHECKING:
+    from models.laws.law_structure import LawStructure
 
 SAMPLED = "robust stability and performance (mu) are of the continuous loop, not of the sampled one"
 
@@ -43,6 +57,70 @@ def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specifica
     if at_most is not None and 0 < above.gamma < np.inf:
         where += f"; stable with up to {digits(1 / above.gamma)} times the errors"
     return Specification(what, value, above.gamma, at_most, where=where)
+
+
+def is_robust_design(entry: ControllerEntry) -> bool:
+    """Returns True if a controller is designed for its weighted errors: one with `order`, for the continuous loop."""
+    free = entry.structure is None or not (entry.structure.kind or entry.structure.rows)
+    return entry.errors is not None and entry.design in (FULL, "order") and free and not entry.sampled
+
+
+def robust_controller(
+    vehicle: Vehicle,
+    entry: ControllerEntry,
+    nominal: Controller,
+    on_progress: Callable[[float, bool], None] = lambda goal, within: None,
+) -> Controller:
+    """Returns a controller of an entry with a better robust performance than one that is designed for the norm alone.
+
+    A law of fewer states begins with the scales of a law of full order.
+
+    Args:
+        nominal: the one for the norm; it is returned if no other is better.
+        on_progress: called with the robust performance so far, and True.
+
+    Raises:
+        InterruptedDesign: by Ctrl-C, with the best so far.
+    """
+    assert entry.errors is not None, "it has weights"
+    posed = nominal.problem(vehicle)
+    structured = structured_plant(vehicle, nominal, entry.errors)
+    kept, as_run = posed.state_measurements, partial(on_readings, posed=posed)
+
+    def designs(name: str, structure: "LawStructure | None") -> Design:
+        def design(plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> LinearLaw:
+            law = named_design(name, structure, plant, Cy[kept], LowerBound(0.0), (), None, Dyw[kept], entry.stable, as_run).law
+            return as_run(law)
+
+        return design
+
+    def with_law(found: RobustDesign) -> Controller:
+        if not found.turns:
+            return nominal
+        law = replace(found.law, anti_windup=entry.anti_windup)
+        certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
+        remark = (
+            f"designed for the least robust performance (mu), by turns with scales of its errors; the law of the least norm, "
+            f"{digits(nominal.certificate.norm.value)}, has {digits(first.gamma)}"
+        )
+        return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
+
+    first = RobustDesign(nominal.law, structured_bound(structured.closed_by(nominal.law)).gamma)
+    best = [first]
+
+    def on_turn(found: RobustDesign) -> None:
+        on_progress(found.gamma, True)
+        if entry.structure is None or found.law.states <= entry.structure.order:
+            best[:] = [found]
+
+    try:
+        full = robust_design(structured, designs(FULL, None), first, on_turn)
+        if entry.structure is not None:
+            robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
+    except KeyboardInterrupt as error:
+        kept_law = with_robustness(vehicle, with_law(best[0]), entry.errors)
+        raise InterruptedDesign(kept_law, "interrupted: the best robust performance until then") from error
+    return with_law(best[0])
 
 
 def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> StructuredPlant:

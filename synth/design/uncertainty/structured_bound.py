@@ -27,7 +27,8 @@ from synth.design.uncertainty.structured_loop import StructuredLoop
 
 NEAR = 5e-4  # relative; how far the bound lies above the best scales' peak
 EXACT = 1e-6  # relative; what is proved lies this far above the level of the search, where intervals end
-POWERS = (8, 64, 512, 4096)  # of Schatten norms, one after the other
+POWERS = (64, 4096)  # of Schatten norms, one after the other
+ALONE = 1e-6  # share of the other singular values in a Schatten norm, which then is the largest one and has its minimum
 FURTHEST = 16.0  # of the logarithm of a scale, from the loop's own units
 AHEAD = 4  # frequencies tried ahead of an interval's end, before the end itself
 EASY = 0.9  # of the level; scales below that are not bettered
@@ -131,6 +132,9 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
         limits = [(-FURTHEST, FURTHEST)] * len(y)
         y = optimize.minimize(smooth, y, (power,), jac=True, method="L-BFGS-B", bounds=limits, options={"maxfun": MOST_STEPS}).x
         best = min(best, (size(y), y), key=lambda one: one[0])
+        sizes = np.linalg.svd(scaled(y), compute_uv=False)
+        if np.sum((sizes[1:] / sizes[:1]) ** power) < ALONE:
+            break
     return best[0], np.append(np.zeros(first), best[1])
 
 
