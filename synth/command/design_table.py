@@ -78,7 +78,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 try:
                     rows.append(_row(designer, name, options, stage))
                 except InterruptedDesign as stopped:
-                    rows.append(_built(vehicle, _kept(stopped)))
+                    rows.append(_built(vehicle, _kept(designer, stopped)))
                     raise
                 rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
     if parts.cut and not rows:
@@ -160,9 +160,9 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
-def _kept(stopped: InterruptedDesign) -> Row:
+def _kept(designer: Designer, stopped: InterruptedDesign) -> Row:
     """Returns the table row of a design that was interrupted."""
-    controller = stopped.controller
+    controller = designer.judged(stopped.controller)
     notes_of = (*notes(controller), stopped.said)
     return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.unmet_specifications))
 

@@ -109,17 +109,16 @@ def robust_controller(
     best = [first]
 
     def on_turn(found: RobustDesign) -> None:
-        on_progress(found.gamma, True)
         if entry.structure is None or found.law.states <= entry.structure.order:
             best[:] = [found]
+        on_progress(found.gamma, True)
 
     try:
         full = robust_design(structured, designs(FULL, None), first, on_turn)
         if entry.structure is not None:
             robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
     except KeyboardInterrupt as error:
-        kept_law = with_robustness(vehicle, with_law(best[0]), entry.errors)
-        raise InterruptedDesign(kept_law, "interrupted: the best robust performance until then") from error
+        raise InterruptedDesign(with_law(best[0]), "interrupted: the best robust performance until then") from error
     return with_law(best[0])
 
 
