@@ -14,7 +14,6 @@ from models.laws.combinations import check_command, goes
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller, InterruptedDesign, certify_law, on_readings, verify_record
@@ -299,6 +298,8 @@ class Designer:
         fewer: list[Controller] = []
 
         def on_found(law: LinearLaw) -> None:
+            from synth.analysis.bounding import certify_tightly
+
             law = law if by_force else on_readings(law, posed)
             certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
             fewer[:] = [Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)]
