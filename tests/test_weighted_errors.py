@@ -21,6 +21,7 @@ from synth.plant.augmented import closed_by, transfer_function
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import Designer
 from synth.vehicle.weighted_errors import structured_plant
+from tests.commands import prose
 from tests.shared import printed
 
 MEETS = 1e-3  # relative: NEAR of it is the bound's distance from the scales' peak, the rest that of a frequency from the peak
@@ -293,3 +294,15 @@ def test_designed_for_its_errors():
     assert stability.holds
     assert not controller.certificate.failures
     assert "designed for the least robust performance" in controller.remarks[0]
+
+
+@pytest.mark.attack
+def test_beside_margins():
+    """`sim.margins` prints the promises of a controller word for word, below the constant errors that it bears."""
+    text = CAR.format(tolerance=f"{{ force = {WEIGHT} }}")
+    arguments = ("--vehicle", "car.toml", "--controller", "soft", "--timestep", "0.002", "--logs", "logs")
+    done = printed("sim.margins", *arguments, files={"car.toml": text})
+    said = prose(done.out)
+    assert done.code == 0
+    for promise in Designer(parse_vehicle(text)).design("soft").robustness:
+        assert said.index("errors of") < said.index(promise.text) < said.index("other vehicles")
