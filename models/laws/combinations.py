@@ -37,6 +37,7 @@ DEMANDS = {  # beside a kind
     "family": "`family`",
     "force": "`control_force`",
 }
+WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
 KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the site's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
@@ -72,13 +73,13 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
     ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
     ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),
     ("front", f"states {_DESIGNED} stable anti_windup sampled", "a front is of static gains that are designed"),
-    ("front", "tolerance family", "a front is of one vehicle without errors"),
+    ("front", "tolerance weights family", "a front is of one vehicle without errors"),
     (
         "rates",
         f"gain states {_DESIGNED} stable anti_windup noise",
         "it is gains of the two steps that are designed anew for a rate",
     ),
-    *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, *COMMANDS) if one != "force"),
+    *((one, "law semi_active", _NO_CLAIM) for one in (*DEMANDS, WEIGHTS, *COMMANDS) if one != "force"),
 )
 REFUSED = {frozenset((one, other)): why for one, others, why in _REASONS for other in others.split()}
 ONE_KIND = "a controller has one law, or one way to design it"

@@ -21,11 +21,12 @@ from models.laws.python_law import Programmed, PythonLaw, read_law
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import goals_of, loads_of, read_sampled
+from models.vehicle.sections import goals_of, loads_of, read_sampled, weighted_errors_of, without_weighted_errors
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
     from models.laws.law_structure import LawStructure
+    from models.vehicle.weighted_errors import WeightedErrors
 
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
@@ -75,6 +76,7 @@ class ControllerEntry:
         stable: True if its law of full order is to be stable by itself.
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
         structure: of the law that is designed; None for no restriction, or for a static gain.
+        errors: errors of its readings and forces that are weighted by frequency; None without any.
     """
 
     name: str
@@ -90,6 +92,7 @@ class ControllerEntry:
     stable: bool = False
     anti_windup: float | None = None
     structure: "LawStructure | None" = None
+    errors: "WeightedErrors | None" = None
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -127,6 +130,7 @@ class ControllerEntry:
         if self.goals is not None:
             parts |= {"goals": "goals"} | {key: key for key in ("tolerance", "family") if getattr(self.goals, key)}
         parts |= {"anti_windup": "anti_windup"} if self.anti_windup is not None else {}
+        parts |= {"weights": "a weight in tolerance"} if self.errors is not None else {}
         return parts | ({"loads": "loads"} if self.hardware.loads else {})
 
     def driver(self) -> Programmed | SemiActive:
@@ -163,14 +167,18 @@ def read_controllers(
         dampers: suffix of the names at every adjustable damper, by force.
     """
     controllers: dict[str, ControllerEntry] = {}
-    for written, entry in section.items():
+    for written, given in section.items():
         name = unicodedata.normalize("NFC", written)
         if name in controllers:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
         check_name(f"[controllers.{name}]", name, RESERVED)
+        entry, weights = without_weighted_errors(given)
         controller = _controller(name, entry, model, limits, implementation, folder, dampers or {}, kind.corners)
         asked = entry if controller.structure is None else {key: entry[key] for key in entry if key != "structure"}
         controller = replace(controller, goals=goals_of(f"[controllers.{name}]", asked, controller.measured, model.outputs, kind))
+        others = entry.get("tolerance", ())
+        errors = weighted_errors_of(f"[controllers.{name}]", weights, controller.parts, controller.measured, model.inputs, others)
+        controller = replace(controller, errors=errors)
         usual = sampled and goes("sampled", controller.parts)
         for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)

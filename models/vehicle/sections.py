@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from models.suspension.damper import Damper
     from models.vehicle.filter import Filter
     from models.vehicle.limits_and_implementation import Limits
+    from models.vehicle.weighted_errors import WeightedErrors
 
 
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
@@ -137,6 +138,42 @@ def goals_of(
     from models.laws.goals import read_goals
 
     return read_goals(where, entry, measured, outputs, kind)
+
+
+def without_weighted_errors(entry: Any) -> tuple[Any, dict[str, Any]]:
+    """Returns a controller's section without the entries of `tolerance` that are tables, and these; a wrong section as it is."""
+    tolerance = entry.get("tolerance") if isinstance(entry, Mapping) else None
+    given = {name: one for name, one in tolerance.items() if isinstance(one, Mapping)} if isinstance(tolerance, Mapping) else {}
+    if not isinstance(tolerance, Mapping) or not given:
+        return entry, {}
+    left = {name: one for name, one in tolerance.items() if name not in given}
+    rest = {key: value for key, value in entry.items() if key != "tolerance"}
+    return rest | ({"tolerance": left} if left else {}), given
+
+
+def weighted_errors_of(
+    where: str,
+    given: Mapping[str, Any],
+    parts: Mapping[str, str],
+    measured: Sequence[str],
+    forces: Sequence[str],
+    others: Collection[str],
+) -> "WeightedErrors | None":
+    """Returns the weighted errors of a controller, or None if it has none; arguments and errors as for `read_weighted_errors`.
+
+    Args:
+        parts: of the controller's section.
+
+    Raises:
+        InputError: there is no linear claim of the controller.
+    """
+    if not given:
+        return None
+    from models.laws.combinations import check_together
+    from models.vehicle.weighted_errors import read_weighted_errors
+
+    check_together(where, {**parts, "weights": "a weight in tolerance"})
+    return read_weighted_errors(where, given, measured, forces, others)
 
 
 def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:

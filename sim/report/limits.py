@@ -90,6 +90,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         "on the other; where it does not, bisection finds where decay ends. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
+    text = (*text, *(f"{one.name}: {promise.text}." for one in scope.active for promise in one.robustness))
     if not scope.is_ideal:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
         about += f", and its {scope.vehicle.implementation.noise_text} is not tried" if scope.blurred else ""

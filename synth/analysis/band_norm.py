@@ -86,7 +86,7 @@ def norm_in_band(loop: GeneralizedPlant, low: float, high: float) -> BandNorm:
         norm = by_both_routes(gain) if loop.dt is None else discrete_by_both_routes(loop, loop.dt, gain)
     level, margin = norm.value, max(2 * EXACT, norm.gap, norm.rounding)
     if 0 < level < np.inf:
-        while _exceeded(gain, level := norm.value * (1 + margin)):
+        while exceeds(gain, level := norm.value * (1 + margin)):
             margin *= 10
     loop_stability = stability(loop.A, loop.dt)
     return BandNorm(norm.value, norm.peak_frequency, level, low, high, norm.gap, float(norm.rounding), loop_stability)
@@ -119,7 +119,7 @@ def _gain(loop: GeneralizedPlant, low: float, high: float) -> Gain:
     return Gain(mapped, mapped_frequency(low, loop.dt), mapped_frequency(high, loop.dt))
 
 
-def _exceeded(gain: Gain, level: float) -> bool:
+def exceeds(gain: Gain, level: float) -> bool:
     """Returns True if the gain exceeds the level at some frequency of its interval."""
     if gain.high == np.inf and gain.at_infinity > level:
         return True

@@ -9,6 +9,7 @@ import numpy as np
 from models.common.printed import finite
 
 SAMPLED_NORM = "sampled_norm"  # of the sampled loop, in records; checked if the implementation is known
+ROBUST = ROBUST_STABILITY, ROBUST_PERFORMANCE = "robust stability (mu)", "robust performance (mu)"  # of weighted errors
 SAME = 1e-9  # relative: rounding of a bound that is just satisfied
 
 

@@ -39,8 +39,8 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
         from synth.vehicle.multi_objective import verify_specifications
 
         kept = verify_specifications(designer.vehicle, entry, entry.goals, entry.law, search=False)
-    controller = Controller(
-        entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept
+    controller = designer.judged(
+        Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept)
     )
     failures += controller.unmet_specifications
     norm = norm_if_implemented(designer.vehicle, controller)
@@ -49,7 +49,7 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""
     note = note or ("its certificate does not hold" if entry.certificate else "came without a certificate")
-    said = (*judged_lines(controller), *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
+    said = (*judged_lines(controller), *controller.remarks, *notes_on_sampled_loop(designer.vehicle, certificate, norm), note)
     return Row(entry.name, controller, said, failures, sampled=norm)
 
 

@@ -78,7 +78,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 try:
                     rows.append(_row(designer, name, options, stage))
                 except InterruptedDesign as stopped:
-                    rows.append(_built(vehicle, _kept(stopped)))
+                    rows.append(_built(vehicle, _kept(designer, stopped)))
                     raise
                 rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
     if parts.cut and not rows:
@@ -160,9 +160,9 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     return options.refine or name == "state" or vehicle.controllers[name].law is None
 
 
-def _kept(stopped: InterruptedDesign) -> Row:
+def _kept(designer: Designer, stopped: InterruptedDesign) -> Row:
     """Returns the table row of a design that was interrupted."""
-    controller = stopped.controller
+    controller = designer.judged(stopped.controller)
     notes_of = (*notes(controller), stopped.said)
     return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.unmet_specifications))
 
@@ -220,7 +220,10 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
         return Row(name, controller, (*notes(controller), f"not refined: {error}"), ())
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
-    return Row(name, refined.controller, (*said, refined.traded), refined.controller.certificate.failures)
+    judged = designer.judged(refined.controller)
+    return Row(
+        name, judged, (*said, *judged.remarks, refined.traded), (*judged.certificate.failures, *judged.unmet_specifications)
+    )
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:

@@ -69,13 +69,16 @@ def saved_text(
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
     name, norm = controller.name + SUFFIX, norm_if_implemented(vehicle, controller)
     record = to_record(controller.certificate) | norm_record(norm) | bound_record(sampled_bound)
-    goals = vehicle.controllers[controller.name].goals if controller.name in vehicle.controllers else None
+    asked = vehicle.controllers.get(controller.name)
+    goals = asked.goals.record if asked is not None and asked.goals is not None else {}
+    if asked is not None and asked.errors is not None:
+        goals |= {"tolerance": goals.get("tolerance", {}) | asked.errors.record}
     key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [
         f"[controllers.{key}]",
         f"measured = {_toml(list(controller.measured))}",
         *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
-        *(f"{key} = {_toml(value)}" for key, value in (goals.record if goals is not None else {}).items()),
+        *(f"{key} = {_toml(value)}" for key, value in goals.items()),
         *(["noise = true"] if controller.hardware.noise else []),
         *([f"loads = {_toml(dict(controller.hardware.loads))}"] if controller.hardware.loads else []),
         *(["lag = true"] if controller.hardware.bandwidth is not None else []),

@@ -14,6 +14,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate, certify
 from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import ROBUST
 from synth.controller.problem import Problem, problem
 from synth.plant.generalized import GeneralizedPlant
 
@@ -155,6 +156,11 @@ class Controller(Checked, Shown):
     def gain(self) -> Array:
         """Feedthrough D_c, or K of a static controller, shape (m, q) [N per measured unit]."""
         return self.law.D
+
+    @property
+    def robustness(self) -> "tuple[Specification, ...]":
+        """The specifications of errors that its section weights by frequency."""
+        return tuple(promise for promise in self.specifications if promise.what in ROBUST)
 
     @property
     def unmet_specifications(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import Controller, certify_law, on_readings, verify_record
+from synth.controller.controller import Controller, InterruptedDesign, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
@@ -192,6 +192,19 @@ class Designer:
             DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
                 two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
+        return self.judged(self._design(name, zero_l, on_progress))
+
+    def judged(self, controller: Controller) -> Controller:
+        """Returns a controller with what is proved of it for the errors that its section weights by frequency, if any."""
+        errors = self._entry(controller.name).errors
+        if errors is None:
+            return controller
+        from synth.vehicle.weighted_errors import with_robustness
+
+        return with_robustness(self.vehicle, controller, errors)
+
+    def _design(self, name: str, zero_l: bool, on_progress: Callable[[float, bool], None]) -> Controller:
+        """Designs a controller, or certifies a given one; see `design`."""
         entry = self._entry(name)
         if entry.law is not None:
             return self._given(entry, entry.law)
@@ -206,7 +219,7 @@ class Designer:
 
                 return full_order_sampled_design(self.vehicle, entry, posed, lower_bound, self._sampled_bound(entry))
             if entry.design:
-                return self._named(entry, posed, lower_bound)
+                return self._for_errors(entry, self._named(entry, posed, lower_bound, on_progress), on_progress)
             if entry.goals is not None:
                 from synth.vehicle.multi_objective import goals_design
 
@@ -220,6 +233,16 @@ class Designer:
             return self._in_two_steps(entry, posed, lower_bound, zero_l)
         except DesignError as error:
             raise type(error)(f"controller {name!r}: {error}") from error
+
+    def _for_errors(
+        self, entry: ControllerEntry, controller: Controller, on_progress: Callable[[float, bool], None]
+    ) -> Controller:
+        """Returns a controller that is designed for its weighted errors, if it has some that its design knows; else as it is."""
+        if entry.errors is None:
+            return controller
+        from synth.vehicle.weighted_errors import is_robust_design, robust_controller
+
+        return robust_controller(self.vehicle, entry, controller, on_progress) if is_robust_design(entry) else controller
 
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
@@ -264,31 +287,66 @@ class Designer:
         wrong += false_norm(entry.certificate, self.vehicle, lambda: norm_if_implemented(self.vehicle, controller))
         return replace(controller, false_claims=remaining_false_claims(self.vehicle, controller, wrong))
 
-    def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
-        """A controller that is designed in another way than by two steps."""
+    def _named(
+        self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]
+    ) -> Controller:
+        """Returns a controller that is designed in another way than by two steps.
+
+        Raises:
+            InterruptedDesign: by Ctrl-C, with the best law of fewer states.
+        """
+        fewer: list[Controller] = []
+
+        def on_found(law: LinearLaw) -> None:
+            from synth.analysis.bounding import certify_tightly
+
+            law = law if by_force else on_readings(law, posed)
+            certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
+            fewer[:] = [Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)]
+            on_progress(certificate.norm.value, True)
+
+        by_force = entry.structure is not None and entry.structure.rows is not None
+        try:
+            if by_force and entry.structure is not None:
+                return self._structured(entry, entry.structure, posed, lower_bound, on_found)
+            return self._on_states(entry, posed, lower_bound, on_found)
+        except KeyboardInterrupt as error:
+            if not fewer:
+                raise
+            raise InterruptedDesign(fewer[0], "interrupted: the best law of fewer states until then") from error
+
+    def _on_states(
+        self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_found: Callable[[LinearLaw], None]
+    ) -> Controller:
+        """Returns a controller that is designed on C_y x by one of the named methods."""
         from synth.design.full_order.by_name import named_design
         from synth.vehicle.quadratic import white_noise
 
-        if entry.structure is not None and entry.structure.rows is not None:
-            return self._structured(entry, entry.structure, posed, lower_bound)
         hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
         designed = named_design(
-            entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run
+            entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found
         )
         law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
         certificate = replace(designed.certificate, below=lower_bound)
         return Controller(entry.name, entry.measured, law, True, certificate, remarks=designed.remarks, hardware=hardware)
 
     def _structured(
-        self, entry: ControllerEntry, structure: "LawStructure", posed: Problem, lower_bound: LowerBound
+        self,
+        entry: ControllerEntry,
+        structure: "LawStructure",
+        posed: Problem,
+        lower_bound: LowerBound,
+        on_found: Callable[[LinearLaw], None],
     ) -> Controller:
         """A controller whose law on the readings themselves has a structure, of each force by itself."""
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
         states, through = self.shared(entry.hardware).states, posed.feedthrough
-        found = fixed_order_design(posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable)
+        found = fixed_order_design(
+            posed.plant, posed.Cy, posed.Dyw, structure, lower_bound, states, through, entry.stable, on_found=on_found
+        )
         law = replace(found.law, anti_windup=entry.anti_windup)
         return Controller(
             entry.name, entry.measured, law, True, found.certificate, remarks=found.remarks, hardware=entry.hardware

@@ -16,6 +16,7 @@ from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
 from sim.studies.ride.between_samples import exact as between_samples
 from sim.studies.ride.step_response import measure_step
+from synth.analysis.specification import ROBUST_PERFORMANCE
 from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
 from synth.plant.generalized import GeneralizedPlant
@@ -89,6 +90,14 @@ def _norm(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 
 def _gain(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     return float(linear_of(designer, one).law.D[one.at]), None
+
+
+def _robust_performance(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns the proved bound on mu with performance."""
+    bounds = [promise.proved for promise in linear_of(designer, one).robustness if promise.what == ROBUST_PERFORMANCE]
+    if not bounds or bounds[0] is None:
+        raise InputError(f"controller {one.controller!r} has no weighted errors; give a weight in its tolerance")
+    return bounds[0], None
 
 
 def _zero(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
@@ -215,6 +224,7 @@ def _paper(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
 KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]] = {
     "norm": _norm,
     "gain": _gain,
+    "robust_performance": _robust_performance,
     "zero": _zero,
     "ratio": _ratio,
     "white": _white,

@@ -24,7 +24,8 @@ def margins_object(
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
     edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
-    result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge
+    weighted = {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
+    result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge | weighted
     if box is None:
         return {**result, "robustness": None}
     varied = {one.name: [one.smallest, one.largest] for one in box.varied}
@@ -126,6 +127,8 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
     proved = proved_text(predicted)
     details = [f"  {proved}", f"  {rounded}"] if verbose else [f"  {proved.partition(';')[0]}"]
+    for promise in controller.robustness:
+        details += wrapped(promise.text, "  ", 4)
     return [*_table(f"errors of {whose(predicted)}", rows), *details]
 
 

@@ -90,6 +90,7 @@ def fixed_order_design(
     stable: bool = False,
     as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
     known: Sequence[LinearLaw] = (),
+    on_found: Callable[[LinearLaw], None] = lambda law: None,
 ) -> FixedOrderDesign:
     """Returns the law of the least norm that descents find, of a given order or structure, with its certificate.
 
@@ -104,6 +105,7 @@ def fixed_order_design(
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
         known: laws of this structure to start from alone, in place of all other starts.
+        on_found: called with the best law of fewer states, each time that there is one of more.
 
     Raises:
         InputError: a matrix does not fit the plant, or the order is more than the plant's.
@@ -131,7 +133,7 @@ def fixed_order_design(
     felt = None if through is None or not np.any(through) else through
     search = _Search(plant, Cy, noise if np.any(noise) else None, felt, lower_bound, stable, as_run)
     search.check_stabilisable(structure, states)
-    best, origin = search.kept(structure, known) if known else search.designed(structure, states)
+    best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
     return FixedOrderDesign(best, search.certified(best), origin, _remark(structure, best, m))
 
 
@@ -191,8 +193,8 @@ class _Search:
         acting = law if self.through is None else law.fed_back(self.through)
         return certify_tightly(*on_larger_plant(self.plant, self.Cy, acting, self.Dyw), self.below, by_itself=self.plant)
 
-    def designed(self, structure: LawStructure, states: Sequence[str]) -> Start:
-        """Returns the law at the lowest end, and the start that led there."""
+    def designed(self, structure: LawStructure, states: Sequence[str], on_found: Callable[[LinearLaw], None]) -> Start:
+        """Returns the law at the lowest end, and the start that led there; see `fixed_order_design` for `on_found`."""
         if structure.kind:
             return self.of_filters(structure, ())
         if not structure.order:
@@ -203,8 +205,10 @@ class _Search:
         with contextlib.suppress(DesignError, np.linalg.LinAlgError):
             found = self.ended(one, [], "a static gain", whole=False, sought=FEW)
         for order in range(1, structure.order + 1):
-            if found is not None and self.reaches(found[0]):
-                break
+            if found is not None:
+                on_found(found[0])
+                if self.reaches(found[0]):
+                    break
             one = replace(structure, order=order)
             starts = [(law, "a reduced law of full order") for full in reduced for law in self.parts(one, full)]
             if found is not None:

@@ -42,6 +42,7 @@ def named_design(
     Dyw: Array | None,
     stable: bool,
     as_run: Callable[[LinearLaw], LinearLaw],
+    on_found: Callable[[LinearLaw], None] = lambda law: None,
 ) -> NamedDesign:
     """Designs a controller by one of these methods.
 
@@ -54,12 +55,13 @@ def named_design(
         Dyw: shape (q, r), for "full", "order" and "h2"; None for zero.
         stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.
+        on_found: for "order", see `fixed_order_design`.
 
     Raises:
         InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
     """
     if structure is not None:
-        found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run)
+        found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
         return NamedDesign(found.law, found.certificate, found.remarks)
     if name == "full":
         full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run)

@@ -1,0 +1,89 @@
+"""Errors of a controller's readings and forces that are weighted by frequency: a part of `tolerance` in its section.
+
+tolerance = { force = { weight = { numerator = [3.0, 18.5], denominator = [1.0, 46.3] } } }
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from models.common.errors import InputError, listing, number_range, quoted
+from models.kinds.kind import is_number
+from models.laws.goals import FORCE
+from models.vehicle.filter import Filter, read_filter
+
+SMALLEST, LARGEST = 1e-6, 1e6  # of a weight that is the same at all frequencies
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedErrors:
+    """Weights of dynamic errors: a force acts as u (1 + W Delta), and a reading as y (1 + W Delta), with any |Delta| <= 1.
+
+    Attributes:
+        weights: W by name of a measured signal or a force, or by `FORCE` for all forces.
+    """
+
+    weights: Mapping[str, Filter]
+
+    def of_readings(self, measured: Sequence[str]) -> list[Filter | None]:
+        """Returns the weight of each measured signal, or None if it has no error."""
+        return [self.weights.get(name) for name in measured]
+
+    def of_forces(self, forces: Sequence[str], measured: Sequence[str]) -> list[Filter | None]:
+        """Returns the weight of each force, or None if it has no error. The name of a measured force is that of its reading."""
+        return [self.weights.get(FORCE, None if name in measured else self.weights.get(name)) for name in forces]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The weights as `tolerance` of a vehicle file has them."""
+        return {name: {"weight": _record(one)} for name, one in self.weights.items()}
+
+
+def read_weighted_errors(
+    where: str, given: Mapping[str, Mapping[str, Any]], measured: Sequence[str], forces: Sequence[str], others: Collection[str]
+) -> WeightedErrors:
+    """Reads the entries of a `tolerance` that are tables.
+
+    Args:
+        given: those entries.
+        others: names of its other entries.
+
+    Raises:
+        InputError: a name is unknown, or a weight is not allowed.
+    """
+    allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
+    weights = {}
+    for name, table in given.items():
+        if name not in allowed:
+            raise InputError(
+                f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
+            )
+        if set(table) != {"weight"}:
+            raise InputError(
+                f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give a largest error, 0.1 for 10 %, or "
+                "{ weight = { numerator = [...], denominator = [...] } }, by falling powers of s"
+            )
+        weights[name] = _weight(f"{where} tolerance of {name}", table["weight"])
+    names = {*weights, *others}
+    if FORCE in names and any(force in names for force in forces if force not in measured):
+        raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
+    return WeightedErrors(weights)
+
+
+def _weight(where: str, given: Any) -> Filter:
+    if isinstance(given, Mapping):
+        return read_filter(where, given)
+    if not is_number(given) or not SMALLEST <= given <= LARGEST:
+        raise InputError(
+            f"{where} weight = {quoted(given)} is not allowed; give {number_range(SMALLEST, LARGEST)}, or a numerator and a "
+            "denominator, coefficients by falling powers of s"
+        )
+    return Filter((((float(given),), (1.0,)),))
+
+
+def _record(one: Filter) -> dict[str, Any]:
+    """Returns a filter as a vehicle file has it."""
+    if one.name:
+        return {"filter": one.name}
+    ((above, below),) = one.sections
+    return {"numerator": list(above), "denominator": list(below)}

@@ -1,0 +1,157 @@
+"""A loop whose readings and forces have errors that are weighted by frequency: M, from [w; p] to [z; q].
+
+A force acts as u (1 + W Delta), and a reading as y (1 + W Delta), each with its own weight W and its own Delta, which is any
+stable linear system of norm at most one (Zhou, Doyle, Glover 1996, Robust and Optimal Control, sections 9.1 and 11.2). Cut at the
+Deltas, the loop has the inputs p = Delta q beside w, and the outputs q = W u or W y beside z.
+
+The output z weighs the requested forces u, without their errors. A reading that contains a force contains the acting one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.laws.linear import LinearLaw
+from synth.analysis.norm import transfer_matrix
+from synth.plant.augmented import System, append, closed_by, gain, with_weights
+from synth.plant.generalized import GeneralizedPlant
+
+ROUNDS = 50  # of balancing; each halves the distance, in logarithms
+COARSE = 120  # frequencies at which the sizes of M's entries are compared
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredLoop:
+    """A loop M with k errors, of which the last k inputs are p and the last k outputs are q.
+
+    Attributes:
+        loop: from [w; p] to [z; q], shape (d + k, r + k); from p to q alone if there is no performance.
+        errors: k.
+    """
+
+    loop: GeneralizedPlant
+    errors: int
+
+    @property
+    def of_errors(self) -> "StructuredLoop":
+        """The loop from p to q alone, which decides stability."""
+        M, k = self.loop, self.errors
+        nothing = np.zeros((k, M.B.shape[1]))
+        return StructuredLoop(GeneralizedPlant(M.A, M.B, M.Bw[:, -k:], M.C[-k:], nothing, M.Dw[-k:, -k:]), k)
+
+    @property
+    def performance(self) -> bool:
+        """True if there is a performance block, from w to z."""
+        return len(self.loop.C) > self.errors
+
+    def at(self, omega: Array) -> Array:
+        """Returns M(j omega), complex, shape (F, d + k, r + k), for finite frequencies [rad/s] of shape (F,)."""
+        return transfer_matrix(self.loop.A, self.loop.Bw, self.loop.C, self.loop.Dw, omega)
+
+    def scaled(self, scales: Array) -> GeneralizedPlant:
+        """Returns D M D^-1, where D scales each q, and D^-1 each p.
+
+        Args:
+            scales: of the errors, positive, shape (k,).
+        """
+        M, k = self.loop, self.errors
+        C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
+        C[-k:] *= scales[:, None]
+        Dw[-k:] *= scales[:, None]
+        Bw[:, -k:] /= scales
+        Dw[:, -k:] /= scales
+        return GeneralizedPlant(M.A, M.B, Bw, C, np.zeros((len(C), M.B.shape[1])), Dw)
+
+    @cached_property
+    def units(self) -> Array:
+        """Scales that make the entries of M similar, over all frequencies, shape (k,)."""
+        T = np.abs(self.at(self.grid))
+        k = self.errors
+        blocks = np.zeros((k + 1, k + 1))
+        blocks[1:, 1:] = T[:, -k:, -k:].max(axis=0)
+        if self.performance:
+            blocks[0, 1:] = np.linalg.norm(T[:, :-k, -k:], axis=1).max(axis=0)
+            blocks[1:, 0] = np.linalg.norm(T[:, -k:, :-k], axis=2).max(axis=0)
+        blocks = np.maximum(blocks - np.diag(np.diagonal(blocks)), 1e-12 * blocks.max(initial=1e-300))
+        x = np.zeros(k + 1)
+        for _ in range(ROUNDS):
+            balanced = np.exp(x)[:, None] * blocks / np.exp(x)
+            x += 0.25 * np.log(balanced.sum(axis=0) / balanced.sum(axis=1))
+        return np.exp(x[1:] - x[0])
+
+    @cached_property
+    def grid(self) -> Array:
+        """Frequencies around and between the poles [rad/s], ascending, shape (F,)."""
+        poles = np.linalg.eigvals(self.loop.A)
+        size = np.abs(poles)
+        size = size[size > 0] if np.any(size) else np.ones(1)
+        even = np.geomspace(size.min() / 10, size.max() * 10, COARSE)
+        return np.unique(np.concatenate([even, size, np.abs(np.imag(poles))[np.imag(poles) != 0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredPlant:
+    """A plant from [w; p; u] to [z; q; y] with k weighted errors.
+
+    Attributes:
+        plant: n states, m inputs, r + k disturbances, d + k controlled outputs.
+        Cy, through, Dyw: y = C_y x + `through` u + Dyw [w; p], shapes (q, n), (q, m), (q, r + k).
+        errors: k.
+    """
+
+    plant: GeneralizedPlant
+    Cy: Array
+    through: Array
+    Dyw: Array
+    errors: int
+
+    def closed_by(self, law: LinearLaw) -> StructuredLoop:
+        """Returns the loop of a continuous law on y.
+
+        Raises:
+            InputError: the loop through the measurements has no solution.
+        """
+        return StructuredLoop(closed_by(self.plant, self.Cy, law.fed_back(self.through), self.Dyw), self.errors)
+
+
+def plant_with_errors(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    through: Array,
+    Dyw: Array | None,
+    of_errors: tuple[Array, Array],
+    weights: tuple[Sequence[System | None], Sequence[System | None]],
+) -> StructuredPlant:
+    """Returns a plant with weighted errors of its forces and readings.
+
+    Args:
+        plant: continuous, n states, m inputs, r disturbances, d controlled outputs.
+        Cy, through, Dyw: y = C_y x + `through` u + Dyw w, shapes (q, n), (q, m), (q, r); no Dyw is zero.
+        of_errors: the columns of state and z of a force that is added to what is requested, shapes (n, m), (d, m).
+        weights: of each force, and of each reading; None for one without an error.
+    """
+    (q, n), (d, m), r = Cy.shape, plant.D.shape, plant.Bw.shape[1]
+    forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)
+    k = len(forces) + len(readings)
+    noise = np.hstack([np.zeros((q, r)) if Dyw is None else Dyw, through[:, forces]])  # with the acting forces
+    wide = GeneralizedPlant(
+        A=plant.A,
+        B=plant.B,
+        Bw=np.hstack([plant.Bw, of_errors[0][:, forces], np.zeros((n, len(readings)))]),
+        C=np.vstack([plant.C, np.zeros((len(forces), n)), Cy[readings]]),
+        D=np.vstack([plant.D, np.eye(m)[forces], through[readings]]),
+        Dw=np.vstack(
+            [
+                np.hstack([plant.Dw, of_errors[1][:, forces], np.zeros((d, len(readings)))]),
+                np.zeros((len(forces), r + k)),
+                np.hstack([noise[readings], np.zeros((len(readings), len(readings)))]),
+            ]
+        ),
+    )
+    filters = [one for some in weights for one in some if one is not None]
+    weighted = with_weights(wide, append(gain(np.eye(d)), *filters), gain(np.eye(r + k)))
+    rows = np.hstack([Cy, np.zeros((q, len(weighted.A) - n))])
+    return StructuredPlant(weighted, rows, through, np.hstack([noise, np.eye(q)[:, readings]]), k)

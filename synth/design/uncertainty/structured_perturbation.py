@@ -1,0 +1,168 @@
+"""Errors that are nearly the worst of a structured loop: from a power iteration at one frequency, and verified on the loop.
+
+At one frequency the structured singular value is the largest spectral radius of Q M, with unitary Q of the structure (Doyle
+1982). The power iteration of Packard, Fan and Doyle (1988, A power method for the structured singular value, CDC) climbs there,
+and any Q whatever gives a lower bound. A phase of an error at a frequency is that of a stable all-pass of first order, so the
+errors become linear systems of one size. What is returned is true of the loop closed by them: an infinite norm, if they make it
+unstable, or the norm that they lead to.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from synth.analysis.norm import hinf_norm
+from synth.analysis.stability import is_stable
+from synth.design.uncertainty.structured_loop import StructuredLoop
+from synth.plant.augmented import System, append
+from synth.plant.generalized import GeneralizedPlant
+
+ROUNDED = 1e-9  # relative; a norm this close to the inverse size of its errors is equal to it
+STARTS, ITERATIONS = 12, 80
+SLOW, FAST = 1e-4, 1e4  # times the poles: frequencies in place of 0 and infinity, where an error has no phase
+BEYOND = (
+    0.0,
+    1e-9,
+    1e-7,
+    1e-5,
+    1e-3,
+)  # relative; errors larger by so much are tried, as a pole lies on the axis but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class WorstErrors:
+    """Errors that show how large the structured singular value is at least.
+
+    Attributes:
+        mu: lower bound.
+        frequency: at which it is attained [rad/s].
+        errors: the errors Delta, stable, each of norm 1 / mu at most.
+    """
+
+    mu: float
+    frequency: float
+    errors: tuple[System, ...]
+
+
+def worst_errors(structured: StructuredLoop, omega: float) -> WorstErrors:
+    """Returns the worst errors found at a frequency, verified on the loop; with mu 0 if none are.
+
+    Args:
+        structured: stable without errors.
+        omega: the frequency, such as that of the peak of an upper bound [rad/s].
+    """
+    size = np.abs(np.linalg.eigvals(structured.loop.A))
+    omega = float(np.clip(omega, SLOW * size.min(initial=1.0), FAST * size.max(initial=1.0)))
+    value, deltas = lower_bound(structured.at(np.array([omega]))[0], structured.errors)
+    if not value:
+        return WorstErrors(0.0, omega, ())
+    amount, reached, errors = 1 / value, 0.0, ()
+    for beyond in BEYOND:
+        amount = (1 + beyond) / value
+        errors = tuple(_all_pass(amount, float(angle), omega) for angle in np.angle(deltas))
+        reached = _norm(closed_by_errors(structured, errors), structured)
+        if reached * amount >= 1 - ROUNDED:
+            break
+    return WorstErrors(min(1 / amount, reached), omega, errors)
+
+
+def lower_bound(M: Array, errors: int) -> tuple[float, Array]:
+    """Returns the largest spectral radius found of Q M, and the errors of modulus 1 that lead to it, shape (k,).
+
+    Args:
+        M: complex, shape (d + k, r + k).
+        errors: k.
+    """
+    k = errors
+    outputs = _blocks(M.shape[0], k)
+    inputs = _blocks(M.shape[1], k)
+    random = np.random.default_rng(0)
+    b = random.standard_normal((STARTS, M.shape[1], 2)) @ np.array([1, 1j])
+    b[0] = np.linalg.svd(M)[2][0].conj()
+    w = b / np.linalg.norm(b, axis=1, keepdims=True)
+    b, tiny = w.copy(), np.finfo(float).tiny
+    best: tuple[float, Array] = (0.0, np.ones(k, dtype=complex))
+    for i in range(ITERATIONS):
+        a = b @ M.T
+        a /= np.linalg.norm(a, axis=1, keepdims=True) + tiny
+        z = a.copy()
+        for out, into in zip(outputs, inputs, strict=True):
+            z[:, out] *= (_size(w[:, into]) + tiny) / (_size(a[:, out]) + tiny)
+        w = z @ M.conj()
+        w /= np.linalg.norm(w, axis=1, keepdims=True) + tiny
+        b = w.copy()
+        for out, into in zip(outputs, inputs, strict=True):
+            b[:, into] *= (_size(a[:, out]) + tiny) / (_size(w[:, into]) + tiny)
+        if i % 10 == 9:
+            best = max(
+                [best, *(_radius(M, k, outputs, inputs, one, other) for one, other in zip(a, b, strict=True))], key=lambda x: x[0]
+            )
+    return best
+
+
+def closed_by_errors(structured: StructuredLoop, errors: Sequence[System]) -> GeneralizedPlant | None:
+    """Returns the loop from w to z, or from p to q without performance, closed by errors; None if it is not well-posed."""
+    M, k, E = structured.loop, structured.errors, append(*errors)
+    n, e = len(M.A), len(E.A)
+    into, out = M.Bw[:, -k:], M.C[-k:]
+    inside = np.eye(k) - E.D @ M.Dw[-k:, -k:]
+    if np.linalg.cond(inside) > 1e12:
+        return None
+    # p = C_e x_e + D_e q, q = C_q x + D_qw w + D_qp p.
+    at_once = np.linalg.inv(inside)
+    rows = slice(None, -k) if structured.performance else slice(None)
+    p_x, p_e = at_once @ E.D @ out, at_once @ E.C
+    w_in = M.Dw[-k:, rows]
+    p_w = at_once @ E.D @ w_in
+    q_x, q_e, q_w = out + M.Dw[-k:, -k:] @ p_x, M.Dw[-k:, -k:] @ p_e, w_in + M.Dw[-k:, -k:] @ p_w
+    A = np.block([[M.A + into @ p_x, into @ p_e], [E.B @ q_x, E.A + E.B @ q_e]])
+    C = np.hstack([M.C[rows] + M.Dw[rows, -k:] @ p_x, M.Dw[rows, -k:] @ p_e])
+    Bw = np.vstack([M.Bw[:, rows] + into @ p_w, E.B @ q_w])
+    Dw = M.Dw[rows, rows] + M.Dw[rows, -k:] @ p_w
+    return GeneralizedPlant(A, np.zeros((n + e, 0)), Bw, C, np.zeros((len(C), 0)), Dw)
+
+
+def _norm(closed: GeneralizedPlant | None, structured: StructuredLoop) -> float:
+    """Returns the norm of a closed loop, infinite if it is not stable; 0, which claims nothing, if that is not known."""
+    if closed is None:
+        return 0.0
+    if not is_stable(closed.A):
+        return np.inf
+    return hinf_norm(closed).value if structured.performance else 0.0
+
+
+def _blocks(size: int, k: int) -> list[slice]:
+    """Returns the block of the performance, if there is one, and those of the errors."""
+    return [*([slice(0, size - k)] if size > k else []), *(slice(size - k + i, size - k + i + 1) for i in range(k))]
+
+
+def _size(part: Array) -> Array:
+    return np.linalg.norm(part, axis=1, keepdims=True)
+
+
+def _radius(M: Array, errors: int, outputs: list[slice], inputs: list[slice], a: Array, b: Array) -> tuple[float, Array]:
+    """Returns the spectral radius of Q M with the Q that takes a to b, and its errors, turned so that it is an eigenvalue."""
+    Q = np.zeros((M.shape[1], M.shape[0]), dtype=complex)
+    for out, into in zip(outputs, inputs, strict=True):
+        from_, to = a[out], b[into]
+        sizes = np.linalg.norm(from_) * np.linalg.norm(to)
+        Q[into, out] = np.outer(to, from_.conj()) / sizes if sizes > 0 else np.eye(len(to), len(from_))
+    values = linalg.eigvals(Q @ M)
+    largest = values[np.abs(values).argmax()]
+    turn = np.conj(largest) / abs(largest) if largest else 1.0
+    firsts = [Q[into, out][0, 0] * turn for out, into in zip(outputs, inputs, strict=True)]
+    return float(abs(largest)), np.array(firsts[-errors:])
+
+
+def _all_pass(amount: float, angle: float, omega: float) -> System:
+    """Returns a stable error of a constant gain that has a phase [rad] at a frequency."""
+    sign = 1.0 if angle >= 0 else -1.0
+    phase = angle if angle >= 0 else angle + np.pi  # of (s - c) / (s + c), from pi at 0 rad/s to 0 at infinity
+    if min(phase, np.pi - phase) < 1e-12:
+        constant = sign * (1.0 if phase < np.pi / 2 else -1.0)
+        return System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[amount * constant]]))
+    c = omega * np.tan(phase / 2)
+    return System(np.array([[-c]]), np.array([[c]]), np.array([[-2 * sign * amount]]), np.array([[sign * amount]]))

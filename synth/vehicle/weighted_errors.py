@@ -1,0 +1,158 @@
+"""What a controller bears of errors that are weighted by frequency: robust stability and robust performance, proved.
+
+Both are peaks over frequency of the structured singular value mu of its loop. The loop stays stable with all errors of size below
+1 / mu. With the performance, mu <= gamma says that for all errors of size 1 / gamma its norm is at most gamma.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.kinds.linear_model import LinearModel
+from models.laws.combinations import FULL
+from models.laws.linear import LinearLaw
+from models.vehicle.controllers import ControllerEntry
+from models.vehicle.filter import Filter
+from models.vehicle.vehicle import Vehicle
+from models.vehicle.weighted_errors import WeightedErrors
+from synth.analysis.bounding import certify_tightly
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.specification import ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification, digits
+from synth.controller.controller import Controller, InterruptedDesign, on_readings
+from synth.controller.problem import generalized_plant, plant_states
+from synth.design.full_order.by_name import named_design
+from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_design
+from synth.design.uncertainty.structured_bound import structured_bound
+from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant, plant_with_errors
+from synth.design.uncertainty.structured_perturbation import worst_errors
+from synth.plant.augmented import System
+from synth.plant.generalized import GeneralizedPlant
+
+if TYPE_CHECKING:
+    from models.laws.law_structure import LawStructure
+
+SAMPLED = "robust stability and performance (mu) are of the continuous loop, not of the sampled one"
+
+
+def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
+    """Returns a controller with what is proved of it for weighted errors; as it is if its loop is not stable without errors."""
+    if not controller.certificate.stable:
+        return controller
+    loop = structured_plant(vehicle, controller, errors).closed_by(controller.law.continuous())
+    promises = (_robust(ROBUST_PERFORMANCE, loop, None), _robust(ROBUST_STABILITY, loop.of_errors, 1.0))
+    said = () if vehicle.implementation.undelayed else (SAMPLED,)
+    return replace(controller, specifications=(*controller.specifications, *promises), remarks=(*controller.remarks, *said))
+
+
+def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specification:
+    """Returns the peak of mu: what errors show that it is at least, and what is proved to be at most."""
+    above = structured_bound(loop)
+    below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
+    value = below.mu if below is not None else np.inf
+    where = f"at {above.peak_frequency:.5g} rad/s"
+    if at_most is not None and 0 < above.gamma < np.inf:
+        where += f"; stable with up to {digits(1 / above.gamma)} times the errors"
+    return Specification(what, value, above.gamma, at_most, where=where)
+
+
+def is_robust_design(entry: ControllerEntry) -> bool:
+    """Returns True if a controller is designed for its weighted errors: one with `order`, for the continuous loop."""
+    free = entry.structure is None or not (entry.structure.kind or entry.structure.rows)
+    return entry.errors is not None and entry.design in (FULL, "order") and free and not entry.sampled
+
+
+def robust_controller(
+    vehicle: Vehicle,
+    entry: ControllerEntry,
+    nominal: Controller,
+    on_progress: Callable[[float, bool], None] = lambda goal, within: None,
+) -> Controller:
+    """Returns a controller of an entry with a better robust performance than one that is designed for the norm alone.
+
+    A law of fewer states begins with the scales of a law of full order.
+
+    Args:
+        nominal: the one for the norm; it is returned if no other is better.
+        on_progress: called with the robust performance so far, and True.
+
+    Raises:
+        InterruptedDesign: by Ctrl-C, with the best so far.
+    """
+    assert entry.errors is not None, "it has weights"
+    posed = nominal.problem(vehicle)
+    structured = structured_plant(vehicle, nominal, entry.errors)
+    kept, as_run = posed.state_measurements, partial(on_readings, posed=posed)
+
+    def designs(name: str, structure: "LawStructure | None") -> Design:
+        def design(plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> LinearLaw:
+            law = named_design(name, structure, plant, Cy[kept], LowerBound(0.0), (), None, Dyw[kept], entry.stable, as_run).law
+            return as_run(law)
+
+        return design
+
+    def with_law(found: RobustDesign) -> Controller:
+        if not found.turns:
+            return nominal
+        law = replace(found.law, anti_windup=entry.anti_windup)
+        certificate = certify_tightly(*posed.closed_loop(law), nominal.certificate.below, by_itself=posed.plant)
+        remark = (
+            f"designed for the least robust performance (mu), by turns with scales of its errors; the law of the least norm, "
+            f"{digits(nominal.certificate.norm.value)}, has {digits(first.gamma)}"
+        )
+        return replace(nominal, law=law, certificate=certificate, remarks=(remark,))
+
+    first = RobustDesign(nominal.law, structured_bound(structured.closed_by(nominal.law)).gamma)
+    best = [first]
+
+    def on_turn(found: RobustDesign) -> None:
+        if entry.structure is None or found.law.states <= entry.structure.order:
+            best[:] = [found]
+        on_progress(found.gamma, True)
+
+    try:
+        full = robust_design(structured, designs(FULL, None), first, on_turn)
+        if entry.structure is not None:
+            robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
+    except KeyboardInterrupt as error:
+        raise InterruptedDesign(with_law(best[0]), "interrupted: the best robust performance until then") from error
+    return with_law(best[0])
+
+
+def structured_plant(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> StructuredPlant:
+    """Returns the plant of a controller from [w; p; u] to [z; q; y], see `StructuredPlant`."""
+    posed, inputs = controller.problem(vehicle), vehicle.linear_model.inputs
+    weights = errors.of_forces(inputs, controller.measured), errors.of_readings(controller.measured)
+    of_errors = _of_added_force(vehicle, controller.hardware.bandwidth, posed.plant.B.shape, posed.plant.D.shape)
+    systems = _systems(weights[0]), _systems(weights[1])
+    return plant_with_errors(posed.plant, posed.Cy, posed.feedthrough, posed.Dyw, of_errors, systems)
+
+
+def _systems(weights: list[Filter | None]) -> list[System | None]:
+    return [None if one is None else System(*one.realisation) for one in weights]
+
+
+def _of_added_force(
+    vehicle: Vehicle, bandwidth: float | None, of_states: tuple[int, ...], of_z: tuple[int, ...]
+) -> tuple[Array, Array]:
+    """Returns B and D of a force that is added to the requested one, which z weighs without it."""
+    forces = vehicle.linear_model.inputs
+    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0]
+    other = [signal for signal in signals if signal not in forces]
+    B, D = np.zeros(of_states), np.zeros(of_z)
+    model: LinearModel = vehicle.linear_model.behind_lag(bandwidth)
+    B[: len(model.A)] = model.B
+    if not other:
+        return B, D
+    rest = replace(vehicle, performance={signal: vehicle.performance[signal] for signal in other}, filters=_of(vehicle, other))
+    plant, names = generalized_plant(rest, bandwidth), plant_states(vehicle, bandwidth)
+    B[[names.index(name) for name in plant_states(rest, bandwidth)]] = plant.B
+    D[[signals.index(signal) for signal in other]] = plant.D
+    return B, D
+
+
+def _of(vehicle: Vehicle, signals: list[str]) -> dict[str, Filter]:
+    return {signal: one for signal, one in vehicle.filters.items() if signal in signals}
