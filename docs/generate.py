@@ -59,6 +59,7 @@ def pages() -> dict[str, str]:
         "reference/signals": signal_tables(),
         "reference/roads": roads(),
         "reference/metrics": metric_tables(),
+        "reference/messages": messages(),
         **{f"reference/{package.__name__}": names(package) for package in PACKAGES},
     }
 
@@ -254,6 +255,66 @@ def metric_tables() -> str:
         f"# Metrics\n\n{about}\n\n```text\n{formulas}\n```\n\n## Of a quarter-car\n\n"
         f"{table(('name', 'unit', 'signal', 'statistic'), rows)}\n## Of a full car\n\n{', '.join(others)}.\n"
     )
+
+
+# Messages, from the calls that raise them
+
+
+def told(node: ast.expr) -> str:
+    """Returns the text of a message as its expression has it, with <names> of what it quotes; empty if it is made elsewhere."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else ""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(map(told, node.values))
+    if isinstance(node, ast.FormattedValue):
+        of = node.value
+        return f"<{of.id if isinstance(of, ast.Name) else of.attr}>" if isinstance(of, ast.Name | ast.Attribute) else "..."
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return "".join(told(side) or "..." for side in (node.left, node.right))
+    if isinstance(node, ast.IfExp):
+        return told(node.body) or told(node.orelse)
+    return ""
+
+
+def raised(path: Path) -> list[tuple[str, str]]:
+    """Returns the function and the text of every message that a file raises as an InputError, in its order."""
+    found: list[tuple[int, str, str]] = []
+
+    def search(node: ast.AST, function: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            inside = child.name if isinstance(child, ast.FunctionDef | ast.ClassDef) else ""
+            if isinstance(child, ast.Call) and isinstance(child.func, ast.Name) and child.func.id == "InputError" and child.args:
+                found.append((child.lineno, function, " ".join(told(child.args[0]).split())))
+            search(child, ".".join(filter(None, (function, inside))))
+
+    search(ast.parse(path.read_text(encoding="utf-8")), "")
+    return [(function, text) for _, function, text in sorted(found) if len(re.findall("[a-z]{2,}", text)) > 2]
+
+
+def messages() -> str:
+    """Returns the page of all messages, a section for each room."""
+    text = (
+        "# Messages\n\nA command that is given wrong input ends with exit code 2 and one of these lines. It says what was found "
+        "and what is allowed, and then what to do. `<name>` and `...` stand for what was found. A function of the library raises "
+        "the same text as an `InputError`.\n"
+    )
+    rooms: dict[str, list[tuple[str, str]]] = {}
+    for package in PACKAGES:
+        root = Path(inspect.getfile(package)).parent
+        for path in sorted(root.rglob("*.py")):
+            place = path.relative_to(root.parent)
+            room = ".".join(place.parent.parts) if len(place.parts) > 2 else place.with_suffix("").as_posix().replace("/", ".")
+            rooms.setdefault(room, []).extend(
+                (f"`{place.stem}.{function}`" if function else f"`{place.stem}`", said) for function, said in raised(path)
+            )
+    for room, rows in sorted(rooms.items()):
+        if rows:
+            parts = [(*said.rpartition("; ")[::2], at) if "; " in said else (said, "", at) for at, said in rows]
+            listed = table(
+                ("found, and allowed", "what to do", "arises in"), [(cell(one), cell(do), at) for one, do, at in parts]
+            )
+            text += f"\n## {room}\n\n{cell(first(importlib.import_module(room)))}\n\n{listed}"
+    return text
 
 
 # Logs, from one that is written now

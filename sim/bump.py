@@ -54,8 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for of_run in comparison.compared_lines(runs, passive):
                 lines += ["", *of_run]
         elif not options.brief:
-            lines += ["", *comparison.short_lines(runs)]
-        lines += ["", *standing_lines(standings, "MuJoCo, all of the run")]
+            lines += comparison.short_lines(runs)
+        lines += ["", *standing_lines(standings, comparison.table_note(runs, options, "MuJoCo, all of the run"))]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
@@ -65,7 +65,7 @@ def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:
     from models.common.printed import titled
 
     return titled(
-        f"{vehicle.kind.name} over a bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s"
+        f"{vehicle.kind.name} over a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s"
         f"{'' if road.track == 'both' else f', {road.track} wheels only'}; {options.duration:g} s at {options.timestep:g} s",
         vehicle.source,
     )

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.outputs import check_outputs
     from models.vehicle.vehicle import read_vehicle
     from sim.command import comparison
-    from sim.runs.report import half_step_object, run_object, summary_lines
+    from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
     from sim.runs.run import sample_times
     from sim.studies.ride import run_metrics
     from sim.studies.ride.metrics import DEFINITIONS
@@ -66,13 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lines += ["", *compared, ""]
                 lines += run_metrics.metric_lines(run, one, float(time[first]), options.duration, roughness)
         elif not options.brief:
-            lines += ["", *comparison.short_lines(runs)]
-            for run, one in zip(runs, measured, strict=True):
-                lines += run_metrics.angle_lines(run.controller.name, one)
-                lines += [f"{run.controller.name}: {line}" for line in run_metrics.broken_lines(run)]
+            lines += comparison.short_lines(runs)
+            lines += shared_lines([(run.controller.name, line) for run in runs for line in run_metrics.broken_lines(run)])
+            lines += run_metrics.angle_lines(runs, measured)
         if steps and not options.brief:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
-        lines += ["", *standing_lines(standings, f"MuJoCo, from {time[first]:.4g} s on")]
+        about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")
+        lines += ["", *standing_lines(standings, about)]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1

@@ -515,8 +515,8 @@ def test_angles_are_measured_and_printed(monkeypatch, capsys):
     assert run["static_angles"][PITCH] == pytest.approx(0.0, abs=1e-9)
     assert main(arguments) == 0
     brief = prose(capsys.readouterr().out)
-    assert f"pitch_angle_dive {metrics['pitch_angle_dive']['mujoco']:.3g}, " in brief
-    assert f"roll_angle {run['static_angles'][ROLL]:.3g} deg" in brief
+    angles = " ".join(f"{one['mujoco']:.3g}" for one in metrics.values())
+    assert f"angles [deg] pitch dive pitch squat pitch at end roll peak roll at end passive {angles} " in brief
     assert main([*arguments, "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert "the moment of the body's own weight as it turns is left out" in printed

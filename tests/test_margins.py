@@ -581,9 +581,9 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
 def _check_fragility(printed: str, fragile) -> None:
     """Checks that printed errors are those of --json, in percent."""
     stable, said = fragile["stable"], " ".join(printed.split())
-    (line,) = re.findall(r"^  bears up to, % +(\S+) +(\S+)", printed, re.M)
+    (line,) = re.findall(r"^  of readings(?: and forces)? +(\S+) +(\S+)", printed, re.M)
     assert [float(word) for word in line] == pytest.approx([100 * stable["found"], 100 * fragile["mujoco"]], rel=1e-5)
-    named = re.findall(r"(\w+) ([+-][\d.]+) %[,\s]", said[said.index("bears up to, %") : said.index("stable with each")])
+    named = re.findall(r"(\w+) ([+-][\d.]+) %[,\s]", said[said.index("bears errors up to, %") : said.index("stable with each")])
     assert {name: float(error) for name, error in named} == pytest.approx(
         {name: 100 * error for name, error in stable["readings"].items()}, rel=1e-3
     )

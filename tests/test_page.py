@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from models.figures.axis import Axis, axis_of
+from models.figures.direct_labels import direct_labels
 from models.figures.figure import OTHERS, STYLES, Bars, Classes, Curve, Figure, Panel, Shades, styles, thinned
 from models.figures.outputs import check_outputs
 from models.figures.page import (
@@ -515,3 +516,28 @@ def test_gains_are_matrices(designer):
     assert [row[:2] for row in table.rows] == [("heave velocity", "N·s/m"), ("pitch rate", "N·s/rad"), ("roll rate", "N·s/rad")]
     assert [[float(cell) for cell in row[2:]] for row in table.rows] == gain.T.tolist()
     assert gain_table(vehicle, designer.design("passive")) is None
+
+
+def test_lines_are_named_beside_them():
+    """A label is nearest to its own line, inside the axes; lines on each other share one, and what has no room has none."""
+    x = np.linspace(0, 300, 200)
+    wave = 30 * np.sin(x / 40)
+    heights = {"low": 60 + wave, "high": 150 + wave, "copy": 150.5 + wave, "near": 153.5 + wave}
+    curves = tuple(Curve(x, y, name) for name, y in heights.items())
+    for some, expected in (("low high", ["low", "high"]), ("low high copy", ["low", "high, copy"]), ("low", [])):
+        kept = tuple(one for one in curves if one.label in some.split())
+        panel = Panel("", "x", "y", kept)
+        labels = direct_labels(panel, [(one.x, one.y) for one in kept], (300.0, 220.0), lambda text: 7.0 * len(text), 11.0)
+        assert [label.text for label in labels] == expected
+        for label in labels:
+            half = 3.5 * len(label.text)
+            beside = (x >= label.x - half) & (x <= label.x + half)
+            apart = {name: float(np.min(np.abs(y[beside] - label.y))) for name, y in heights.items() if name in some.split()}
+            assert min(apart, key=apart.__getitem__) in label.text
+            assert half <= label.x <= 300 - half
+            assert 5.5 <= label.y <= 220 - 5.5
+            assert min(apart.values()) >= 5.5  # half the height of the letters: no line runs through them
+    both = Panel("", "x", "y", (curves[1], curves[3]))  # 3.5 apart: whose label it is could not be told from one side
+    named = direct_labels(both, [(one.x, one.y) for one in both.curves], (300.0, 220.0), lambda text: 7.0 * len(text), 11.0)
+    assert all(abs(np.interp(one.x, x, heights[one.text]) - one.y) < 11 for one in named)
+    assert '<text class="beside"' in svg(Panel("", "x", "y", curves[:2]), "p")

@@ -142,7 +142,7 @@ def test_table(capsys, never_lost, norms_once, rates):
     """The table of every controller and rate has JSON's numbers, and no controller beats the lower bound."""
     code, found = asked(capsys, *rates)
     assert code == 0
-    assert main(["--rates", *reversed(rates)]) == 0
+    assert main(["--rates", *reversed(rates), "-v"]) == 0
     printed = capsys.readouterr().out
     rows = {row["name"]: row for row in found["controllers"]}
     assert set(rows) == {"state", "I", "II", "state_printed", "I_printed", "II_printed"}  # but passive, which no rate changes

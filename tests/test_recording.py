@@ -316,13 +316,11 @@ def test_runs_of_one_name_are_refused(run: RunLog, tmp_path: Path) -> None:
 
 
 def test_opening_lines_can_be_pasted() -> None:
-    """The lines name all files, quoted where a shell needs it."""
+    """The lines name the files to open, quoted where a shell needs it."""
     paths = {"mcap": Path("my logs/x.mcap"), "layout": Path("my logs/x.layout.json"), "rerun": Path("logs/x.rrd")}
     assert opening_lines(paths) == [
         "  rerun logs/x.rrd",
-        "  for Foxglove and Lichtblick, with the layout beside it",
-        "    'my logs/x.mcap'",
-        "    'my logs/x.layout.json'",
+        "  'my logs/x.mcap'",
     ]
 
 

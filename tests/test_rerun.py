@@ -18,6 +18,7 @@ from sim.recording.rerun_contents import READ, listed
 from sim.recording.rerun_writer import (
     FURTHEST,
     LABELS,
+    LOW_MARGIN,
     MARGIN,
     SEEN,
     _comparison,
@@ -251,6 +252,13 @@ def test_axes_of_any_values_have_numbers() -> None:
         # A step's multiples are rounded to 16 digits of numbers 1e9 times as large.
         assert count(bottom, top, spacing(top - bottom)) >= LABELS or top - bottom == pytest.approx(tight, rel=1e-6)
         assert top - bottom <= FURTHEST * tight * (1 + 1e-6)
+
+
+def test_the_highest_difference_has_its_label():
+    """In the plot of differences, which is low, the outer labels stand a fifth of a step inside the border."""
+    bottom, top = labelled(-6.3e-7, 7.4e-7, LOW_MARGIN)
+    assert spacing(top - bottom) == pytest.approx(1e-6)
+    assert (bottom, top) == pytest.approx((-1.2e-6, 1.2e-6))
 
 
 def test_a_plot_says_how_far_its_curves_go(lifting: RunLog) -> None:

@@ -75,6 +75,7 @@ class Table:
         rows: cells as text; the first is the row's name.
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
         pivot: short form for reading, or None to show all columns that differ.
+        aside: True if the page folds it, however short it is.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     words: int = 1
     pivot: Pivot | None = None
+    aside: bool = False
 
     def __post_init__(self) -> None:
         if len(set(self.headings)) < len(self.headings):
@@ -97,9 +99,10 @@ class Table:
         ones: Iterable[T],
         words: int = 1,
         pivot: Pivot | None = None,
+        aside: bool = False,
     ) -> "Table":
         """Returns the table of some results, a row each."""
-        return cls(name, caption, titles(columns), cells(columns, ones), words, pivot)
+        return cls(name, caption, titles(columns), cells(columns, ones), words, pivot, aside)
 
     @property
     def reading(self) -> Reading:

@@ -9,12 +9,14 @@ import numpy as np
 from models.common.errors import InputError
 from models.common.files import whole_file
 from models.figures.axis import Axis
+from models.figures.direct_labels import direct_labels
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 from models.figures.reading import notation
 from models.figures.svg import Entry, legend
 
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end
+MARGIN = 60  # about what labels of axes and titles take of a panel [points]
 ROW = 0.4  # height of a bar and its name [inches]
 TITLE, HEAD, WORDS, NOTE = 11, 10, 9, 8  # font sizes [points]
 DASHES: dict[str, Any] = {
@@ -200,11 +202,34 @@ def _draw_panel(axis: Any, panel: Panel, width: float) -> None:
             middle = (left * right) ** 0.5 if panel.xlog else (left + right) / 2
             at = {"transform": axis.get_xaxis_transform(), "fontsize": NOTE, "ha": "center", "va": "bottom", "color": "0.35"}
             axis.text(middle, 0.02, _cut(name, width, NOTE), **at)
+    _write_labels(axis, panel)
     axis.set_title(_broken(panel.title, width, HEAD), fontsize=HEAD)
     axis.set_xlabel(panel.xlabel, fontsize=WORDS)
     axis.set_ylabel(panel.ylabel, fontsize=WORDS)
     if ground is None:
         axis.grid(which="major", color="0.88", linewidth=0.7)
+
+
+def _write_labels(axis: Any, panel: Panel) -> None:
+    """Writes the names of lines beside them."""
+    from matplotlib.patheffects import withStroke
+
+    width, height = (72 * inches - MARGIN for inches in axis.figure.get_size_inches() / _grid(axis))  # points, before the layout
+    inside, points = axis.transData + axis.transAxes.inverted(), []
+    for curve in panel.curves:
+        with np.errstate(all="ignore"):
+            at = inside.transform(np.column_stack([curve.x, curve.y]).astype(float))
+        points.append((width * at[:, 0], height * at[:, 1]))
+    halo = [withStroke(linewidth=2.5, foreground="white")]
+    for one in direct_labels(panel, points, (width, height), lambda text: 72 * _width(text, NOTE) + 2, NOTE + 1):
+        place: dict[str, Any] = {"transform": axis.transAxes, "fontsize": NOTE, "ha": "center", "va": "center"}
+        axis.text(one.x / width, one.y / height, one.text, path_effects=halo, zorder=4, **place)
+
+
+def _grid(axis: Any) -> tuple[int, int]:
+    """Returns the columns and rows of the figure of some axes."""
+    rows, columns = axis.get_subplotspec().get_gridspec().get_geometry()
+    return columns, rows
 
 
 def _label_decades(axis: Any, panel: Panel) -> None:

@@ -18,7 +18,7 @@ NOTHING = 1e-9  # of a column's largest number: less is rounding
 DIGITS = 3  # that a number keeps where a column has fixed decimals
 LONG = 28  # letters; a longer remark that stands in several rows becomes a footnote
 BLANK = "\u2004"  # about as wide as a mark
-MANY = 14  # rows; a longer table is folded
+MANY = 10  # rows; a longer table is folded
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.figures.axis import BAR, FINE, ROW, Area, Axis, area_of, line_path, nice_step
+from models.figures.direct_labels import direct_labels
 from models.figures.figure import Bars, Classes, Curve, Dash, Figure, Marker, Panel, Shades, Spans, bands
 
 LONG = 16  # letters; a line may break within longer names
@@ -220,7 +221,7 @@ def _color_bar(label: str, between: Sequence[float], colors: Sequence[str], area
     yield f'<text class="name" x="{left + 56:.5g}" y="18" text-anchor="end">{drawn_text(label)}</text>'
 
 
-WIDTH, HEIGHT = 420, 280
+WIDTH, HEIGHT = 420, 232
 WIDE = (600, 360)  # of a figure of one panel
 BARS = 260  # width of a panel of bars
 DASHES = {"solid": (), "dash": (6, 3), "dot": (1.8, 2.2), "dashdot": (7, 2, 2, 2), "longdash": (10, 3), "none": ()}
@@ -235,6 +236,7 @@ MARKERS = {
     "x": "m-300-300l600 600m0-600l-600 600",
     "+": "m0-450v900m-450-450h900",
 }
+SMALL, LETTERS = 0.9, 11.0  # width of the letters of a label beside a line, as a share of a bar's; their height [panel's units]
 TOLERANCE = 0.12  # how far a simplified line may be from all its points [panel's units]
 
 
@@ -318,6 +320,7 @@ def svg(panel: Panel, name: str, wide: bool = False) -> str:
         *(_line(curve, area) for curve in panel.curves if curve.dash != "none"),
         "</svg>",
         *(_markers(curve, area) for curve in panel.curves if curve.marker),
+        *_labels(panel, area),
     ]
     ends = {
         "area": [round(value, 2) for value in (area.left, area.top, area.width, area.height)],
@@ -360,6 +363,15 @@ def _axes(panel: Panel, area: Area, height: float) -> Iterator[str]:
     middle = left + area.width / 2
     yield f'<text class="name" x="{middle:.5g}" y="{height - 8:.5g}" text-anchor="middle">{drawn_text(panel.xlabel)}</text>'
     yield f'<text class="name" x="2" y="18">{drawn_text(panel.ylabel)}</text>'
+
+
+def _labels(panel: Panel, area: Area) -> Iterator[str]:
+    """Yields the names beside the lines."""
+    points = [(area.across(one.x) - area.left, area.down(one.y) - area.top) for one in panel.curves]
+    size = area.width, area.height
+    for one in direct_labels(panel, points, size, lambda text: SMALL * text_width(text), LETTERS):
+        at = f'x="{area.left + one.x:.5g}" y="{area.top + one.y + 0.35 * LETTERS:.5g}"'
+        yield f'<text class="beside" {at} text-anchor="middle">{drawn_text(one.text)}</text>'
 
 
 def _line(curve: Curve, area: Area) -> str:

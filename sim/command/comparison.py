@@ -17,6 +17,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.report import (
+    FEW,
     NO_CLAIM,
     NO_CLAIM_OF_SWITCHING,
     claims,
@@ -81,6 +82,9 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
 def _first(claims: Sequence[str]) -> str:
     """The first of some claims, and how many more there are."""
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
+
+
+LOGS = "logs, for Rerun, and for Foxglove and Lichtblick, with .layout.json beside it"
 
 
 class _NoPandas:
@@ -151,7 +155,7 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False) -> list[str]:
         return []
     from sim.recording.files import left_out_lines, opening_lines
 
-    return left_out_lines(paths) if brief else ["", "logs", *opening_lines(paths)]
+    return left_out_lines(paths) if brief else ["", LOGS, *opening_lines(paths)]
 
 
 def check_view(options: argparse.Namespace) -> None:
@@ -220,10 +224,15 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
 
 
 def short_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable."""
-    lines, without = [], {NO_CLAIM: [], NO_CLAIM_OF_SWITCHING: []}
+    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable.
+
+    Claims of more than `FEW` controllers are left to `-v`.
+    """
+    lines, without, few = [], {NO_CLAIM: [], NO_CLAIM_OF_SWITCHING: []}, len(runs) <= FEW
     for run in runs:
-        if (claim := claims(run.controller)) in without:
+        if not few:
+            pass
+        elif (claim := claims(run.controller)) in without:
             without[claim].append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
@@ -232,7 +241,14 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
         told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
         lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
-    return [*lines, "-v adds gains, every signal and how the verdict is reached"]
+    lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
+    return ["", *lines] if lines else []
+
+
+def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:
+    """Returns the note below the table of standings; it names `-v` where no line of a controller's claims stands above."""
+    short = len(runs) > FEW and not (options.verbose or options.brief)
+    return f"{about}; -v: norms, signals" if short else about
 
 
 def standings_of(

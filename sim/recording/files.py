@@ -96,8 +96,7 @@ def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """Returns the commands that open each file of a recording."""
     return [
         *([Whole(f"  rerun {pasted_path(paths['rerun'])}")] if "rerun" in paths else left_out_lines(paths)),
-        "  for Foxglove and Lichtblick, with the layout beside it",
-        *(Whole(f"    {pasted_path(paths[kind])}") for kind in ("mcap", "layout")),
+        Whole(f"  {pasted_path(paths['mcap'])}"),
     ]
 
 

@@ -53,6 +53,7 @@ CLOSEST = 7  # most steps between labels; with more, a plot of 190 pixels has on
 LABELS = 3  # number of labels needed to read a value
 FURTHEST = 1.6  # longest extended axis, over the range
 MARGIN = 0.04  # of the range, or of a step, so that no peak or label is on the border
+LOW_MARGIN = 0.2  # the same of the plot of differences, which is so low that its highest label would be cut
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
@@ -145,7 +146,7 @@ def _gap(run: RunLog, name: str, group: Sequence[Signal]) -> rrb.View:
         origin=entity(run.name, "difference", name),
         name=title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=value_axis(curves),
+        axis_y=value_axis(curves, LOW_MARGIN),
         plot_legend=rrb.PlotLegend(corner="RightTop"),
         background=rrb.archetypes.PlotBackground(color=PAPER, show_grid=False),
     )
@@ -263,12 +264,12 @@ def _scene_view(origin: str, name: str, box: tuple[Array, Array], aspect: float)
     )
 
 
-def value_axis(curves: Iterable[Array]) -> rrb.ScalarAxis | None:
+def value_axis(curves: Iterable[Array], margin: float = MARGIN) -> rrb.ScalarAxis | None:
     """Returns an axis for all finite values of some curves, or None, which leaves it to Rerun, if they have none."""
     ends = extremes(curves)
     if ends is None:
         return None
-    low, high = labelled(*ends)
+    low, high = labelled(*ends, margin)
     return rrb.ScalarAxis(range=(low, high)) if math.isfinite(high - low) else None
 
 
@@ -288,20 +289,26 @@ def extremes_text(curves: Iterable[Array]) -> str:
     return " to ".join(dict.fromkeys(f"{value if abs(value) > least else 0.0:.3g}" for value in limits))
 
 
-def labelled(low: float, high: float) -> tuple[float, float]:
-    """Returns the range with a margin, extended to the nearest labels if it has fewer than `LABELS` and they are near."""
+def labelled(low: float, high: float, margin: float = MARGIN) -> tuple[float, float]:
+    """Returns the range with a margin, extended to the nearest labels if it has fewer than `LABELS` and they are near.
+
+    Where there is room, no label is nearer to the border than the margin of a step.
+    """
     if high <= low:  # a constant curve, shown in the middle
         around = abs(low) or 1.0
         low, high = low - around, high + around
-    margin = MARGIN * (high - low)
-    low, high = low - margin, high + margin
+    around = margin * (high - low)
+    low, high = low - around, high + around
     step, tight = spacing(high - low), (low, high)
     if not 0 < step < math.inf:
         return tight
     while count(low, high, step) < LABELS:
-        below, above = step * (math.ceil(low / step) - 1 - MARGIN), step * (math.floor(high / step) + 1 + MARGIN)
+        below, above = step * (math.ceil(low / step) - 1 - margin), step * (math.floor(high / step) + 1 + margin)
         low, high = (below, high) if low - below < above - high else (low, above)
-    return (low, high) if high - low <= FURTHEST * (tight[1] - tight[0]) else tight
+    low, high = (low, high) if high - low <= FURTHEST * (tight[1] - tight[0]) else tight
+    below, above = min(low, step * (math.ceil(low / step) - margin)), max(high, step * (math.floor(high / step) + margin))
+    fits = count(low, high, step) >= LABELS and spacing(above - below) == step
+    return (below, above) if fits and above - below <= FURTHEST * (tight[1] - tight[0]) else (low, high)
 
 
 def spacing(span: float) -> float:

@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     from models.figures.outputs import check_outputs, written, written_lines
-    from models.figures.page import check_page
+    from models.figures.page import VERDICTS, check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
@@ -76,7 +76,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
         compared = standing_lines(result.compared, result.compared_on)
-        answer = [] if options.brief else ["", *result.page.answer]
+        page = result.page
+        said = page.answer if options.verbose else page.lead
+        answer = [] if options.brief else ["", *said, *([""] if said else []), VERDICTS[page.state]]
         say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *compared, *answer])
     return 0
 
@@ -202,6 +204,7 @@ def _parser() -> Parser:
     add_loads(parser, "also what this load does on a flat road")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every statement of the page, too")
     printed.add_argument("--brief", action="store_true", help="print only what is written and which controller is best at what")
     printed.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser

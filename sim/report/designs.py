@@ -302,7 +302,7 @@ def without_l(designer: Designer) -> Table:
         "motion as states, as in [33], and the road's height as w, (25) has a solution for I, whose gain grows without bound as "
         "the optimum is approached, and none for II."
     )
-    return Table.of("without-l", caption, columns, remark_4(designer))
+    return Table.of("without-l", caption, columns, remark_4(designer), aside=True)
 
 
 def other_ways(designer: Designer) -> Table:
@@ -318,4 +318,4 @@ def other_ways(designer: Designer) -> Table:
         "Remark 5: the two steps beside a genetic algorithm (differential evolution on the norm itself, every entry of the gain "
         f"from {-BOX:g} to {BOX:g}, seed {SEED}). The times are of one run on the machine that made this page."
     )
-    return Table.of("other-ways", caption, columns, remark_5(designer), words=2)
+    return Table.of("other-ways", caption, columns, remark_5(designer), words=2, aside=True)

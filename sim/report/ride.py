@@ -68,7 +68,8 @@ def ride_section(vehicle: Vehicle, rides: Sequence[Ride], style: Mapping[str, St
     )
     roads = tuple(_roughness_row(vehicle, name) for name in CLASSES)
     caption = f"How rough the roads are that were driven: their IRI, whoever drives, over their first {SPEED * WINDOW:g} m."
-    rough = Table("roads", caption, ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]"), roads)
+    headings = ("class", "tracks", "IRI, all of the class [m/km]", "IRI of those driven [m/km]")
+    rough = Table("roads", caption, headings, roads, aside=True)
     ordered = sorted(rides, key=lambda one: (one.road_class, one.metric))
     pivot = Pivot(("controller", "metric", "unit"), "class", ("MuJoCo",))
     caption = "Every metric of the ride in MuJoCo, class by class; below, what is predicted, and lift-off."

@@ -1,7 +1,8 @@
 """Runs in words and numbers: the table on the terminal, the object for `--json`, the text and events in the logs."""
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -73,6 +74,8 @@ NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
 LOST = "beyond its equations"
 NO_STATE = "a strut has no length left, or the body lies over"
 NOT_GEOMETRY = 0.01  # share of a difference; a sentence leaves out smaller parts
+FEW = 3  # controllers with a line of their own; from more on, the answer would not fit a terminal
+WHEN = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 MOST_FLIGHTS = 4  # flights of a run that are listed one by one
 
 
@@ -235,9 +238,29 @@ def verdict(run: Run) -> str:
 
 
 def summary_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns the verdict on every run, a line each."""
+    """Returns the verdict on every run, a line each; runs of more than `FEW` controllers with the same verdict share a line."""
     width = max(len(run.controller.name) for run in runs)
-    return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
+    if len(runs) <= FEW:
+        return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
+    return shared_lines([(run.controller.name, verdict(run)) for run in runs])
+
+
+def shared_lines(said: Iterable[tuple[str, str]]) -> list[str]:
+    """Returns what is said of several controllers; those of which the same is said share a line, with the span of its times.
+
+    Args:
+        said: names with what is said of each.
+    """
+    alike: dict[str, list[tuple[str, list[str]]]] = {}
+    for name, words in said:
+        alike.setdefault(WHEN.sub(r"\1 ... s", words), []).append((name, [when for _, when in WHEN.findall(words)]))
+    lines = []
+    for words, some in alike.items():
+        for times in zip(*(times for _, times in some), strict=True):
+            first, last = min(times, key=float), max(times, key=float)
+            words = words.replace("... s", f"{first} s" if first == last else f"{first} to {last} s", 1)
+        lines += wrapped(f"{', '.join(name for name, _ in some)}: {words}", hang=4)
+    return lines
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:

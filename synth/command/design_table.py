@@ -45,7 +45,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
-DETAILED = frozenset(("check", "cross_check", "fragility", "prove", "refine", "zero_l"))  # options that ask for details
+DETAILED = frozenset(("cross_check", "fragility", "prove", "refine", "zero_l"))  # options that ask for details
 MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
@@ -128,8 +128,13 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         else:
             lines = titled(vehicle.kind.name, vehicle.source)
             full = options.verbose or bool(options.given & DETAILED)
+            promised = any(row.controller is not None and row.controller.specifications for row in rows)
             for row in rows:
-                lines += ["", *detail_lines(row, vehicle)] if full else short_lines(row)
+                lines += (
+                    ["", *detail_lines(row, vehicle)]
+                    if full
+                    else short_lines(row, gains=not promised, checked=bool(options.check))
+                )
             at_pole = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
             lines += [*([""] if full else []), _limit(limit, at_pole)]
             if moved and full:
@@ -254,10 +259,7 @@ def _limit(limit: LowerBound, at_pole: bool) -> str:
             f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
             f"z's response to the road below {limit.gamma:.7g}"
         )
-    return (
-        f"limit: at {limit.limit_at:.5g} rad/s no control force changes z's response to the road, {limit.gamma:.7g} "
-        "(invariant point)"
-    )
+    return f"limit: {limit.gamma:.7g} at {limit.limit_at:.5g} rad/s, where no control changes z (invariant point)"
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:

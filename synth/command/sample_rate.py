@@ -15,8 +15,18 @@ from synth.controller.report import built_words
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.sample_rate.cost import SHORTEST, Cost, cost
-from synth.vehicle.sample_rate.report import about_lines, cost_lines, cost_object, drawn_periods, failures, rates_figure, sentence
+from synth.vehicle.sample_rate.report import (
+    about_lines,
+    cost_lines,
+    cost_object,
+    drawn_periods,
+    failures,
+    rates_figure,
+    sentence,
+    short_lines,
+)
 
+FEW = 2  # controllers with a table each; those of more would not fit a terminal
 MOST = 1000  # rates in one table
 
 
@@ -66,12 +76,18 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         print(json.dumps({"vehicle": vehicle.kind.name, "controllers": rows, **written(outputs)}, allow_nan=False))
     else:
         lag, lines = built_words(replace(vehicle, implementation=Implementation())), titled(vehicle.kind.name, vehicle.source)
-        for one in chosen:
+        whole = options.verbose or len(chosen) <= FEW
+        if not whole:
+            lines += ["", *short_lines(chosen)]
+        for one in chosen if whole else []:
             lines += ["", *cost_lines(one, lag)]
         for name, reason in undesigned.items():
             lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
-        lines += ["", *about_lines(chosen, lag), *written_lines(outputs), "", *(line for one in chosen for line in sentence(one))]
-        say([*lines, *(f"DOES NOT HOLD: {text}" for text in failed)])
+        about = ["", *about_lines(chosen, lag)] if whole else []
+        said = [line for one in chosen for line in sentence(one)] if whole else []
+        if not (whole or failed or undesigned):
+            said = [f"every claim holds, of {len(chosen)} controllers"]
+        say([*lines, *about, *written_lines(outputs), "", *said, *(f"DOES NOT HOLD: {text}" for text in failed)])
     return 1 if failed or undesigned else 0
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
@@ -184,16 +184,23 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
-def short_lines(row: Row) -> list[str]:
-    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it, and what fails."""
+def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
+    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it, and what fails.
+
+    Args:
+        gains: False to leave out the gains.
+        checked: True for a line on what was checked.
+    """
     if row.controller is None:
         return [f"{row.name} NOT DESIGNED: {failure}" for failure in row.failures]
     promises, gain = row.controller.specifications, law_lines(row.controller.law, f"{row.name}: gain ", "")
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
-        lines = wrapped(f"{promises[0].text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
+        first = replace(promises[0], where="")  # at which frequency, and of which vehicle, is told by `-v`
+        lines = wrapped(f"{first.text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
     else:
-        lines = gain if row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+        lines = gain if gains and row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+    lines += [f"{row.name}: {row.notes[-1]}"] if checked and row.notes else []
     return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
+from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
@@ -237,6 +237,9 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
 
 
+NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
+
+
 def broken_lines(run: Run) -> list[str]:
     """Returns a sentence on a run that broke off; empty for others."""
     if run.broke_off is None:
@@ -245,14 +248,22 @@ def broken_lines(run: Run) -> list[str]:
     return [f"no metrics of this run: {why} at {at:.4g} s; later samples are meaningless"]
 
 
-def angle_lines(controller: str, metrics: RunMetrics) -> list[str]:
-    """Returns the body's largest angles under loads in MuJoCo, and where the linear loop rests; empty without loads."""
-    angles = {name: one for name, one in metrics.metrics.items() if one.unit == "deg" and one.mujoco is not None}
-    if metrics.static is None or not angles:
+def angle_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
+    """Returns a table of the body's largest angles under loads in MuJoCo, a row for each run; empty without loads."""
+    angles = [
+        {name: one.mujoco for name, one in of_run.metrics.items() if one.unit == "deg" and one.mujoco is not None}
+        for of_run in measured
+        if of_run.static is not None
+    ]
+    names = max(angles, key=len, default={})
+    if not names:
         return []
-    said = ", ".join(f"{name} {one.mujoco:.3g}" for name, one in angles.items())
-    rests = ", ".join(f"{name} {value:.3g}" for name, value in metrics.static.items())
-    return wrapped(f"{said} deg{f'; at rest {rests} deg' if rests else ''}", f"{controller}: ", 4)
+    headings = [name.replace("_angle", "").replace("_", " ") for name in names]
+    rows = [
+        (run.controller.name, *(f"{of[name] if abs(of[name]) > NO_ANGLE else 0.0:.3g}" if of else "-" for name in names))
+        for run, of in zip(runs, angles, strict=False)
+    ]
+    return ["", *table([("angles [deg]", *headings), *rows])]
 
 
 def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:

@@ -172,6 +172,8 @@ def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
         about: the note: when is measured.
     """
     columns, legend = compared_columns(standings)
+    if not columns:
+        return ["no ride to compare: every run broke off"]
     rows = zip(["", "", *(one.controller for one in standings)], *map(_cells, columns), strict=True)
     return [*table(rows), f"  {legend}{about}"]
 

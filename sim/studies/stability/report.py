@@ -88,33 +88,35 @@ def margins_lines(
             brief += _brief_lines(name, one)
             continue
         lines += ["", *_loop_lines(_called(name, len(margins)), one, fixed)]
-        lines.append(_agreement(one.agrees))
-    lines += [*(["", f"{'gain, the others closed':{NAME + 2}}{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"] if brief else []), *brief]
-    lines += ["", *_fragile_lines(vehicle, controller, fragile, verbose), _agreement(fragile.agrees)]
+        lines += _agreement(one.agrees, verbose)
+    headings = ("gain", "MuJoCo", "delay, ms", "MuJoCo")
+    lines += ["", f"{'the others closed':{NAME + 2}}{''.join(f'{one:>{CELL}}' for one in headings)}", *brief] if brief else []
+    lines += ["", *_fragile_lines(vehicle, controller, fragile, verbose), *_agreement(fragile.agrees, verbose)]
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
-    lines += ["", f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g} at {at}"]
+    worst = f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g}"
+    lines += ["", f"{worst} at {at}"] if verbose else [f"{worst}; -v: at which, and more"]
     for corner in box.corners:
         if corner.agrees and corner.decays and not verbose:
             continue
         at = ", ".join(f"{name} {value:.6g}" for name, value in corner.parameters.items())
         physics = f"MuJoCo {'settles' if corner.decays else 'GROWS'}, {'agrees' if corner.agrees else 'DOES NOT AGREE'}"
         lines.append(f"  {at}: norm {corner.norm:.6g}; {physics}")
-    return lines if verbose else [*lines, "-v adds each loop, norms with errors, rounded numbers and each other vehicle"]
+    return lines
 
 
 def _brief_lines(name: str, one: LoopMargins) -> list[str]:
-    """Returns a loop's gain and delay in two lines."""
-    rows = [
-        (name, one.predicted.gain, one.gain.found, ""),
-        ("  delay, ms", 1e3 * one.predicted.delay, 1e3 * one.delay.unstable, ""),
-    ]
-    return _table("", rows)[1:]
+    """Returns a loop's gain and delay in a line."""
+    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.delay.unstable
+    return [f"  {name:{NAME + 2}}{''.join(map(_cell, numbers))[2:]}"]
 
 
-def _agreement(agrees: bool) -> str:
-    return "  agrees" if agrees else "  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"
+def _agreement(agrees: bool, verbose: bool) -> list[str]:
+    """Returns whether a part of the margins agrees; that it does is left to the verdict without `verbose`."""
+    if agrees:
+        return ["  agrees"] if verbose else []
+    return ["  DOES NOT AGREE; where the timestep is too coarse, give a smaller one"]
 
 
 def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityFound, verbose: bool) -> list[str]:
@@ -122,14 +124,15 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     predicted, edge, h = fragile.predicted, fragile.edge, fragile.timestep
     names = controller.measured, vehicle.linear_model.inputs
     worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
-    rows = [("bears up to, %", 100 * edge.own, 100 * edge.found, worst)]
+    told = verbose or len(worst) <= WIDTH - 6
+    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, worst if told else "")]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
     rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
     proved = proved_text(predicted)
     details = [f"  {proved}", f"  {rounded}"] if verbose else [f"  {proved.partition(';')[0]}"]
     for promise in controller.robustness:
         details += wrapped(promise.text, "  ", 4)
-    return [*_table(f"errors of {whose(predicted)}", rows), *details]
+    return [*_table("bears errors up to, %", rows), *details]
 
 
 def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None) -> str:
@@ -141,7 +144,7 @@ def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robus
         wrong.append("other vehicles")
     if wrong:
         return f"DOES NOT AGREE: {'; '.join(wrong)}"
-    others = f"; {len(box.corners)} other vehicles do what is predicted" if box is not None else ""
+    others = f", {len(box.corners)} other vehicles too" if box is not None else ""
     return f"agrees: the loop bears in MuJoCo what is predicted{others}"
 
 

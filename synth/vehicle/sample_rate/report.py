@@ -40,6 +40,27 @@ def cost_lines(one: Cost, lag: str = "") -> list[str]:
     return [*first, *table(rows), *_undesigned_lines(one)]
 
 
+def short_lines(costs: Sequence[Cost]) -> list[str]:
+    """Returns a row for each of many controllers: what the slowest cheap rate costs, and at which rates the loop is lost."""
+    designs = any(_has_designs(one) for one in costs)
+    headings = ("controller", "norm", "cheap at", "loses", "late", *("anew",) * designs, "lost at", "late")
+    rows: list[tuple[str, ...]] = [headings]
+    for one in costs:
+        at = _spoken(one)
+        norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
+        losses = [_cells(one, norm) if norm is not None else ("", "-") for norm in norms]
+        lost = [f"{1 / period:.3g} Hz" if math.isfinite(period) and period else "-" for period in (one.lost, one.lost_late)]
+        ideal = f"{one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
+        rows.append((one.controller.name, ideal, f"{1 / at.period:.4g} Hz", *(loss or norm for norm, loss in losses), *lost))
+    about = (
+        f"cheap at: the slowest of these rates that costs {percent(LITTLE)} or less at once, or else the fastest; "
+        f"late: the forces act {late(costs[0])}; {'anew: designed for the loop of that rate; ' if designs else ''}"
+        f"%: of the norm in continuous time; lost at: the highest rate at which the loop is unstable, -: none down to "
+        f"{1 / LONGEST_PERIOD:g} Hz; -v: every rate"
+    )
+    return [*table(rows), *wrapped(about, "  ", 2)]
+
+
 def _has_designs(one: Cost) -> bool:
     """Returns True if a design for any rate was made or tried."""
     return any(at.designed is not None or at.undesigned for at in one.rates)
