@@ -79,7 +79,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
     """The vehicle whose z is that of a norm."""
-    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={})
+    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
 def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> MeasuredPlant:
