@@ -153,6 +153,8 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         raise InputError(f"{where}: {error}") from error
     if choice.loads:
         raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
+    if road.jumps:
+        raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
         raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
     return road
