@@ -139,7 +139,9 @@ def test_even_times_are_no_other_road():
 @pytest.mark.parametrize("phase", [-90.0, 0.0, 33.0, 180.0])
 def test_a_sine_begins_at_its_phase(phase):
     """A sine begins at its start with the slope of its phase, from a flat road, and is a sine of that phase from then on."""
-    road = choose_road(f"sine:amplitude=0.03:frequency=2:phase={phase}:start=0.4").build(read_vehicle("quarter_car"), 10.0, 0, 1.0)
+    road = choose_road(f"sine:amplitude=0.03:frequency=2:phase={phase}:start=0.4").build(
+        read_vehicle("quarter_car"), 10.0, 0, 1.0
+    )
     t = np.array([0.0, 0.39, 0.4, 0.5, 1.7])
     angle = 4 * np.pi * (t - 0.4) + np.radians(phase)
     heights = np.where(t < 0.4, 0.0, 0.03 * (np.sin(angle) - np.sin(np.radians(phase))))

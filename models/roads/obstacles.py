@@ -9,7 +9,6 @@ from models.common.arrays import Array
 from models.roads.road import LIMITS, Bump, Road, ScaledRoad, check_numbers
 from models.roads.sinusoids import START, Sine, SineSweep
 
-
 AT_ONCE = 1e-9  # s: rounding of a time at a vertical edge
 
 
@@ -78,8 +77,7 @@ class WattsHump(Road):
 class Step(Road):
     """Kerb, up or down, rounded: half a period of a cosine; or vertical, which no tyre follows but formulas do.
 
-    A vertical edge is a jump of the height. In the linear response it is an impulse of the velocity, and MuJoCo has it between two
-    samples.
+    A vertical edge is a jump of the height: an impulse of its velocity in the linear response, between two samples in MuJoCo.
 
     Attributes:
         height: height, negative for a step down [m].

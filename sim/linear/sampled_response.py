@@ -236,7 +236,9 @@ def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T if model.Br.any() else pushed
 
-    forcing = _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time)
+    forcing = _forcing(
+        A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
+    )
     return forcing + _leaps(A, model.Bw, road_input) if road.jumps else forcing
 
 
@@ -305,7 +307,8 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        total += weight * push(start + s) @ linalg.expm(A * (h - s)).T
+        if (pushed := push(start + s)).any():
+            total += weight * pushed @ linalg.expm(A * (h - s)).T
     return total
 
 

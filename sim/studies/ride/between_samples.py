@@ -19,7 +19,6 @@ from sim.linear.forced_response import forced_continuous_response
 from sim.linear.sampled_response import continuous_response, jumps_under_wheels
 from sim.response.response import Response
 from sim.runs.run import Run
-from synth.controller.controller import Controller
 from synth.controller.open_loop import readings_of_road, with_lag
 
 DEGREE = 8  # of the polynomial of a step

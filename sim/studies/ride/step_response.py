@@ -126,9 +126,7 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
-def measure_step(
-    run: Run, percent: float = BAND, continuous: "Mapping[str, Pieces] | None" = None
-) -> dict[str, SignalSteps]:
+def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Pieces] | None" = None) -> dict[str, SignalSteps]:
     """Returns the metrics of every output signal that a step of the road moves.
 
     Args:
