@@ -80,7 +80,7 @@ def settled(loop: GeneralizedPlant, plant: GeneralizedPlant, lacking: Sequence[i
         lacking: states that are such integrals.
     """
     stay = np.setdiff1d(np.arange(len(loop.A)), lacking)
-    A, c, d = loop.A[np.ix_(stay, stay)], loop.A[np.ix_(lacking, stay)], loop.Bw[lacking]
+    A, c, d = loop.A[stay][:, stay], loop.A[lacking][:, stay], loop.Bw[lacking]
     others = beside_weights(plant, loop.A)  # weights' states stand behind the integrals
     if not is_stable(np.delete(np.delete(others, lacking, axis=0), lacking, axis=1)):
         return None

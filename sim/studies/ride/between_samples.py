@@ -222,8 +222,8 @@ def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
         row = row + model.D[i] @ G
     for at, wheel, height in jumps_under_wheels(run.road, vehicle):
         push = model.Bw[:, wheel]
-        if cut is not None and model.tyres_damp:
-            push = push + model.B @ readings_of_road(cut, run.controller)[:, wheel]
+        if loop is not None and cut is not None and model.tyres_damp:
+            push = push + model.B @ readings_of_road(cut, loop.controller)[:, wheel]
         k = int(np.argmin(np.abs(start - at)))
         if abs(start[k] - at) <= EARLY * length:
             leaps[k] += height * (row @ push + model.Cr[i, wheel])
