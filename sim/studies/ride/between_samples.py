@@ -212,14 +212,11 @@ def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
 
     Jumps within a piece are left out: its polynomial goes through the points on both sides.
     """
-    vehicle, loop = run.vehicle, run.prediction.loop
-    leaps, cut = np.zeros(len(start)), loop.continuous if loop is not None else None
-    model = cut.model if cut is not None else with_lag(vehicle)
-    row, i = model.C[model.outputs.index(name)], model.outputs.index(name)
-    G = np.zeros((0, len(model.A)))
-    if cut is not None:
-        G = cut.G
-        row = row + model.D[i] @ G
+    vehicle, loop, leaps = run.vehicle, run.prediction.loop, np.zeros(len(start))
+    cut = None if loop is None else loop.continuous
+    model = with_lag(vehicle) if cut is None else cut.model
+    i = model.outputs.index(name)
+    row = model.C[i] if cut is None else model.C[i] + model.D[i] @ cut.G
     for at, wheel, height in jumps_under_wheels(run.road, vehicle):
         push = model.Bw[:, wheel]
         if loop is not None and cut is not None and model.tyres_damp:
