@@ -96,7 +96,8 @@ class Step(Road):
 
     def __post_init__(self) -> None:
         check_numbers("step", self, {"height": LIMITS["height"], "speed": LIMITS["speed"], "start": START})
-        check_numbers("step", self, {"edge": LIMITS["length"] if self.edge else (0.0, 0.0)})
+        if not (isinstance(self.edge, float | int) and self.edge == 0):
+            check_numbers("step", self, {"edge": LIMITS["length"]})
 
     @property
     def rise(self) -> float:
