@@ -7,6 +7,7 @@ import pytest
 from scipy import linalg
 
 from models.common.errors import InputError
+from models.kinds.kind import HERE
 from models.roads.choice import choose_road
 from models.vehicle.filter import Filter
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -96,7 +97,7 @@ def test_norms_are_of_the_weighted_loop(car, name):
     assert controller.law.states == {"I": 1, "state": 1, "h2": 5, "full": 6, "lqr": 1, "given": 2, "passive": 0}[name]
 
 
-def test_lqr_of_a_bus(car):
+def test_lqr_of_a_bus():
     """Weights of sums and of an integral give the gain of a Riccati equation written out, in its own five states.
 
     The states are body height, its rate, deflection, a sum of rate and heights that no step of the road moves, and the
@@ -112,11 +113,17 @@ def test_lqr_of_a_bus(car):
     A[3] = [kt / mu, 0, -ks / ms - ks / mu - kt / mu, 0, 0]
     B = np.array([[0], [1 / ms], [0], [1 / ms + 1 / mu], [0]])
     K = B.T @ linalg.solve_continuous_are(A, B, np.diag([30e6, 80e6, 80e6, 20e6, 20e9]), [[0.01]]) / 0.01
-    law = designed(read_vehicle("models/gallery/control_lab/lqr.toml"), "lqr").law
+    law = designed(read_vehicle(HERE / "gallery" / "control_lab" / "lqr.toml"), "lqr").law
     z, rate, s, eta, integral = K[0]
     on_states = [z + s + eta * (a - c), z - eta * c, rate + eta, -eta]
     np.testing.assert_allclose(law.D[0], -np.array(on_states), rtol=1e-9)  # of two Riccati equations in other units
     np.testing.assert_allclose(law.C[0], [-integral], rtol=1e-9)
+    # The gallery drives it on the body's height over a flat road, z_s = s + z_u - z_r there, as the integral of z_s'.
+    driven = read_vehicle(HERE / "gallery" / "control_lab" / "car.toml").controllers["lqr"].law
+    assert driven is not None
+    (on_s, on_tyre, on_rate, on_stretch), (height, whole) = driven.D[0], driven.C[0]
+    np.testing.assert_allclose([on_s + height, on_tyre + height, on_rate + on_stretch, -on_stretch], law.D[0], rtol=1e-9)
+    np.testing.assert_allclose([whole], law.C[0], rtol=1e-9)
 
 
 def test_h2_estimates_no_integral(car):
