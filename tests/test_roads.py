@@ -136,6 +136,33 @@ def test_even_times_are_no_other_road():
             assert np.abs(even - plain).max() < 1e-11 * np.abs(plain).max()  # rounding of the phases of 10 230 lines
 
 
+@pytest.mark.parametrize("phase", [-90.0, 0.0, 33.0, 180.0])
+def test_a_sine_begins_at_its_phase(phase):
+    """A sine begins at its start with the slope of its phase, from a flat road, and is a sine of that phase from then on."""
+    road = choose_road(f"sine:amplitude=0.03:frequency=2:phase={phase}:start=0.4").build(
+        read_vehicle("quarter_car"), 10.0, 0, 1.0
+    )
+    t = np.array([0.0, 0.39, 0.4, 0.5, 1.7])
+    angle = 4 * np.pi * (t - 0.4) + np.radians(phase)
+    heights = np.where(t < 0.4, 0.0, 0.03 * (np.sin(angle) - np.sin(np.radians(phase))))
+    np.testing.assert_allclose(road.displacement(t), heights, atol=1e-16)
+    np.testing.assert_allclose(road.velocity(t), np.where(t < 0.4, 0.0, 0.12 * np.pi * np.cos(angle)), atol=1e-15)
+    assert described_road(json.loads(json.dumps(road.describe()))) == road
+
+
+def test_a_vertical_step():
+    """A step of no edge jumps at its start, is 0 there and left of it, and is said in logs; a step of old logs begins at once."""
+    road = choose_road("step:height=0.02:edge=0:start=0.3").build(read_vehicle("quarter_car"), 10.0, 0, 1.0)
+    assert isinstance(road, Step)
+    assert road.displacement(np.array([0.0, 0.3, 0.3 + 1e-6, 9.0])).tolist() == [0.0, 0.0, 0.02, 0.02]
+    assert road.jumps == ((0.3, 0.02),)
+    assert road.scaled(2.0).jumps == ScaledRoad(road, 2.0).jumps == ((0.3, 0.04),)
+    assert described_road(json.loads(json.dumps(road.describe()))) == road
+    assert described_road({"type": "step", "height": 0.02, "edge": 0.1, "speed": 5.0}) == Step(0.02, 0.1, 5.0)
+    with pytest.raises(InputError, match="step edge = 1e-05 is not allowed"):
+        Step(edge=1e-5)
+
+
 @pytest.mark.parametrize("road", ROADS, ids=lambda road: road.describe()["type"])
 @pytest.mark.parametrize("side", ["", "right"])
 def test_velocity_is_the_derivative(road, side):

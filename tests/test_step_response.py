@@ -14,7 +14,7 @@ from models.roads.obstacles import Step
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.drive import main
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.ride.between_samples import DEGREE, Pieces
+from sim.studies.ride.between_samples import DEGREE, Pieces, exact
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics
 from synth.vehicle.designer import Designer
 from tests.commands import prose
@@ -148,6 +148,55 @@ def own(vehicle, gain, signal):
         return float(rows[signal] @ (moves if t <= until else level) @ state(t))
 
     return value, slope
+
+
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car"])
+def test_a_vertical_edge(kind):
+    """A vertical edge leaves what an impulse of the road's velocity leaves, under every wheel when it comes there.
+
+    The continuous response is a sum of matrix exponentials, from the instant of each edge on; edges of 1 us come as near as their
+    duration; MuJoCo agrees with the sampled response to its own error, tyres that damp included.
+    """
+    vehicle = read_vehicle(kind)
+    damping = {one.name: 300.0 for one in vehicle.kind.parameters if one.name.startswith("tyre_damping")}
+    vehicle = vehicle.with_parameters(**damping)
+    start, height = 0.1, 0.004
+    road = Step(height=height, edge=0.0, speed=10.0, start=start)
+    (run,) = ran(vehicle, "passive", road=road, duration=0.6)
+    assert run.passed
+    model, time = vehicle.linear_model, np.arange(0.0, 0.6, 0.0137)
+    later = [start + wheel.behind(vehicle.parameters) / 10.0 for wheel in vehicle.kind.wheels]
+    states = np.zeros((len(time), len(model.A)))
+    for i, at in enumerate(later):
+        states += np.array([linalg.expm(model.A * max(t - at, 0.0)) @ model.Bw[:, i] * height * (t > at) for t in time])
+    far = np.ones(len(time), dtype=bool)
+    for at in later[1:]:  # within the step of 1 ms of a later edge a polynomial goes through both sides
+        far &= np.abs(time - at) > 2e-3
+    names = [name for name in model.outputs if not model.Dw[model.outputs.index(name)].any()]
+    between = exact(run, tuple(names))
+    for name in names:
+        i = model.outputs.index(name)
+        raised = np.stack([height * (time > at) for at in later], axis=-1)
+        expected = states @ model.C[i] + raised @ model.Cr[i]
+        assert between[name].at(time)[far] == pytest.approx(expected[far], abs=1e-9 * np.abs(expected).max()), name
+    quick = Step(height=height, edge=1e-3, speed=1e3, start=start) if kind == "quarter_car" else None
+    if quick is not None:
+        (near,) = ran(vehicle, "passive", road=quick, duration=0.6)
+        apart = np.abs(near.continuous["suspension_deflection"] - run.continuous["suspension_deflection"]).max()
+        assert 0 < apart < 1e-4 * run.continuous.peak("suspension_deflection")  # half of 1 us, at the wheel's own rate
+
+
+def test_a_step_that_begins_later():
+    """Metrics of a step count from its edge on, so that a run that begins earlier has the same to rounding."""
+    vehicle = read_vehicle("quarter_car")
+    metrics = []
+    for start in (0.0, 0.25):
+        (run,) = ran(vehicle, "I", road=Step(height=0.004, edge=0.08, speed=8.0, start=start), duration=1.0 + start)
+        metrics.append(measure_step(run, 5.0)["suspension_deflection"].continuous)
+    first, later = metrics
+    for key in ("peak", "peak_time", "overshoot", "iae", "itae", "settled"):
+        expected = getattr(first, key)
+        assert getattr(later, key) == (pytest.approx(expected, rel=1e-9) if key != "settled" else expected)
 
 
 def roots(function, grid):

@@ -161,6 +161,32 @@ class LinearModel:
         more = {name: np.vstack([getattr(self, name), more_rows]) for name, more_rows in rows.items()}
         return replace(self, outputs=(*self.outputs, *rates), **more) if rates else self
 
+    def with_integrals(self, integrals: Mapping[str, Mapping[str, float]]) -> "LinearModel":
+        """Returns the model with integrals of sums of output signals as further states, each an output of that name.
+
+        Args:
+            integrals: by the name of each, the factors of the signals in its sum; none of them contains the road's height.
+        """
+        if not integrals:
+            return self
+        k, n = len(integrals), len(self.A)
+        mix = np.array([[terms.get(name, 0.0) for name in self.outputs] for terms in integrals.values()])
+        Bw, states = mix @ self.Dw, np.zeros((n, k))
+        more = {name: np.zeros((k, getattr(self, name).shape[1])) for name in ("D", "Cr", "Dl", "Dw")}
+        return replace(
+            self,
+            A=np.block([[self.A, states], [mix @ self.C, np.zeros((k, k))]]),
+            B=np.vstack([self.B, mix @ self.D]),
+            Bw=np.vstack([self.Bw, Bw]),
+            Bt=np.vstack([self.Bt, Bw]),
+            Br=np.vstack([self.Br, mix @ self.Cr]),
+            Bl=np.vstack([self.Bl, mix @ self.Dl]),
+            C=np.block([[self.C, np.zeros((len(self.C), k))], [states.T, np.eye(k)]]),
+            states=(*self.states, *integrals),
+            outputs=(*self.outputs, *integrals),
+            **{name: np.vstack([getattr(self, name), rows]) for name, rows in more.items()},
+        )
+
     def behind_lag(self, bandwidth: float | None) -> "LinearModel":
         """Returns the model with lagging actuators: its inputs are the requested forces, the acting ones are states.
 

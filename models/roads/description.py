@@ -59,7 +59,8 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
     for name in description:
         if name not in (*allowed, "type", "factor"):
             raise InputError(f"road {kind}: it has no {quoted(name)}; known: {listing(allowed)}")
-    values = {name: _side(description) if name == "track" else _number(description, name) for name in allowed}
+    given = [name for name in allowed if name in description or name != "start"]  # of a step that begins at once it is not said
+    values = {name: _side(description) if name == "track" else _number(description, name) for name in given}
     road = OBSTACLES[kind](**values)
     return ScaledRoad(road, _number(description, "factor")) if "factor" in description else road
 

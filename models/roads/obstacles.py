@@ -7,7 +7,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.road import LIMITS, Bump, Road, ScaledRoad, check_numbers
-from models.roads.sinusoids import SineSweep
+from models.roads.sinusoids import START, Sine, SineSweep
+
+AT_ONCE = 1e-9  # s: rounding of a time at a vertical edge
 
 
 @dataclass(frozen=True)
@@ -73,12 +75,15 @@ class WattsHump(Road):
 
 @dataclass(frozen=True)
 class Step(Road):
-    """Kerb, up or down, rounded: half a period of a cosine. A vertical edge has no derivative, and no tyre follows one.
+    """Kerb, up or down, rounded: half a period of a cosine; or vertical, which no tyre follows but formulas do.
+
+    A vertical edge is a jump of the height: an impulse of its velocity in the linear response, between two samples in MuJoCo.
 
     Attributes:
         height: height, negative for a step down [m].
-        edge: length over which it rises [m].
+        edge: length over which it rises [m]; 0 for a vertical one.
         speed: V [m/s].
+        start: time at which the first wheel reaches the edge [s].
 
     Raises:
         InputError: a number beyond its limits.
@@ -87,31 +92,48 @@ class Step(Road):
     height: float = 0.05
     edge: float = 0.2
     speed: float = 8.0
+    start: float = 0.0
 
     def __post_init__(self) -> None:
-        check_numbers("step", self, {"height": LIMITS["height"], "edge": LIMITS["length"], "speed": LIMITS["speed"]})
+        check_numbers("step", self, {"height": LIMITS["height"], "speed": LIMITS["speed"], "start": START})
+        if not (isinstance(self.edge, float | int) and self.edge == 0):
+            check_numbers("step", self, {"edge": LIMITS["length"]})
 
     @property
-    def duration(self) -> float:
+    def rise(self) -> float:
         """Time of a wheel on the edge [s]."""
         return self.edge / self.speed
 
+    @property
+    def duration(self) -> float:
+        """Time until a wheel is past the edge [s]."""
+        return self.start + self.rise
+
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the edge, then the height, the same on both sides."""
-        return self.height / 2 * (1 - np.cos(np.pi * np.clip(t / self.duration, 0, 1)))
+        if not self.edge:
+            return np.where(np.asarray(t) > self.start + AT_ONCE, self.height, 0.0)
+        return self.height / 2 * (1 - np.cos(np.pi * np.clip((t - self.start) / self.rise, 0, 1)))
 
     def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the derivative."""
-        return self.height * np.pi / (2 * self.duration) * np.sin(np.pi * np.clip(t / self.duration, 0, 1))
+        """Returns the derivative, 0 beside a jump."""
+        if not self.edge:
+            return np.zeros(np.shape(t))
+        return self.height * np.pi / (2 * self.rise) * np.sin(np.pi * np.clip((t - self.start) / self.rise, 0, 1))
 
     @property
     def kinks(self) -> tuple[float, ...]:
         """Both ends of the edge."""
-        return (0.0, self.duration)
+        return (self.start, self.duration) if self.edge else (self.start,)
+
+    @property
+    def jumps(self) -> tuple[tuple[float, float], ...]:
+        """The edge, if it is vertical."""
+        return () if self.edge else ((self.start, self.height),)
 
     def describe(self) -> dict[str, float | str]:
-        """Height, edge, speed."""
-        return {"type": "step", **asdict(self)}
+        """Height, edge, speed, and the start unless it is 0."""
+        return {"type": "step", **{name: value for name, value in asdict(self).items() if name != "start" or value}}
 
     def scaled(self, factor: float) -> "Step":
         """Returns the step higher or lower."""
@@ -226,4 +248,5 @@ OBSTACLES: Mapping[str, type] = {
     "pothole": Pothole,
     "sweep": SineSweep,
     "flat": Flat,
+    "sine": Sine,
 }

@@ -89,6 +89,14 @@ class Road(ABC):
     def kinks(self) -> tuple[float, ...]:
         """Times [s] at which `velocity` or one of its derivatives jumps; a quadrature must not step across one."""
 
+    @property
+    def jumps(self) -> tuple[tuple[float, float], ...]:
+        """Times [s] at which the height jumps, and by how much [m]: to the left of a jump the road has its earlier height.
+
+        The velocity leaves them out. They are among the kinks.
+        """
+        return ()
+
     @abstractmethod
     def describe(self) -> dict[str, float | str]:
         """Returns its kind under `type`, then its numbers in SI units."""
@@ -114,7 +122,7 @@ class Road(ABC):
             InputError: it is over within two timesteps, lies under one side of a vehicle with one track, or is too low.
         """
         timestep = float(time[1])
-        if self.duration < 2 * timestep:
+        if self.duration < 2 * timestep and not self.jumps:
             raise InputError(
                 f"the road is over in {self.duration:.3g} s, less than two timesteps of {timestep:g} s, so physics would not see "
                 "it; give a longer one, less speed, or a smaller timestep"
@@ -131,13 +139,15 @@ class Road(ABC):
             )
 
 
-UNITS = {"height": "m", "depth": "m", "length": "m", "edge": "m", "amplitude": "m", "speed": "m/s", "duration": "s"}
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
 UNITS = dict.fromkeys(("height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
     "speed": "m/s",
     "lowest": "Hz",
     "highest": "Hz",
+    "frequency": "Hz",
+    "phase": "degrees",
     "duration": "s",
+    "start": "s",
 }
 
 
@@ -241,6 +251,11 @@ class DerivedRoad(Road):
         """Kinks of the road."""
         return self.road.kinks
 
+    @property
+    def jumps(self) -> tuple[tuple[float, float], ...]:
+        """Jumps of the road."""
+        return self.road.jumps
+
 
 @dataclass(frozen=True)
 class ScaledRoad(DerivedRoad):
@@ -251,6 +266,11 @@ class ScaledRoad(DerivedRoad):
     """
 
     factor: float
+
+    @property
+    def jumps(self) -> tuple[tuple[float, float], ...]:
+        """Jumps of the road, multiplied."""
+        return tuple((time, self.factor * height) for time, height in self.road.jumps)
 
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied height."""

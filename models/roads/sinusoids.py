@@ -1,4 +1,4 @@
-"""Roads of sinusoids: sums, a single one for the worst case, and a sweep with rising frequency."""
+"""Roads of sinusoids: sums, a single one, one for the worst case, and a sweep with rising frequency."""
 
 import math
 from dataclasses import asdict, dataclass, replace
@@ -10,6 +10,7 @@ from models.common.arrays import Array
 from models.roads.road import LIMITS, Road, check_numbers
 
 MOST_SINES = 200_000_000  # lines times samples
+START = (0.0, 1e4)  # s, when a road may begin
 BLOCK = 4_000_000  # sines that are evaluated at once; more only costs memory
 MULTISINES = ("multisine", "chirp", "random", "sinusoid")  # names in a log
 
@@ -118,6 +119,59 @@ def sinusoid(omega: float, speed: float) -> Multisine:
 
 def _white(omega: Array, phases: Array, speed: float, name: str) -> Multisine:
     return Multisine(tuple(omega.tolist()), tuple((1 / omega).tolist()), tuple(phases.tolist()), speed, name)
+
+
+@dataclass(frozen=True)
+class Sine(Road):
+    """Sine that begins at any phase, at its own height there; before, the road is flat.
+
+        z_r = amplitude (sin(2 pi frequency (t - start) + phase) - sin(phase)),    t >= start.
+
+    Attributes:
+        amplitude: [m].
+        frequency: [Hz].
+        phase: at the beginning [degrees].
+        speed: V [m/s]; it matters only for the delays of the rear wheels.
+        start: when the first wheel reaches it [s].
+
+    Raises:
+        InputError: a number beyond its limits.
+    """
+
+    amplitude: float = 0.02
+    frequency: float = 1.0
+    phase: float = 0.0
+    speed: float = 20.0
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = {"amplitude": LIMITS["height"], "frequency": (0.001, 100.0), "phase": (-360.0, 360.0), "speed": LIMITS["speed"]}
+        check_numbers("sine", self, {**limits, "start": START})
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Returns the sine, the same on both sides."""
+        begins = math.sin(math.radians(self.phase))
+        return np.where(t >= self.start, self.amplitude * (np.sin(self._angle(t)) - begins), 0.0)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Returns the exact derivative."""
+        return np.where(t >= self.start, self.amplitude * 2 * np.pi * self.frequency * np.cos(self._angle(t)), 0.0)
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """The beginning."""
+        return (self.start,)
+
+    def describe(self) -> dict[str, float | str]:
+        """Amplitude, frequency, phase, speed, start."""
+        return {"type": "sine", **asdict(self)}
+
+    def scaled(self, factor: float) -> "Sine":
+        """Returns the sine higher or lower."""
+        return replace(self, amplitude=self.amplitude * factor)
+
+    def _angle(self, t: Array) -> Array:
+        return 2 * np.pi * self.frequency * (np.asarray(t) - self.start) + math.radians(self.phase)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 A filter is a ratio of polynomials in s, stable and proper, or several in series. Its states are those of each in controllable
 form with its own unit of time: the coefficients are those of the vehicle file but for the rounding of a quotient.
 
+A weight may have one pole at 0, an integral: F(s) = r / s + F_0(s), with r its residue there and F_0 stable and proper.
+
 W_k and W_d of ISO 2631-1, for vertical and for horizontal vibration of seated or standing people, have constants of ISO 8041.
 With w_i = 2 pi f_i,
 
@@ -77,6 +79,7 @@ class Filter:
     Attributes:
         sections: numerator and denominator of each section in series, coefficients by falling powers of s.
         name: of a known filter; empty for one that is given by its coefficients.
+        integrates: True if its only section may have a pole at 0.
 
     Raises:
         InputError: a polynomial is wrong, too long or zero, or the filter is improper or unstable, or a pole or the gain is out
@@ -85,23 +88,62 @@ class Filter:
 
     sections: tuple[Section, ...]
     name: str = ""
+    integrates: bool = False
 
     def __post_init__(self) -> None:
         sections = tuple((_polynomial("numerator", above), _polynomial("denominator", below)) for above, below in self.sections)
         object.__setattr__(self, "sections", sections)
         for above, below in sections:
-            _check(above, below)
+            _check(above, below, self.integrates)
 
     def response(self, omega: Array) -> Array:
-        """Returns the frequency response, complex, shape like omega [rad/s]."""
-        s = 1j * np.asarray(omega, dtype=float)
-        return np.prod([np.polyval(above, s) / np.polyval(below, s) for above, below in self.sections], axis=0)
+        """Returns the frequency response, complex, shape like omega [rad/s]; 0 at a pole at 0, as an integral's mean is free."""
+        omega = np.asarray(omega, dtype=float)
+        free = (omega == 0) & bool(self.residue)
+        s = 1j * np.where(free, 1.0, omega)
+        found = np.prod([np.polyval(above, s) / np.polyval(below, s) for above, below in self.sections], axis=0)
+        return np.where(free, 0.0, found)
+
+    @functools.cached_property
+    def residue(self) -> float:
+        """The factor r of the integral in the filter; 0 if it has no pole at 0."""
+        (above, below), *_ = self.sections
+        return above[-1] / below[-2] if self.integrates and not below[-1] else 0.0
+
+    @functools.cached_property
+    def remainder(self) -> Realisation:
+        """States of the filter without its integral, F_0."""
+        return self._states(self._remaining)
+
+    @property
+    def without_integral(self) -> "Filter | None":
+        """The filter F_0, without the integral; None if nothing else is left."""
+        (above, _), *_ = sections = self._remaining
+        return Filter(sections, self.name) if any(above) else None
 
     @functools.cached_property
     def realisation(self) -> Realisation:
-        """States of all sections, one after another, in units that are powers of two."""
+        """States of all sections, one after another, in units that are powers of two; that of an integral is the last."""
+        if not self.residue:
+            return self._states(self.sections)
+        A, B, C, D = self.remainder
+        A = np.block([[A, np.zeros((len(A), 1))], [np.zeros((1, len(A) + 1))]])
+        return Realisation(A, np.vstack([B, [[1.0]]]), np.hstack([C, [[self.residue]]]), D)
+
+    @property
+    def _remaining(self) -> tuple[Section, ...]:
+        """The sections of F_0: (N - r D) / (s D) of N / (s D), whose numerator has no constant."""
+        if not self.residue:
+            return self.sections
+        (above, below), *_ = self.sections
+        rest = below[:-1]
+        wide = np.concatenate([np.zeros(len(rest) + 1 - len(above)), above])
+        left = wide - self.residue * np.concatenate([[0.0], rest])
+        return ((tuple(left[:-1].tolist()), rest),)
+
+    def _states(self, sections: tuple[Section, ...]) -> Realisation:
         A, B, C, D = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
-        for above, below in self.sections:
+        for above, below in sections:
             a, b, c, d = _controllable(above, below)
             A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
             B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
@@ -113,8 +155,11 @@ class Filter:
         return self.name or " ".join(f"({_text(above)}) / ({_text(below)})" for above, below in self.sections)
 
 
-def read_filter(where: str, given: Mapping[str, Any]) -> Filter:
+def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) -> Filter:
     """Reads a filter of a vehicle file: `filter = NAME`, or `numerator = [...]` and `denominator = [...]`.
+
+    Args:
+        integrates: True if it may have a pole at 0.
 
     Raises:
         InputError: the table is no filter.
@@ -135,7 +180,7 @@ def read_filter(where: str, given: Mapping[str, Any]) -> Filter:
         if not isinstance(given[key], list):
             raise InputError(f"{where} {key} = {quoted(given[key])} is no list; give its coefficients by falling powers of s")
     try:
-        return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),))
+        return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
     except InputError as error:
         raise InputError(f"{where} {error}") from error
 
@@ -160,15 +205,26 @@ def _polynomial(what: str, given: Sequence[Any]) -> tuple[float, ...]:
     return coefficients
 
 
-def _check(above: Sequence[float], below: Sequence[float]) -> None:
-    """Refuses a section that is improper or unstable, or has a pole or a gain out of range."""
+def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> None:
+    """Refuses a section that is improper or unstable, or has a pole or a gain out of range.
+
+    Args:
+        integrates: True if one pole may be 0.
+    """
     if len(above) > len(below):
         raise InputError(
             f"its numerator has degree {len(above) - 1} and its denominator {len(below) - 1}: it differentiates, without end at "
             "high frequencies; give a denominator of no lower degree"
         )
+    if integrates and not below[-1] and len(below) > 1:
+        if not above[-1]:
+            raise InputError("its pole at 0 is a zero, too; divide numerator and denominator by s")
+        below = below[:-1]
+        if not below[-1]:
+            raise InputError("it has two poles at 0, an integral of an integral; give one")
     if not _decays(below):
-        raise InputError("its denominator has a root that is not left of the imaginary axis: the filter is not stable")
+        advice = "; of poles on it a weight may have one at 0 rad/s, an integral" if integrates else ""
+        raise InputError(f"its denominator has a root that is not left of the imaginary axis: the filter is not stable{advice}")
     poles = np.abs(np.roots(below))
     beyond = [pole for pole in poles if not SLOWEST <= pole <= FASTEST]
     if beyond:

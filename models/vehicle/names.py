@@ -34,7 +34,7 @@ def _is_name(name: str) -> bool:
     return "L" in kinds and {*kinds} <= {"L", "-", "Mn", "Mc"} and kinds[0] not in ("Mn", "Mc") and not name.startswith("-")
 
 
-ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "rig")
+ROAD_KINDS = ("iso8608", "bump", "watts_hump", "step", "pothole", "sweep", "flat", "sine", "rig")
 CLASSES = "ABCDEFGH"  # of ISO 8608
 BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED = 0.1, 5.0, 12.5  # m, m, m/s: the paper's bump (62)
 ROAD_SYNTAX = (

@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import VehicleKind
+from models.kinds.kind import VehicleKind, is_number
 from models.laws import GOAL_KEYS
 
 if TYPE_CHECKING:
@@ -23,13 +24,73 @@ ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
 
 
+@dataclass(frozen=True)
+class WeightedSum:
+    """Row of z: a weight times a sum of signals, through a filter.
+
+    Attributes:
+        name: its name, or that of its only signal.
+        weight: above 0.
+        terms: factor of each signal.
+        filter: from the weighted sum to z; None for none.
+    """
+
+    name: str
+    weight: float
+    terms: Mapping[str, float]
+    filter: "Filter | None" = None
+
+    @property
+    def text(self) -> str:
+        """The sum in words."""
+        return " + ".join(f"{factor:g} {signal}" for signal, factor in self.terms.items()).replace("+ -", "- ")
+
+
+def read_sums(section: Mapping[str, Any], outputs: Sequence[str]) -> tuple[WeightedSum, ...]:
+    """Returns the sums of `[performance]` with a weight above 0, in their order: entries `NAME = { sum = { ... } }`.
+
+    Args:
+        outputs: the signals that can be summed.
+
+    Raises:
+        InputError: a name is that of a signal, a signal is unknown, or a factor, weight or filter is not allowed.
+    """
+    sums = []
+    for name, given in section.items():
+        where = f"[performance] {name}"
+        if not is_sum(given):
+            continue
+        if name in outputs or name == ROAD:
+            raise InputError(f"{where} is a {'signal' if name in outputs else 'filter'}, and no sum; give the sum another name")
+        terms, weight = given["sum"], given.get("weight", 1.0)
+        if not isinstance(terms, Mapping) or not terms or not all(is_number(one) and one for one in terms.values()):
+            raise InputError(
+                f"{where} sum = {quoted(terms)} is not allowed; give factors other than 0 by signal, as in sum = "
+                f"{{ {outputs[0]} = 1.0, {outputs[1]} = -1.0 }}"
+            )
+        if unknown := [signal for signal in terms if signal not in outputs]:
+            raise InputError(f"{where} sums the unknown signal {unknown[0]!r}; this vehicle has {listing(outputs)}")
+        check_weight(where, weight)
+        rest = {key: value for key, value in given.items() if key != "sum"}
+        shaped = _filter(where, rest, integrates=True) if rest.keys() - {"weight"} else None
+        if weight:
+            sums.append(WeightedSum(name, float(weight), {signal: float(one) for signal, one in terms.items()}, shaped))
+    return tuple(sums)
+
+
+def is_sum(given: Any) -> bool:
+    """Returns True if an entry of `[performance]` is a weighted sum of signals."""
+    return isinstance(given, Mapping) and "sum" in given
+
+
 def read_performance(
-    section: Mapping[str, Any], outputs: Sequence[str]
+    section: Mapping[str, Any], outputs: Sequence[str], sums: Sequence[WeightedSum] = ()
 ) -> "tuple[dict[str, float], dict[str, Filter], Filter | None]":
     """Returns the weights by signal, the filters of signals that have one, and the road's filter.
 
     Args:
         outputs: the signals that can be weighted.
+        sums: the section's weighted sums, which are read apart.
 
     Raises:
         InputError: a signal is unknown, a weight or filter is not allowed, or no weight is above 0.
@@ -37,36 +98,44 @@ def read_performance(
     weights, filters, road_filter = {}, {}, None
     for signal, given in section.items():
         where, weight = f"[performance] {signal}", given
+        if is_sum(given):
+            continue
         if signal == ROAD:
             if not isinstance(given, Mapping) or "weight" in given:
                 raise InputError(f"{where} = {quoted(given)} is no filter; give it a numerator and a denominator, and no weight")
-            road_filter = _filter(where, given)
+            road_filter = _filter(where, given, integrates=False)
             continue
         if signal not in outputs:
             raise InputError(
-                f"[performance] unknown signal {signal!r}; this vehicle has {listing(outputs)}; {ROAD!r} is the road's filter"
+                f"[performance] unknown signal {signal!r}; this vehicle has {listing(outputs)}; {ROAD!r} is the road's filter; "
+                "a sum of signals has a name of its own"
             )
         if isinstance(given, Mapping):
-            filters[signal], weight = _filter(where, given), given.get("weight", 1.0)
-        real = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-        if not real or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
-            raise InputError(
-                f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
-                'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
-            )
+            filters[signal], weight = _filter(where, given, integrates=True), given.get("weight", 1.0)
+        check_weight(where, weight)
         weights[signal] = float(weight)
-    if not any(weights.values()):
+    if not any(weights.values()) and not sums:
         raise InputError(f"[performance] weighs nothing; give at least one weight above 0 to: {listing(outputs)}")
     return weights, {signal: chosen for signal, chosen in filters.items() if weights[signal]}, road_filter
 
 
-def _filter(where: str, given: Mapping[str, Any]) -> "Filter":
+def check_weight(where: str, weight: Any) -> None:
+    """Refuses a weight that is neither 0 nor a number in range."""
+    real = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+    if not real or not (weight == 0 or SMALLEST_WEIGHT <= weight <= LARGEST_WEIGHT):
+        raise InputError(
+            f"{where} = {quoted(weight)} is not allowed; give 0 or a weight from {SMALLEST_WEIGHT:g} to {LARGEST_WEIGHT:g}, "
+            'or one with a filter, as in { weight = 1.0, filter = "iso2631_wk" }'
+        )
+
+
+def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
     from models.vehicle.filter import KEYS, read_filter
 
     for key in given:
         if key not in KEYS:
             raise InputError(f"{where} unknown key {key!r}; a weight with a filter has {listing(KEYS)}")
-    return read_filter(where, given)
+    return read_filter(where, given, integrates)
 
 
 def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:

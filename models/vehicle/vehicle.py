@@ -18,7 +18,16 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
-from models.vehicle.sections import curves_and_parameters, dampers_of, read_performance, read_sampled, road_files, whole_text
+from models.vehicle.sections import (
+    WeightedSum,
+    curves_and_parameters,
+    dampers_of,
+    read_performance,
+    read_sampled,
+    read_sums,
+    road_files,
+    whole_text,
+)
 
 if TYPE_CHECKING:
     from models.suspension.adjustable_dampers import Adjustable
@@ -78,6 +87,7 @@ class Vehicle(ShownVehicle):
         sampled: True if `state` and, by default, all controllers are designed for the sampled loop.
         curves: of dampers and springs, by the parameter that each replaces.
         dampers: adjustable dampers in place of actuators, by force.
+        sums: weighted sums of signals in z (34), after the signals.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -97,13 +107,15 @@ class Vehicle(ShownVehicle):
     sampled: bool = False
     curves: Mapping[str, "ForceCurve"] = field(default_factory=dict)
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
+    sums: tuple[WeightedSum, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
         for name in ("parameters", "performance", "controllers"):
             object.__setattr__(self, name, ReadOnly(getattr(self, name)))
         self.kind.check_each(self.parameters)
-        object.__setattr__(self, "kind", self.kind.naming(self.performance).carrying(self.parameters))
+        summed = (signal for one in self.sums for signal in one.terms)
+        object.__setattr__(self, "kind", self.kind.naming({*self.performance, *summed}).carrying(self.parameters))
         known = {signal.name for signal in self.kind.signals}
         for name, weight in self.performance.items():
             if name not in known or weight < 0:
@@ -207,10 +219,58 @@ class Vehicle(ShownVehicle):
     @property
     def filtered(self) -> bool:
         """True if a weight of z or of the road depends on frequency, which adds states to the design plant."""
-        return bool(self.filters) or self.road_filter is not None
+        return bool(self.filters) or self.road_filter is not None or any(one.filter is not None for one in self.sums)
+
+    @cached_property
+    def integrals(self) -> Mapping[str, Mapping[str, float]]:
+        """Integrals that z weighs, states of the design plant: the factors of the integrated signals, by name of the state."""
+        different: dict[str, Mapping[str, float]] = {}
+        for row in self.weighted:
+            if row.filter is not None and row.filter.residue and row.terms not in different.values():
+                different[f"integral_of_{row.name}"] = row.terms
+        return different
+
+    @property
+    def weighted(self) -> tuple[WeightedSum, ...]:
+        """Rows of z (34): every signal with a weight above 0, then the sums."""
+        signals = [
+            WeightedSum(name, weight, {name: 1.0}, self.filters.get(name))
+            for name, weight in self.performance.items()
+            if weight > 0
+        ]
+        return (*signals, *self.sums)
+
+    @property
+    def without_integrals(self) -> "Vehicle":
+        """The vehicle whose z has no integrals: of a filter with a pole at 0 the rest is left."""
+        if not self.integrals:
+            return self
+        rest = {name: one.without_integral for name, one in self.filters.items()}
+        weights = {name: 0.0 if rest.get(name, name) is None else weight for name, weight in self.performance.items()}
+        sums = [(one, one.filter and one.filter.without_integral) for one in self.sums]
+        return replace(
+            self,
+            performance=weights,
+            filters={name: one for name, one in rest.items() if one is not None},
+            sums=tuple(replace(one, filter=left) for one, left in sums if left is not None or one.filter is None),
+        )
+
+    def summed(self, values: Array, axis: int = -1) -> Array:
+        """Returns the output signals and, after them, the sums in z without their weights.
+
+        Args:
+            values: with the p output signals along an axis.
+            axis: the axis.
+        """
+        if not self.sums:
+            return values
+        outputs = self.linear_model.outputs
+        mix = np.array([[one.terms.get(name, 0.0) for name in outputs] for one in self.sums])
+        more = np.moveaxis(np.moveaxis(values, axis, -1) @ mix.T, -1, axis)
+        return np.concatenate([values, more], axis=axis)
 
     def weights(self, omega: Array) -> Array:
-        """Returns the weight of every output signal in the controlled output z (34) by frequency, complex, shape (F, p).
+        """Returns the weight of every output signal and sum in the controlled output z (34) by frequency, complex, shape (F, p).
 
         Args:
             omega: angular frequencies [rad/s], shape (F,).
@@ -220,7 +280,8 @@ class Vehicle(ShownVehicle):
             [
                 self.performance.get(name, 0.0) * (self.filters[name].response(omega) if name in self.filters else ones)
                 for name in self.linear_model.outputs
-            ],
+            ]
+            + [one.weight * (ones if one.filter is None else one.filter.response(omega)) for one in self.sums],
             axis=-1,
         )
 
@@ -275,7 +336,8 @@ class Vehicle(ShownVehicle):
             InputError: they are no vehicle together, or do not go with its curves, dampers or filters.
         """
         parameters = self.kind.check(self.parameters)
-        performance, filters, road_filter = read_performance(self.performance, self.kind.whole_model(parameters).outputs)
+        outputs = self.kind.whole_model(parameters).outputs
+        performance, filters, road_filter = read_performance(self.performance, outputs, self.sums)
         sound = replace(self, kind=self.kind.naming(performance), parameters=parameters)
         _ = sound.adjustable  # these parameters, too, must go with its dampers
         filters = {signal: kept for signal, kept in {**self.filters, **filters}.items() if performance.get(signal)}
@@ -298,6 +360,10 @@ class Vehicle(ShownVehicle):
     def check_entry(self, entry: ControllerEntry) -> None:
         """Refuses a controller with another sample period than the implementation's, or a signal without a sensor."""
         check_period(entry.name, entry.law.sample_period if entry.law is not None else None, self.implementation)
+        if self.integrals:
+            from models.vehicle.integrals import check_integrals
+
+            check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
         if self.dampers:
             from models.suspension.adjustable_dampers import check_measured
 
@@ -398,10 +464,12 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     dampers, adjusted = dampers_of(data, vehicle_kind, limits, parameters, curves)
     endings = {part.force: part.ending for part in adjusted}
     controllers = read_controllers(section, model, limits, implementation, vehicle_kind, folder, sampled, endings)
-    performance, filters, road_filter = read_performance(data["performance"], model.outputs)
+    sums = read_sums(data["performance"], model.outputs)
+    performance, filters, road_filter = read_performance(data["performance"], model.outputs, sums)
     named = {signal for entry in controllers.values() for signal in entry.named}
     bent = {*curves, *(force for force, part in dampers.items() if part.pair is not None)}
     named |= {part.velocity.name for part in vehicle_kind.suspensions if {part.stiffness, part.damping, part.force} & bent}
+    named |= {signal for one in sums for signal in one.terms}
     measured = vehicle_kind.naming(named.union(performance, implementation.noise, implementation.quantisation))
     vehicle = Vehicle(
         kind=replace(measured, signals=(*measured.signals, *of_dampers([part.ending for part in adjusted]))),
@@ -417,6 +485,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         sampled=sampled,
         curves=curves,
         dampers=dampers,
+        sums=sums,
     )
     for entry in controllers.values():
         vehicle.check_entry(entry)

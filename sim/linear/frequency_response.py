@@ -292,7 +292,9 @@ def sinusoid_gains(vehicle: Vehicle, response: Array, omega: Array, speed: float
         speed: forward velocity [m/s].
     """
     wheel_roads = as_met(vehicle, omega, speed)
-    z = vehicle.weights(omega) * np.einsum("fpr,fr->fp", response, vehicle.road_shape(omega)[:, None] * wheel_roads)
+    z = vehicle.weights(omega) * vehicle.summed(
+        np.einsum("fpr,fr->fp", response, vehicle.road_shape(omega)[:, None] * wheel_roads)
+    )
     return np.linalg.norm(z, axis=1) / np.linalg.norm(wheel_roads, axis=1)
 
 

@@ -38,7 +38,7 @@ from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import kept_signals
 from models.laws.linear import LinearLaw
-from models.roads.road import RoadInput, delays, under_wheels
+from models.roads.road import Road, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
@@ -205,7 +205,8 @@ def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
         of_loads = model.Bh + model.B @ through_readings
         if model.tyres_damp:  # `road_forcing` has what the road's velocity does by itself
             of_loads[:, len(model.loads) :] -= model.Bt
-        forcing += load_forcing(A, of_loads, road)
+        if road.loaded or of_loads[:, len(model.loads) :].any():
+            forcing += load_forcing(A, of_loads, road)
     states = recursion(linalg.expm(A * loop.timestep), forcing)
     inputs = states @ G.T
     if loads is not None and through_readings is not None:
@@ -235,7 +236,10 @@ def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
         return pushed + under_wheels(road.displacement, road, vehicle, t) @ model.Br.T if model.Br.any() else pushed
 
-    return _forcing(A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time)
+    forcing = _forcing(
+        A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
+    )
+    return forcing + _leaps(A, model.Bw, road_input) if road.jumps else forcing
 
 
 def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
@@ -249,7 +253,31 @@ def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
     kinks = list(road.load_kinks)
     if Bh[:, count:].any():
         kinks += [kink + delay for kink in road.kinks for delay in delays(road, vehicle)]
-    return _forcing(A, push, np.array(kinks), road_input.time)
+    forcing = _forcing(A, push, np.array(kinks), road_input.time)
+    return forcing + _leaps(A, Bh[:, count:], road_input) if road.jumps and Bh[:, count:].any() else forcing
+
+
+def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, float]]:
+    """Returns the jumps of a road's height: time [s], wheel by index, and how far [m]."""
+    later = enumerate(delays(road, vehicle))
+    return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
+
+
+def _leaps(A: Array, Bw: Array, road_input: RoadInput) -> Array:
+    """Returns the contribution of jumps of the road's height, as impulses of its velocity through Bw, to the step that has them.
+
+    One at a sample belongs to the step from there.
+    """
+    time, h = road_input.time, road_input.timestep
+    leaps = np.zeros((len(time), len(A)))
+    for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
+        k = math.floor((at - time[0]) / h * (1 + SAME_TIME))
+        if 0 <= k < len(time):
+            leaps[k] += height * linalg.expm(A * max(time[k] + h - at, 0.0)) @ Bw[:, wheel]
+    return leaps
+
+
+SAME_TIME = 1e-12  # relative rounding of a time over the timestep
 
 
 def outside_at_samples(road: RoadInput) -> Array:
@@ -279,7 +307,8 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
     nodes, weights = np.polynomial.legendre.leggauss(8)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
-        total += weight * push(start + s) @ linalg.expm(A * (h - s)).T
+        if (pushed := push(start + s)).any():
+            total += weight * pushed @ linalg.expm(A * (h - s)).T
     return total
 
 

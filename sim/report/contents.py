@@ -221,7 +221,8 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     rows["seeds"] = "; ".join(seeds) or "none: nothing is random"
     settings = [(name, f"{value:g}") for name, value in vehicle.parameters.items()]
     settings += [(f"weight of {name}", f"{value:g}") for name, value in vehicle.performance.items()]
-    settings += [(f"filter of {name}", one.words) for name, one in vehicle.filters.items()]
+    settings += [(f"weight of {one.name}", f"{one.weight:g} of {one.text}") for one in vehicle.sums]
+    settings += [(f"filter of {one.name}", one.filter.words) for one in vehicle.weighted if one.filter is not None]
     settings += [("filter of the road", vehicle.road_filter.words)] if vehicle.road_filter is not None else []
     settings += [(f"[limits] {name}", text) for name, text in vehicle.limits.written.items()] or [("[limits]", "none")]
     built = {"sample_period": how.sample_period, "delay": how.delay or None}

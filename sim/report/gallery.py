@@ -12,7 +12,7 @@ from models.figures.page import Page, Section, Table
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run
 from sim.studies.gallery.entries import Entry, PrintedNumber
-from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of
+from sim.studies.gallery.numbers import OF_A_RUN, ComparedNumber, designer_of, driven, linear_of, run_key
 from sim.studies.gallery.summary import BRACKETS, Result, columns, counts, last_lines, reasons
 from synth.analysis.norm import largest_singular_values, transfer_matrix
 
@@ -79,7 +79,8 @@ def _panel(entry: Entry, numbers: Sequence[ComparedNumber], one: PrintedNumber) 
     """Returns the response that a number is of; None if it is of none."""
     designer = designer_of(entry, one)
     if one.what in OF_A_RUN:
-        same = [each.printed for each in numbers if (each.printed.signal, each.printed.road) == (one.signal, one.road)]
+        same = [each.printed for each in numbers if run_key(designer, each.printed) == run_key(designer, one)]
+        same = [each for each in same if each.signal == one.signal]
         return _over_time(driven(designer, one), [each for each in same if each.what == "peak"], one)
     if one.what == "ratio":
         hertz = np.geomspace(one.hertz / BAND, one.hertz * BAND, ABOUT)
@@ -110,7 +111,7 @@ def _over_time(run: Run, peaks: Sequence[PrintedNumber], one: PrintedNumber) -> 
     curves.append(Curve(time[marks], physics[marks], "MuJoCo", VERMILLION, "none", "o", name="MuJoCo"))
     curves += [_level(time, side * peak.value) for peak in peaks]
     for peak in peaks:
-        if peak.grid:
+        if peak.grid and time[-1] <= POINTS * peak.grid:
             seen = np.arange(0, time[-1], peak.grid)
             values = np.interp(seen, time, exact)
             curves.append(Curve(seen, values, "the source's grid", BLACK, "none", "x", name="the source's grid"))

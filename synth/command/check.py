@@ -61,8 +61,8 @@ def proved(designer: Designer, controller: Controller) -> tuple[Controller, tupl
     certificate = controller.certificate
     if certificate.bound is not None or not certificate.stable or not controller.measured:
         return controller, ()
-    posed = designer.problem(controller.measured, controller.hardware)
-    certified = certify_tightly(*posed.closed_loop(controller.law), certificate.below, posed.plant)
+    judged = designer.problem(controller.measured, controller.hardware).judged(controller.law)
+    certified = certify_tightly(judged.plant, judged.G, certificate.below, judged.by_itself)
     if certified.bound is None:
         return controller, (UNPROVED,)
     return replace(controller, certificate=certified), ("its law is given; its bound is proved here",)

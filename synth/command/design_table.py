@@ -234,8 +234,11 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:
     """Returns, by state, the largest gain on it and how far that gain may fall and rise for FLAT of gamma; None for any distance.
 
-    The gain is the state feedback of the table if it has one, or the designed one, which need not be the end of its path.
+    The gain is the state feedback of the table if it has one, or the designed one, which need not be the end of its path. Nothing
+    is said of one with an integral, which is more than a gain.
     """
+    if designer.vehicle.integrals:
+        return {}
     shown = [row.controller for row in rows if row.name == "state" and row.controller is not None]
     try:
         K = (shown or [designer.design("state")])[0].gain

@@ -41,7 +41,7 @@ def fragility_report(vehicle: Vehicle, controller: Controller | None) -> Fragili
     """Computes the fragility of a controller. Returns None without a controller, a gain or a stable loop."""
     if controller is None or not controller.law.acts or not controller.certificate.stable:
         return None
-    posed = controller.problem(vehicle)
+    posed = controller.problem(vehicle.without_integrals)
     borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
     forces = tuple(vehicle.linear_model.inputs)
     return FragilityReport(borne, rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)

@@ -183,7 +183,7 @@ class Controller(Checked, Shown):
         Raises:
             InputError: that loop has no solution, or a discrete law has no continuous counterpart.
         """
-        return self.law.continuous().fed_back(self.problem(vehicle).feedthrough)
+        return self.law.continuous().fed_back(self.problem(vehicle).feedthrough[: len(self.measured)])
 
     def loop(self, vehicle: Vehicle) -> GeneralizedPlant:
         """Returns the closed loop (16)-(17) with a vehicle that has these signals, from w to z."""
@@ -258,8 +258,10 @@ def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, 
 
     law, record = _law(entry), entry.certificate or {}
     try:
-        X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, law.states, posed.Dyw)
-        certificate = certify(*posed.closed_loop(law), X, eta, lower_bound, by_itself=posed.plant)
+        judged = posed.judged(law)
+        of_law = len(judged.plant.A) - len(posed.plant.A)
+        X, eta, lower_bound = read_proof(record, posed.plant, posed.Cy, of_law, posed.Dyw)
+        certificate = certify(judged.plant, judged.G, X, eta, lower_bound, by_itself=judged.by_itself)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     return certificate, (*certificate.failures, *false_claims(record, certificate))
@@ -272,7 +274,8 @@ def certify_law(posed: Problem, entry: ControllerEntry, lower_bound: LowerBound)
         InputError: the law has no loop.
     """
     try:
-        certificate = certify(*posed.closed_loop(_law(entry)), lower_bound=lower_bound, by_itself=posed.plant)
+        judged = posed.judged(_law(entry))
+        certificate = certify(judged.plant, judged.G, lower_bound=lower_bound, by_itself=judged.by_itself)
     except InputError as error:
         raise InputError(f"[controllers.{entry.name}] {error}") from error
     wrong: tuple[str, ...] = ()
@@ -292,7 +295,8 @@ def _law(entry: ControllerEntry) -> LinearLaw:
 def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
     """Returns a law designed on C_y x as a law on sensor readings, of which accelerations contain the force.
 
-    Measured forces are subtracted from the readings; for others the law is changed, so that the loop stays the same.
+    Measured forces are subtracted from the readings; for others the law is changed, so that the loop stays the same. Integrals
+    of readings become states of the law.
 
     Args:
         law: on the measured signals that depend on the state.
@@ -311,4 +315,4 @@ def on_readings(law: LinearLaw, posed: Problem) -> LinearLaw:
         of_force = through[others, force]
         B[:, i], D[:, i] = -law.B @ of_force, -law.D @ of_force
         unknown[:, force] = 0.0
-    return LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown)
+    return posed.on_readings(LinearLaw(law.A, B, law.C, D, law.sample_period).fed_back(-unknown))

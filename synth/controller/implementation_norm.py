@@ -2,7 +2,8 @@
 
 It is the continuous norm (18) of the loop with `[implementation]` and the lag of `[limits]`: the force is held and delayed, while
 road and vehicle move continuously. Nonlinear parts (limits of force and stroke, quantisation) do not count. Noise of the readings
-counts if the controller asks for it. Behind a lag, z weights the acting force.
+counts if the controller asks for it. Behind a lag, z weights the acting force. An integral in z does not count: a computer sums
+its readings, and only that sum returns to zero.
 """
 
 import math
@@ -110,7 +111,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
             f"controller {entry.name!r} is designed for the loop that a computer closes, and {pushed[0]!r} jumps with the road's "
             "velocity, by the damping of the tyre, of which no energy bounds a sample; leave out the signal, or tyre_damping"
         )
-    Cy, through = measurements(vehicle, entry.measured, vehicle.limits.actuator_bandwidth)
+    Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
     return SampledDataProblem(plant_as_built(vehicle), Cy, through, hold_intervals(how.sample_period, how.delay), rms)
 
@@ -135,9 +136,9 @@ def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, 
 
 def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
     """Returns the limit of the norm for fast sampling: that of the loop with its actuators' lag, and the road alone."""
-    if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None:
+    if controller.hardware == NOMINAL and vehicle.limits.actuator_bandwidth is None and not vehicle.integrals:
         return controller.certificate.norm.value
-    Cy, through = measurements(vehicle, controller.measured, vehicle.limits.actuator_bandwidth)
+    Cy, through = measurements(vehicle.without_integrals, controller.measured, vehicle.limits.actuator_bandwidth)
     plant, model = plant_as_built(vehicle), vehicle.linear_model
     felt = model.Dw[[model.outputs.index(name) for name in controller.measured]]
     Dyw = np.hstack([felt, np.zeros((len(felt), plant.Bw.shape[1] - felt.shape[1]))]) if felt.any() else None
@@ -147,4 +148,4 @@ def norm_in_continuous_time(vehicle: Vehicle, controller: Controller) -> float:
 
 def plant_as_built(vehicle: Vehicle) -> GeneralizedPlant:
     """Returns the plant (15) behind its actuators' lag, if they have one; z weights the acting forces."""
-    return generalized_plant(vehicle, vehicle.limits.actuator_bandwidth, acting=True)
+    return generalized_plant(vehicle.without_integrals, vehicle.limits.actuator_bandwidth, acting=True)

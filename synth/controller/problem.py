@@ -2,6 +2,9 @@
 
 The plant is the linear model with the weighted signals of `[performance]` as z. A controller may add the noise of its sensors and
 loads on the body, which are disturbances beside the road, and its actuators' lag, whose states join the vehicle's.
+
+An integral that z weighs is a state of the plant, and measured by whoever measures what it is of: a law integrates its readings
+as the plant does. So the first states of such a law are those of the plant, and its loop has them once (`integral_action.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,6 +27,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class JudgedLoop:
+    """Loop of a law, as a gain on a larger plant.
+
+    Attributes:
+        plant: with the law's states, but for those that are states of the plant itself.
+        G: gain on it.
+        by_itself: the plant without the law's states.
+        states: names of its states.
+        law_states: number of the law's states behind them.
+    """
+
+    plant: GeneralizedPlant
+    G: Feedback
+    by_itself: GeneralizedPlant
+    states: tuple[str, ...]
+    law_states: int
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """The plant and measurements that a controller is designed for and judged with: y = C_y x + `feedthrough` u + Dyw w.
 
@@ -33,6 +55,11 @@ class Problem:
         feedthrough: feedthrough from the forces to the measurements, shape (q, m).
         Dyw: shape (q, r); None without noise and without loads in the measurements.
         forces: input by index of each measurement that is a force without lag, and so independent of the state.
+        integrated: factors of the readings in each integral that is measured with them, shape (j, q - j); the integrals are the
+            last j measurements. None for j = 0.
+        integrals: states of the plant that are integrals, by index.
+        measured_integrals: those that are measured, in the order of `integrated`.
+        states: names of the plant's states.
     """
 
     plant: GeneralizedPlant
@@ -40,6 +67,10 @@ class Problem:
     feedthrough: Array
     Dyw: Array | None = None
     forces: Mapping[int, int] = field(default_factory=dict)
+    integrated: Array | None = None
+    integrals: tuple[int, ...] = ()
+    measured_integrals: tuple[int, ...] = ()
+    states: tuple[str, ...] = ()
 
     @property
     def state_measurements(self) -> list[int]:
@@ -56,7 +87,43 @@ class Problem:
         Raises:
             InputError: the loop through the measurements has no solution, or the law no counterpart.
         """
-        return on_larger_plant(self.plant, self.Cy, law.continuous().fed_back(self.feedthrough), self.Dyw)
+        judged = self.judged(law)
+        return judged.plant, judged.G
+
+    def on_readings(self, law: LinearLaw) -> LinearLaw:
+        """Returns the law on the readings of one on them and the measured integrals, which become its first states."""
+        if self.integrated is None:
+            return law
+        from synth.controller.integral_action import with_integrators
+
+        return with_integrators(law, self.integrated)
+
+    def judged(self, law: LinearLaw) -> "JudgedLoop":
+        """Returns the loop of a law on the readings, as its certificate is of.
+
+        Raises:
+            InputError: see `closed_loop`.
+        """
+        law = law.continuous()
+        if not self.integrals:
+            larger, G = on_larger_plant(self.plant, self.Cy, law.fed_back(self.feedthrough), self.Dyw)
+            return JudgedLoop(larger, G, self.plant, self.states, law.states)
+        from synth.controller.integral_action import integrators_of, on_integrals, settled
+
+        kept = integrators_of(law, self.integrated)
+        mine = on_integrals(law, self.integrated, kept).fed_back(self.feedthrough)
+        larger, G = on_larger_plant(self.plant, self.Cy, mine, self.Dyw)
+        lacking = [i for i in self.integrals if not any(self.measured_integrals[row] == i for row in kept)]
+        rows = settled(larger.closed_loop(G), self.plant, lacking) if lacking else None
+        if rows is None:
+            return JudgedLoop(larger, G, self.plant, self.states, mine.states)
+        stay = np.setdiff1d(np.arange(len(larger.A)), lacking)
+        own = np.setdiff1d(np.arange(len(self.plant.A)), lacking)
+        C = larger.C[:, stay] + larger.C[:, lacking] @ rows
+        short = replace(larger, A=larger.A[np.ix_(stay, stay)], B=larger.B[stay], Bw=larger.Bw[stay], C=C)
+        p = self.plant
+        base = replace(p, A=p.A[np.ix_(own, own)], B=p.B[own], Bw=p.Bw[own], C=p.C[:, own])
+        return JudgedLoop(short, Feedback(G.K, G.Cy[:, stay]), base, tuple(self.states[i] for i in own), mine.states)
 
 
 def problem(
@@ -73,28 +140,40 @@ def problem(
         InputError: a signal this vehicle has not.
     """
     plant = plant or generalized_plant(vehicle, hardware.bandwidth, loads=hardware.loads)
-    Cy, through = measurements(vehicle, measured, hardware.bandwidth)
+    integrated = measured_integrals(vehicle, measured)
+    named = (*measured, *integrated)
+    Cy, through = measurements(vehicle, named, hardware.bandwidth)
     inputs = vehicle.linear_model.inputs
     at_once = hardware.bandwidth is None
     forces = {i: inputs.index(name) for i, name in enumerate(measured) if at_once and name in inputs}
     (q, _), (d, r) = Cy.shape, plant.Dw.shape
-    felt = _of_loads(vehicle.linear_model, hardware.loads)[1][[vehicle.linear_model.outputs.index(name) for name in measured]]
+    model = vehicle.linear_model.with_integrals(vehicle.integrals)
+    rows = [model.outputs.index(name) for name in named]
+    felt = _of_loads(model, hardware.loads)[1][rows]
     of_loads = np.hstack([np.zeros((q, r - felt.shape[1])), felt])
-    model = vehicle.linear_model
     if model.tyres_damp:
-        of_loads[:, : model.Dw.shape[1]] = model.Dw[[model.outputs.index(name) for name in measured]]
+        of_loads[:, : model.Dw.shape[1]] = model.Dw[rows]
         if vehicle.road_filter is not None and np.any(of_loads[:, : model.Dw.shape[1]]):
             raise InputError(
                 "an unsprung_acceleration is measured, which jumps with the road's velocity by the damping of the tyre, and that "
                 "velocity has a filter in [performance] road; leave one of the three out"
             )
+    S = np.array([[terms.get(name, 0.0) for name in measured] for terms in integrated.values()]) if integrated else None
+    states = plant_states(vehicle, hardware.bandwidth)
+    mine, weighed = (tuple(states.index(name) for name in some) for some in (integrated, vehicle.integrals))
+    posed = Problem(plant, Cy, through, of_loads if np.any(of_loads) else None, forces, S, weighed, mine, states)
     if not any(hardware.noise):
-        return Problem(plant, Cy, through, of_loads if np.any(of_loads) else None, forces)
+        return posed
     noisy = [i for i, rms in enumerate(hardware.noise) if rms]
     k = len(noisy)
-    Dyw = np.hstack([of_loads, np.diag(hardware.noise)[:, noisy]])
+    Dyw = np.hstack([of_loads, np.eye(q, len(measured)) @ np.diag(hardware.noise)[:, noisy]])
     wide = replace(plant, Bw=np.hstack([plant.Bw, np.zeros((len(plant.A), k))]), Dw=np.hstack([plant.Dw, np.zeros((d, k))]))
-    return Problem(wide, Cy, through, Dyw, forces)
+    return replace(posed, plant=wide, Dyw=Dyw)
+
+
+def measured_integrals(vehicle: Vehicle, measured: Sequence[str]) -> dict[str, Mapping[str, float]]:
+    """Returns those of a vehicle's weighed integrals whose signals are all measured."""
+    return {name: terms for name, terms in vehicle.integrals.items() if set(terms) <= set(measured)}
 
 
 def _of_loads(model: LinearModel, loads: Sequence[tuple[str, float]]) -> tuple[Array, Array]:
@@ -117,39 +196,85 @@ def generalized_plant(
             which the controller decides.
         loads: on the body, each with the value that counts as 1 m/s of w; disturbances after those of the road.
     """
-    model = vehicle.linear_model.behind_lag(bandwidth)
-    weighted = [signal for signal, weight in vehicle.performance.items() if weight > 0]
+    model, rows = _design_model(vehicle, bandwidth), vehicle.weighted
+    _check_integrals(vehicle, model)
+    weighted = list(dict.fromkeys(signal for row in rows for signal in row.terms))
     C, D = model.rows(weighted)
     if bandwidth is not None and not acting:
         of_force = np.array([[signal in model.inputs] for signal in weighted])
         C, D = np.where(of_force, 0.0, C), np.where(of_force, vehicle.linear_model.rows(weighted)[1], D)
-    weights = np.array([vehicle.performance[signal] for signal in weighted])[:, None]
     Br, Cr = _twist(model, weighted)
     Bl, Dl = _of_loads(model, loads)
     Dl, Dw = (matrix[[model.outputs.index(signal) for signal in weighted]] for matrix in (Dl, model.Dw))
+    weights = np.array([[row.weight * row.terms.get(signal, 0.0) for signal in weighted] for row in rows])
     plant = GeneralizedPlant(
         A=model.A,
         B=model.B,
         Bw=np.hstack([model.Bw, Br, Bl]),
-        C=weights * C,
-        D=weights * D,
-        Dw=np.hstack([weights * Dw, weights * Cr, weights * Dl]),
+        C=weights @ C,
+        D=weights @ D,
+        Dw=np.hstack([weights @ Dw, weights @ Cr, weights @ Dl]),
     )
     over_datum = [signal for signal in weighted if signal in model.heights]
     if over_datum:
         _check_heights(vehicle, over_datum[0])
     if not vehicle.filtered:
         return plant
-    outputs = append(*(_system(vehicle.filters.get(signal)) for signal in weighted))
+    outputs = append(*(_system(row.filter) for row in rows))
     roads = [_system(vehicle.road_filter)] * (plant.Bw.shape[1] - len(loads))
     disturbances = append(*roads, *[gain(1.0)] * len(loads))
     if not over_datum:
-        return with_weights(plant, outputs, disturbances)
+        return _with_integrals(with_weights(plant, outputs, disturbances), vehicle, model)
     # Where w = F v with F(0) = 0, the road's height F v / s has the states of F, and C A^-1 in place of C.
     of_height = np.array([model.Cr[model.outputs.index(signal)] * (signal in over_datum) for signal in weighted])
     states = len(disturbances.A) // len(roads)
     height = np.kron(np.eye(len(roads)), np.linalg.solve(roads[0].A.T, roads[0].C.T).T) if states else np.zeros((len(roads), 0))
-    return with_weights(plant, outputs, disturbances, weights * of_height @ height)
+    return _with_integrals(with_weights(plant, outputs, disturbances, weights @ of_height @ height), vehicle, model)
+
+
+def _design_model(vehicle: Vehicle, bandwidth: float | None) -> LinearModel:
+    """Returns the linear model behind an actuator's lag, with the integrals that z weighs as its last states."""
+    return vehicle.linear_model.behind_lag(bandwidth).with_integrals(vehicle.integrals)
+
+
+def _with_integrals(plant: GeneralizedPlant, vehicle: Vehicle, model: LinearModel) -> GeneralizedPlant:
+    """Returns the plant whose z has the integrals in its filters, of states that it has, too."""
+    if not vehicle.integrals:
+        return plant
+    C = plant.C.copy()
+    for i, row in enumerate(vehicle.weighted):
+        if row.filter is not None and row.filter.residue:
+            name = next(name for name, terms in vehicle.integrals.items() if terms == row.terms)
+            C[i, model.states.index(name)] += row.weight * row.filter.residue
+    return replace(plant, C=C)
+
+
+def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
+    """Refuses to weigh the integral of a height, or of what no force moves for long.
+
+    Raises:
+        InputError: see above.
+    """
+    for name, terms in vehicle.integrals.items():
+        what = f"[performance] weighs the integral of {name.removeprefix('integral_of_')}"
+        if heights := [signal for signal in terms if signal in model.heights]:
+            raise InputError(
+                f"{what}, and {heights[0]} is a height over the datum of a flat road, to which no law returns it: it has no "
+                "norm; take a sum of deflections, which is a height over the road"
+            )
+        plain = vehicle.linear_model
+        rows = np.array([terms.get(signal, 0.0) for signal in plain.outputs])
+        pencil = np.block([[plain.A, plain.B], [(rows @ plain.C)[None], (rows @ plain.D)[None]]])
+        balanced = pencil / np.maximum(np.abs(pencil).max(axis=1, keepdims=True), np.finfo(float).tiny)
+        balanced = balanced / np.maximum(np.abs(balanced).max(axis=0, keepdims=True), np.finfo(float).tiny)
+        if np.linalg.matrix_rank(balanced, UNMOVED) < np.linalg.matrix_rank(balanced[:-1], UNMOVED) + 1:
+            raise InputError(
+                f"{what}, which no constant force moves: no law returns the integral to zero, and there is no norm; weigh the "
+                "integral of a suspension's deflection, or a filter without a pole at 0"
+            )
+
+
+UNMOVED = 1e-12  # relative: a smaller singular value of a balanced matrix is zero
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:
@@ -169,7 +294,7 @@ def _check_heights(vehicle: Vehicle, signal: str) -> None:
 
 
 def _system(one: "Filter | None") -> System:
-    return gain(1.0) if one is None else System(*one.realisation)
+    return gain(1.0) if one is None else System(*one.remainder)
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
@@ -178,9 +303,10 @@ def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str,
     Args:
         bandwidth: as for `generalized_plant`.
     """
-    model = vehicle.linear_model.behind_lag(bandwidth)
-    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal in vehicle.filters]
-    counts = {f"filter_of_{signal}": len(vehicle.filters[signal].realisation.A) for signal in signals}
+    model = _design_model(vehicle, bandwidth)
+    if not vehicle.filtered:
+        return model.states
+    counts = {f"filter_of_{row.name}": len(row.filter.remainder.A) for row in vehicle.weighted if row.filter is not None}
     if vehicle.road_filter is not None:
         k = len(vehicle.road_filter.realisation.A)
         counts |= {f"filter_of_{road}": k for road in model.disturbances}
@@ -201,7 +327,7 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Raises:
         InputError: a signal this vehicle has not.
     """
-    Cy, through = vehicle.linear_model.behind_lag(bandwidth).rows(signals)
+    Cy, through = _design_model(vehicle, bandwidth).rows(signals)
     more = len(plant_states(vehicle, bandwidth)) - Cy.shape[1] if vehicle.filtered else 0
     return (np.hstack([Cy, np.zeros((len(Cy), more))]) if more else Cy), through
 

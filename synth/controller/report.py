@@ -19,7 +19,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
-from synth.controller.problem import road_twist_inputs
+from synth.controller.problem import plant_states, road_twist_inputs
 
 SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
 ROUTES_AGREE = 1e-6  # relative: largest distance of a norm from the gain of an actual disturbance
@@ -270,9 +270,17 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     """Returns a note on the filters in z and w, if there are any, and on their poles."""
     if not vehicle.filtered:
         return []
-    texts = [f"{signal} through {one.words}" for signal, one in vehicle.filters.items()]
+    texts = [f"{row.name} through {row.filter.words}" for row in vehicle.weighted if row.filter is not None]
     texts += [f"the road's velocity from w through {vehicle.road_filter.words}"] if vehicle.road_filter is not None else []
-    return [f"norms are of {', '.join(texts)}; their poles are in every loop, no control moves them, and they are left out"]
+    states = vehicle.road_filter is not None or any(name.startswith("filter_of_") for name in plant_states(vehicle))
+    poles = "; their poles are in every loop, no control moves them, and they are left out" if states else ""
+    lines = [f"norms are of {', '.join(texts)}{poles}"]
+    if vehicle.integrals:
+        names = listing([name.removeprefix("integral_of_") for name in vehicle.integrals])
+        lines.append(
+            f"designs that measure what is integrated, {names}, keep the integral as a state; norms as implemented leave it out"
+        )
+    return lines
 
 
 def judged_lines(controller: Controller) -> list[str]:

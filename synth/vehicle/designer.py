@@ -17,7 +17,7 @@ from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.controller.controller import Controller, InterruptedDesign, certify_law, on_readings, verify_record
-from synth.controller.problem import Problem, generalized_plant, measurements, plant_states, problem
+from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
 from synth.design.two_step import Design, state_design, state_path, zero_l_design
@@ -37,15 +37,17 @@ STATE_ALONE = (
 )
 
 
-def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design) -> Controller:
+NOT_REFINED = "and what is refined is a static gain, which has none; leave --refine out"
+
+
+def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
     """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
-    through = measurements(vehicle, entry.measured, entry.hardware.bandwidth)[1]
-    beside = STATE_ALONE if entry.name == "state" and vehicle.filtered else ""
-    redundant = tuple(entry.measured[i] for i in design.redundant)
+    beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
+    redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
     return Controller(
         entry.name,
         entry.measured,
-        static_law(design.gain).fed_back(-through),
+        posed.on_readings(static_law(design.gain).fed_back(-posed.feedthrough)),
         designed=True,
         certificate=design.certificate,
         state_step_gap=design.state_step_gap,
@@ -247,13 +249,13 @@ class Designer:
     def _in_two_steps(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, zero_l: bool = False) -> Controller:
         """Designs a static gain for the ideal loop, or raises a DesignError with the reason."""
         shared = self.shared(entry.hardware)
-        if entry.name == "state" and not self.vehicle.filtered:
+        if entry.name == "state" and len(posed.Cy) == len(posed.plant.A):
             design = state_design(self.plant, self.state_path, lower_bound)
         elif zero_l:
             design = zero_l_design(posed.plant, posed.Cy, lower_bound)
         else:
             design = two_steps_or_descent(posed.plant, posed.Cy, lambda: shared.state_path, lower_bound, shared.states, posed.Dyw)
-        return designed(self.vehicle, entry, design)
+        return designed(self.vehicle, entry, design, posed)
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
@@ -369,6 +371,8 @@ class Designer:
         if not measured:
             raise InputError(f"controller {name!r} measures nothing, so that it has no gain to refine; give one that does")
         check_command(f"controller {entry.name!r}", entry.parts, "refine", DesignError)
+        if self.vehicle.integrals:
+            raise DesignError(f"controller {entry.name!r}: [performance] weighs an integral, {NOT_REFINED}")
         try:
             start = self.design(name, zero_l)
         except DesignError:
@@ -387,6 +391,7 @@ class Designer:
             or controller.sampled  # whose design is refined
             or not controller.measured
             or not goes("refine", self._entry(controller.name).parts)
+            or self.vehicle.integrals
             or not controller.certificate.stable
         ):
             return 0.0

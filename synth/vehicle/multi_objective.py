@@ -79,7 +79,7 @@ def _goal_problem(vehicle: Vehicle, entry: ControllerEntry, goals: Goals) -> Mul
 
 def weighing(vehicle: Vehicle, norm: NormOf) -> Vehicle:
     """The vehicle whose z is that of a norm."""
-    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={})
+    return vehicle if norm.signals is None else replace(vehicle, performance=dict(norm.signals), filters={}, sums=())
 
 
 def _posed(vehicle: Vehicle, entry: ControllerEntry, norm: NormOf) -> MeasuredPlant:
@@ -153,6 +153,8 @@ def _road(where: str, vehicle: Vehicle, bound: PeakBound) -> Road:
         raise InputError(f"{where}: {error}") from error
     if choice.loads:
         raise InputError(f"{where} has loads, and a bound on a peak is over the road alone; leave them out")
+    if road.jumps:
+        raise InputError(f"{where} has a vertical edge, an impulse of the road's velocity; give an edge above 0")
     if not np.isfinite(road.duration):
         raise InputError(f"{where} has no end, and so no largest value; give a bump, a step, a hump or a pothole")
     return road

@@ -18,7 +18,8 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
     """
     how = vehicle.implementation
-    levels = [how.noise.get(entry.measured[i], 0.0) * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
+    rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
+    levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
     return levels if any(levels) else None
 
 

@@ -13,7 +13,6 @@ from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL, read_controllers
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, check_fits
-from synth.controller.problem import plant_states
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import certify_given
 
@@ -200,7 +199,7 @@ def closed_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpace
         4
     """
     outputs = vehicle.linear_model.outputs
-    plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None)
+    plain = replace(vehicle, performance=dict.fromkeys(outputs, 1.0), filters={}, road_filter=None, sums=())
     return _loop(plain, replace(controller, hardware=NOMINAL), outputs)
 
 
@@ -211,14 +210,15 @@ def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpa
     the road has a filter, each input is what comes into it, and is called `w[road]`. The noise of a sensor that the controller is
     judged with is an input, too, of its rms, and is called `noise[signal]`; so is a load, of what counts as 1 m/s, `load[name]`.
     """
-    return _loop(vehicle, controller, [f"z[{signal}]" for signal, weight in vehicle.performance.items() if weight > 0])
+    return _loop(vehicle, controller, [f"z[{row.name}]" for row in vehicle.weighted])
 
 
 def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
     """The closed loop to a vehicle's z, whose entries are called so."""
     from control import StateSpace, ss
 
-    loop, hardware = controller.loop(vehicle), controller.hardware
+    judged, hardware = controller.problem(vehicle).judged(controller.law), controller.hardware
+    loop = judged.plant.closed_loop(judged.G)
     roads = [wheel.road_velocity for wheel in vehicle.kind.wheels]
     noise = [f"noise[{name}]" for name, rms in zip(controller.measured, hardware.noise, strict=bool(hardware.noise)) if rms]
     loads = [f"load[{name}]" for name, _ in hardware.loads]
@@ -230,7 +230,7 @@ def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "
         loop.C,
         loop.Dw,
         name=f"{vehicle.kind.name}_{controller.name}",
-        states=[*plant_states(vehicle, hardware.bandwidth), *(f"controller_{k}" for k in range(1, controller.law.states + 1))],
+        states=[*judged.states, *(f"controller_{k}" for k in range(1, judged.law_states + 1))],
         inputs=[*(inputs if vehicle.road_filter is None else [f"w[{name}]" for name in inputs]), *loads, *noise],
         outputs=list(outputs),
     )

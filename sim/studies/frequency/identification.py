@@ -43,7 +43,7 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
-    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    signals = _signals(vehicle, response)
     sides = [signals]
     if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
         forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
@@ -65,7 +65,7 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
         gain = l2_gain(vehicle, response)
         assert gain is not None, "the road has no filter"
         return gain
-    signals = np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1)
+    signals = _signals(vehicle, response)
     count, period = len(signals), float(response.time[1] - response.time[0])
     lines = 2 * np.pi * np.fft.rfftfreq(count, period)
     z = np.fft.irfft(vehicle.weights(lines) * np.fft.rfft(signals, axis=0), count, axis=0)
@@ -81,7 +81,7 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
         response: whole periods and one sample before them, which gives the first leap.
     """
     model = vehicle.linear_model
-    signals = np.stack([response[name] for name in model.outputs], axis=-1)
+    signals = _signals(vehicle, response)
     forces = np.stack([response[name] for name in model.inputs], axis=-1)
     sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T)
     count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
@@ -92,25 +92,33 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
 def beside_leaps(vehicle: Vehicle, after: Array, before: Array) -> tuple[Array, Array]:
     """Signals on either side of the leaps that they make where forces are replaced, as the mean square of z needs them.
 
-    A filter smooths a leap, and goes over what lies midway; shapes (..., p) of both.
+    A filter smooths a leap, and goes over what lies midway; shapes (..., p) of both, with the sums in z.
     """
-    through = np.array([name in vehicle.filters for name in vehicle.linear_model.outputs])
+    through = [name in vehicle.filters for name in vehicle.linear_model.outputs]
+    through = np.array([*through, *(one.filter is not None for one in vehicle.sums)])
     midway = (after + before) / 2
     return np.where(through, midway, after), np.where(through, midway, before)
 
 
 def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
-    """z of the output signals, shape (T, p) both."""
-    rows = []
-    for name, values in zip(vehicle.linear_model.outputs, signals.T, strict=True):
-        one = vehicle.filters.get(name)
-        rows.append(vehicle.performance.get(name, 0.0) * (_filtered(one, values, period) if one is not None else values))
+    """z of the output signals and sums, shape (T, p) both."""
+    weighted = [(vehicle.performance.get(name, 0.0), vehicle.filters.get(name)) for name in vehicle.linear_model.outputs]
+    weighted += [(one.weight, one.filter) for one in vehicle.sums]
+    rows = [
+        weight * (_filtered(one, values, period) if one is not None else values)
+        for (weight, one), values in zip(weighted, signals.T, strict=True)
+    ]
     return np.stack(rows, axis=-1)
 
 
+def _signals(vehicle: Vehicle, response: Response) -> Array:
+    """Returns the output signals of a run and the sums in z, shape (T, p)."""
+    return vehicle.summed(np.stack([response[name] for name in vehicle.linear_model.outputs], axis=-1))
+
+
 def _at_once(vehicle: Vehicle) -> Array:
-    """Returns the direct effect of requested forces on the output signals, shape (p, m): zero behind a lag."""
-    D = vehicle.linear_model.D
+    """Returns the direct effect of requested forces on signals and sums, shape (p, m): zero behind a lag."""
+    D = vehicle.summed(vehicle.linear_model.D, axis=0)
     return D if vehicle.limits.actuator_bandwidth is None else np.zeros_like(D)
 
 

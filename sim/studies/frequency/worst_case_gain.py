@@ -418,6 +418,7 @@ def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> 
     positive, shape = np.abs(omega), vehicle.road_shape(np.abs(omega))[:, None]
     after = shape[..., None] * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
     before = after - shape[..., None] * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
+    after, before = vehicle.summed(after), vehicle.summed(before)
     negative, around = (omega < 0)[:, None, None], beside_leaps(vehicle, after, before)
     rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in around]
 

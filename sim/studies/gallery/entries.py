@@ -34,6 +34,7 @@ class PrintedNumber:
             bump, or with an `edge` a step.
         duration, timestep: of the run [s].
         band: half the width of the band of a settling time, as `sim.drive` has it [%].
+        half_band: size that a signal does not exceed any more after a recovery time, in its SI unit.
         grid: step of the samples at which the source looks at its response [s]; 0 if that is not known.
         unit: unit of the value.
         scale: factor from SI units to `unit`.
@@ -56,6 +57,7 @@ class PrintedNumber:
     duration: float = 3.0
     timestep: float = 1e-3
     band: float = 2.0
+    half_band: float = 0.0
     grid: float = 0.0
     unit: str = ""
     scale: float = 1.0

@@ -14,8 +14,9 @@ from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.gallery.entries import Entry, PrintedNumber
+from sim.studies.ride.between_samples import Pieces
 from sim.studies.ride.between_samples import exact as between_samples
-from sim.studies.ride.step_response import measure_step
+from sim.studies.ride.step_response import SignalSteps, measure_step
 from synth.analysis.specification import ROBUST_PERFORMANCE
 from synth.controller.controller import Controller
 from synth.design.full_order.quadratic import h2_norm
@@ -24,7 +25,8 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.paper import ours
 
 OF_A_STEP = ("overshoot", "peak_time", "settling_time", "iae", "itae")  # kinds of numbers
-OF_A_RUN = ("peak", "rms", *OF_A_STEP)
+OF_A_RUN = ("peak", "rms", "recovery", *OF_A_STEP)
+OF_A_GRID = ("peak", "rms", "recovery", "overshoot", "settling_time")
 ON_AXIS = 1e-12  # relative to its size: a part of a pole that is less is rounding
 REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the imaginary axis
 
@@ -47,8 +49,17 @@ class ComparedNumber:
 
     @property
     def reproduced(self) -> bool:
-        """True if the exact number rounds to the printed digits."""
-        return abs(self.exact - self.printed.value) <= self.printed.half_digit
+        """True if the exact number rounds to the printed digits, or that on the source's grid where no reason is given."""
+        return self._rounds(self.exact) or self.on_its_grid
+
+    @property
+    def on_its_grid(self) -> bool:
+        """True if it is reproduced on the source's grid alone."""
+        there = self.grid is not None and not self.printed.reason and self._rounds(self.grid)
+        return there and not self._rounds(self.exact)
+
+    def _rounds(self, value: float) -> bool:
+        return abs(value - self.printed.value) <= self.printed.half_digit
 
     @property
     def explained(self) -> bool:
@@ -70,7 +81,7 @@ class ComparedNumber:
     def verdict(self) -> str:
         """Verdict in words."""
         if self.reproduced:
-            return "reproduced"
+            return "reproduced on its grid" if self.on_its_grid else "reproduced"
         return f"differs: {self.printed.reason}" if self.explained else "NOT REPRODUCED"
 
 
@@ -161,24 +172,41 @@ def _peak(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
     MuJoCo's is None if the linear regime ends, as where a step lifts a wheel.
     """
     run = driven(designer, one)
-    pieces = between_samples(run, (one.signal,))[one.signal]
+    pieces = pieces_of(designer, one)
     exact = max(pieces.largest()[0], pieces.times(-1.0).largest()[0])
     return exact, float(np.abs(run.physics[one.signal]).max()) if math.isinf(run.agreement.until) else None
 
 
-def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float]:
-    """Returns the root mean square of a signal over a road, of the continuous loop and of MuJoCo."""
+def _rms(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
+    """Returns the root mean square of a signal over a road, of the continuous loop between samples, and of MuJoCo, as `_peak`."""
     run = driven(designer, one)
-    exact, mujoco = (float(each.rms(one.signal)) for each in (run.continuous, run.physics))
-    return exact, mujoco
+    exact = pieces_of(designer, one).rms()
+    return exact, float(run.physics.rms(one.signal)) if math.isinf(run.agreement.until) else None
+
+
+def _recovery(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
+    """Returns when a signal stays within a band around zero, from when the road begins [s].
+
+    Raises:
+        InputError: it does not, or is never outside.
+    """
+    begins = float(one.road.get("start", 0.0))
+    last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
+    if last is None or math.isinf(last):
+        raise InputError(f"{one.text}: it is never outside, or not settled; say so as what is missing")
+    return last, None
 
 
 def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float | None]]:
     """Returns how a metric of a signal's response to a step is found, of the continuous loop and of MuJoCo."""
 
     def found(designer: Designer, one: PrintedNumber) -> tuple[float, float | None]:
-        metrics = measure_step(driven(designer, one), one.band)[one.signal]
-        exact, mujoco = (None if each is None else getattr(each, key) for each in (metrics.continuous, metrics.mujoco))
+        run = driven(designer, one)
+        if (run_key(designer, one), one.band) not in _steps:
+            _steps[run_key(designer, one), one.band] = measure_step(run, one.band, pieces_of_run(designer, one))
+        metrics = _steps[run_key(designer, one), one.band][one.signal]
+        physics = metrics.mujoco if math.isinf(run.agreement.until) else None
+        exact, mujoco = (None if each is None else getattr(each, key) for each in (metrics.continuous, physics))
         if exact is None:
             raise InputError(f"{one.text}: it is {metrics.continuous and metrics.continuous.settled}; say so as what is missing")
         return exact, mujoco
@@ -188,7 +216,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float
 
 def driven(designer: Designer, one: PrintedNumber) -> Run:
     """Returns the run that a number is of."""
-    key = (designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration, one.timestep)
+    key = run_key(designer, one)
     if key not in _runs:
         numbers = dict(one.road)
         road = OBSTACLES[numbers.pop("type", "step" if "edge" in numbers else "bump")](**numbers)
@@ -197,18 +225,49 @@ def driven(designer: Designer, one: PrintedNumber) -> Run:
     return _runs[key]
 
 
+def run_key(designer: Designer, one: PrintedNumber) -> tuple:
+    """Returns what tells a number's run from others."""
+    return designer.vehicle.source, one.controller, tuple(one.road.items()), one.duration, one.timestep
+
+
+def pieces_of(designer: Designer, one: PrintedNumber) -> Pieces:
+    """Returns a number's signal over its run, exact between samples."""
+    return pieces_of_run(designer, one)[one.signal]
+
+
+def pieces_of_run(designer: Designer, one: PrintedNumber) -> dict[str, Pieces]:
+    """Returns all signals of a number's run, exact between samples."""
+    key = run_key(designer, one)
+    if key not in _pieces:
+        run = driven(designer, one)
+        _pieces[key] = between_samples(run, tuple(run.vehicle.linear_model.outputs))
+    return _pieces[key]
+
+
 _runs: dict[tuple, Run] = {}
+_pieces: dict[tuple, dict[str, Pieces]] = {}
+_steps: dict[tuple, dict[str, SignalSteps]] = {}
 
 
 def _on_grid(designer: Designer, one: PrintedNumber) -> float:
-    """Returns a number of a run as the source sees it, at the samples of its own grid."""
-    if one.what not in ("peak", "rms") or not one.timestep / 10 <= one.grid <= one.duration:
+    """Returns a number of a run as the source sees it, at the samples of its own grid.
+
+    A time from which a signal stays within a band is the first sample of the grid within it.
+    """
+    if one.what not in OF_A_GRID or not one.timestep / 10 <= one.grid <= one.duration:
         raise InputError(
             f"grid = {one.grid:g} s is of a peak or an rms, from {one.timestep / 10:g} s to the duration; leave it out"
         )
     times = np.arange(round(one.duration / one.grid, 6) // 1 + 1) * one.grid
-    values = between_samples(driven(designer, one), (one.signal,))[one.signal].at(times)
-    return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
+    values = pieces_of(designer, one).at(times)
+    if one.what in ("peak", "rms"):
+        return float(np.abs(values).max() if one.what == "peak" else np.sqrt(np.mean(values**2)))
+    height = float(one.road.get("height", 0.0))
+    if one.what == "overshoot":
+        return float(max(np.max(values / height) - 1, 0.0))
+    far = np.abs(values) if one.what == "recovery" else np.abs(values - height)
+    outside = np.flatnonzero(far > (one.half_band or one.band / 100 * abs(height)))
+    return float(times[outside[-1] + 1] - one.road.get("start", 0.0))
 
 
 @cache
@@ -230,6 +289,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
     "white": _white,
     "peak": _peak,
     "rms": _rms,
+    "recovery": _recovery,
     **{key: _of_step(key) for key in OF_A_STEP},
     "pole": _pole,
     "static": _static,

@@ -16,15 +16,17 @@ from models.common.arrays import Array
 from models.laws.python_law import Programmed
 from models.roads.road import RoadInput, delays
 from sim.linear.forced_response import forced_continuous_response
-from sim.linear.sampled_response import continuous_response
+from sim.linear.sampled_response import continuous_response, jumps_under_wheels
 from sim.response.response import Response
 from sim.runs.run import Run
+from synth.controller.open_loop import readings_of_road, with_lag
 
 DEGREE = 8  # of the polynomial of a step
 CUBIC = 3
 PER_GAP = 8  # pieces of a road between two of its kinks, or more
 MOST_POINTS = 2_000_000  # of a response between samples; of longer runs a polynomial has a lower degree
 BULGE = 0.1  # of its range: by more than this a polynomial of a step does not exceed its points
+EARLY = 1e-6  # of a step: what begins so much earlier begins then
 ROUNDING = 1e-13  # of the largest value: less is no change of sign
 
 
@@ -65,6 +67,20 @@ class Pieces:
         """Returns the steps that begin at a time [s] or later."""
         later = self.start >= time
         return replace(self, start=self.start[later], length=self.length[later], values=self.values[later])
+
+    def counted_from(self, time: float) -> "Pieces":
+        """Returns the steps that begin at a time [s] or later, with their times counted from there."""
+        if not time:
+            return self
+        later = self.since(time - EARLY * float(self.length[0]))
+        return replace(later, start=later.start - time)
+
+    def rms(self) -> float:
+        """Returns the root mean square over all steps."""
+        points = self.values.shape[1]
+        nodes, weights = np.polynomial.legendre.leggauss(points)
+        at_nodes = self.values @ (chebyshev.chebvander(nodes, points - 1) @ _fit(points)).T
+        return float(np.sqrt(self.length @ (at_nodes**2 @ weights / 2) / self.length.sum()))
 
     def polynomial(self, k: int) -> Array:
         """Returns the Chebyshev coefficients of a step, over -1..1."""
@@ -184,8 +200,31 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
         if prediction.loop is None and run.vehicle.limits.actuator_bandwidth is None:  # a held force changes behind its step
             leaps = np.diff(prediction.requested_force[: steps + 1], axis=0) @ model.D[model.outputs.index(name)]
             ends[cut - 1 :: cut] -= leaps
-        found[name] = Pieces(start, np.full(steps * cut, h / cut), np.column_stack([values[:-1].reshape(-1, parts), ends]))
+        values = np.column_stack([values[:-1].reshape(-1, parts), ends])
+        if road.road.jumps:
+            values[:, 0] += _behind_jumps(run, name, start, h / cut)
+        found[name] = Pieces(start, np.full(steps * cut, h / cut), values)
     return found
+
+
+def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
+    """Returns by how much a signal leaps where pieces begin with a jump of the road, shape like their start.
+
+    Jumps within a piece are left out: its polynomial goes through the points on both sides.
+    """
+    vehicle, loop, leaps = run.vehicle, run.prediction.loop, np.zeros(len(start))
+    cut = None if loop is None else loop.continuous
+    model = with_lag(vehicle) if cut is None else cut.model
+    i = model.outputs.index(name)
+    row = model.C[i] if cut is None else model.C[i] + model.D[i] @ cut.G
+    for at, wheel, height in jumps_under_wheels(run.road, vehicle):
+        push = model.Bw[:, wheel]
+        if loop is not None and cut is not None and model.tyres_damp:
+            push = push + model.B @ readings_of_road(cut, loop.controller)[:, wheel]
+        k = int(np.argmin(np.abs(start - at)))
+        if abs(start[k] - at) <= EARLY * length:
+            leaps[k] += height * (row @ push + model.Cr[i, wheel])
+    return leaps
 
 
 def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:

@@ -126,13 +126,14 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows
-def measure_step(run: Run, percent: float = BAND) -> dict[str, SignalSteps]:
+def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Pieces] | None" = None) -> dict[str, SignalSteps]:
     """Returns the metrics of every output signal that a step of the road moves.
 
     Args:
         run: over a `Step`.
         percent: half the width of the band: of the step's height for heights, of the peak in the continuous response for
             others (without one, in the sampled response).
+        continuous: signals of the continuous response between samples, if they are known.
 
     Raises:
         InputError: the road is no step, or the band is out of range.
@@ -148,12 +149,13 @@ def measure_step(run: Run, percent: float = BAND) -> dict[str, SignalSteps]:
     names = tuple(name for name in model.outputs if not peaks[name] <= SILENT * loudest[units[name]])
     from sim.studies.ride.between_samples import exact, sampled  # no other road needs it
 
-    routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names)}
+    routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}
     if run.broke_off is None:
         routes["mujoco"] = sampled(run, run.physics, names)
     found = {}
     for name in names:
-        pieces = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
+        known = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
+        pieces = {route: one.counted_from(step.start) for route, one in known.items()}
         final = finals[name] if abs(finals[name]) > SILENT * abs(step.height) else 0.0
         if not pieces:
             continue

@@ -67,7 +67,7 @@ def find_fragility(
 ) -> FragilityFound:
     """The errors that a loop bears, with an actuator's lag if the vehicle's have one; physics runs along the worst of them."""
     lag = replace(controller.hardware, bandwidth=vehicle.limits.actuator_bandwidth or controller.hardware.bandwidth)
-    posed, law = problem(vehicle, controller.measured, lag), controller.law.continuous()
+    posed, law = problem(vehicle.without_integrals, controller.measured, lag), controller.law.continuous()
     gain = scaled_gain(posed.plant, posed.Cy, law, posed.Dyw, posed.feedthrough)
     predicted = fragility(gain)
 
@@ -80,7 +80,7 @@ def find_fragility(
     run_searches([coarse], timestep, progress)
     if edge.doubtful:
         run_searches([fine], timestep / 2, progress)
-    ideal = controller.problem(vehicle)
+    ideal = controller.problem(vehicle.without_integrals)
     return FragilityFound(gain, predicted, edge, rounding(controller.law, ideal.closed_loop, ideal.plant), timestep)
 
 

@@ -7,8 +7,10 @@ estimates; no linear controller does better (the separation theorem; Anderson, M
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
 plant the second. Where a measurement has no noise, or a force no cost, the problem is singular to rounding, and a small share
-of either is assumed, in the plant's own units, and said. White noise through Dw has no mean square; it is what no control
-changes, and left out.
+of either is assumed, in the plant's own units, and said. An integral that is measured without noise is known, and not estimated:
+it acts on nothing but z, so that the estimate of the other states does without it.
+
+White noise through Dw has no mean square; it is what no control changes, and left out.
 """
 
 from collections.abc import Sequence
@@ -196,7 +198,7 @@ def _design(
         raise InfeasibleError(reasons)
     shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
     own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
-    D, Dyw_T = own.plant.D, own.Dyw.T
+    D, Dyw_T = own.plant.D, np.delete(own.Dyw, list(_known(own)), axis=0).T
     cost, unheard = missing(D, ASSUMED), missing(Dyw_T, ASSUMED) * (not all_known)
     as_it_is = cost * (not _regular(D)), unheard * (not _regular(Dyw_T))
     assumptions = [as_it_is, (cost, unheard)] if np.any(cost - as_it_is[0]) or np.any(unheard - as_it_is[1]) else [as_it_is]
@@ -237,9 +239,27 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
     if all_known:
         return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
     unreached = "w does not reach a mode that neither decays nor grows; let w disturb it"
-    L = _regulator(A.T, own.Cy.T, own.plant.Bw.T, own.Dyw.T, unheard, unreached).T
+    known = _known(own)
+    rest, states = np.delete(np.arange(len(own.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
+    A, B, Cy = A[np.ix_(states, states)], B[states], own.Cy[np.ix_(rest, states)]
+    L = _regulator(A.T, Cy.T, own.plant.Bw[states].T, own.Dyw[rest].T, unheard, unreached).T
     assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
-    return own.back(LinearLaw(A + B @ K + L @ own.Cy, -L, K, np.zeros((len(K), len(own.Cy))))), assumed
+    into, direct = np.zeros((len(A), len(own.Cy))), np.zeros((len(K), len(own.Cy)))
+    into[:, rest] = -L
+    for row, state in known.items():
+        direct[:, row] = K[:, state] / own.Cy[row, state]
+        into[:, row] = B @ direct[:, row]
+    return own.back(LinearLaw(A + B @ K[:, states] + L @ Cy, into, K[:, states], direct)), assumed
+
+
+def _known(own: NormalisedPlant) -> dict[int, int]:
+    """Returns the states that are read without noise by a row of their own and act on z alone, by that row."""
+    known = {}
+    for row, (states, noise) in enumerate(zip(own.Cy, own.Dyw, strict=True)):
+        (there,) = np.nonzero(states)
+        if len(there) == 1 and not np.any(noise) and not np.any(own.plant.A[:, there[0]]):
+            known[row] = int(there[0])
+    return known
 
 
 def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant:

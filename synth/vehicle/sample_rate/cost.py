@@ -162,7 +162,7 @@ def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
     """Returns True if the controller can be designed for a sampled loop, too: a static gain without noise."""
     entry = vehicle.controllers.get(controller.name)
     own = entry is None or goes("rates", entry.parts)
-    return own and controller.law.acts and not any(controller.hardware.noise)
+    return own and not controller.law.states and controller.law.acts and not any(controller.hardware.noise)
 
 
 def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
@@ -177,7 +177,12 @@ def _designed(vehicle: Vehicle, controller: Controller, period: float, near: flo
 
 
 def _lower_bound(vehicle: Vehicle, controller: Controller) -> float | None:
-    """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset."""
+    """Returns the lower bound for undelayed controllers. It also holds for delayed or lagging ones, which are a subset.
+
+    None if z weighs an integral, which the norms leave out.
+    """
+    if vehicle.integrals:
+        return None
     if controller.hardware == NOMINAL:
         return controller.certificate.lower_bound
     return SharedDesignData(vehicle).lower_bound(controller.measured).gamma or None

@@ -190,6 +190,10 @@ def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:
     if why or entry is None:
         raise InputError(f"--front designs static gains, and not {name!r}: {why}; give another with --controller")
     check_command(f"controller {name!r}", entry.parts, "front")
+    if vehicle.integrals:
+        raise InputError(
+            f"controller {name!r}: --front with an integral in [performance]: its static gains have none; leave it out"
+        )
     return entry
 
 
