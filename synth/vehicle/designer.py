@@ -10,7 +10,7 @@ import numpy as np
 
 from models.common.checks import AT_LEAST_ONE, at_the_door
 from models.common.errors import InputError
-from models.laws.combinations import check_command, goes
+from models.laws.combinations import PREVIEW, check_command, goes
 from models.laws.linear import LinearLaw, static_law
 from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignConditions
 from models.vehicle.vehicle import Vehicle
@@ -267,10 +267,13 @@ class Designer:
     def _named(self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound) -> Controller:
         """A controller that is designed in another way than by two steps."""
         from synth.design.full_order.by_name import named_design
-        from synth.vehicle.quadratic import white_noise
+        from synth.vehicle.quadratic import preview_controller, white_noise
 
         if entry.structure is not None and entry.structure.rows is not None:
             return self._structured(entry, entry.structure, posed, lower_bound)
+        if entry.design == PREVIEW:
+            found = preview_controller(self.vehicle, entry, posed)
+            return replace(found, certificate=replace(found.certificate, below=lower_bound))
         hardware, (Cy, Dyw) = entry.hardware, posed.select_rows(posed.state_measurements)
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
