@@ -8,7 +8,7 @@ Public names, imported when they are first used; all units are SI:
 - static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`; for goals
   `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`,
   `MeasuredPlant`, `GainErrors`
-- controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`
+- controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, whose period has a `HoldInterval` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.design.descent.refine import refine
     from synth.design.feedback import design_feedback
     from synth.design.full_order.full_order import full_order_design
+    from synth.design.full_order.preview import preview_design
     from synth.design.full_order.quadratic import h2_design, lqg_design, lqr_design
     from synth.design.multi_model import slack_design
     from synth.design.multi_objective.design import multi_objective_design
@@ -72,6 +73,7 @@ else:
             "synth.design.descent.refine": "refine",
             "synth.design.feedback": "design_feedback",
             "synth.design.full_order.full_order": "full_order_design",
+            "synth.design.full_order.preview": "preview_design",
             "synth.design.full_order.quadratic": "h2_design lqg_design lqr_design",
             "synth.design.multi_model": "slack_design",
             "synth.design.multi_objective.design": "multi_objective_design",

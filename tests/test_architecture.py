@@ -95,7 +95,7 @@ REACHES = {
     "synth.controller": "models.common models.figures models.kinds models.laws models.suspension models.vehicle "
     "synth.analysis synth.plant",
     "sim.inspect": "models.common models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
-    "synth.analysis synth.controller synth.design.full_order.quadratic synth.plant "
+    "synth.analysis synth.controller synth.design.full_order.preview synth.design.full_order.quadratic synth.plant "
     "synth.vehicle.quadratic sim.command sim.linear sim.physics sim.recording sim.response sim.runs "
     "sim.studies",
 }

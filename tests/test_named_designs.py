@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from models.common.errors import InputError
-from models.laws.combinations import KINDS, QUADRATIC, goes, refusal
+from models.laws.combinations import KINDS, PREVIEW, QUADRATIC, goes, refusal
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
@@ -192,6 +192,7 @@ SECTIONS = {
     "lqr": 'design = "lqr"',
     "lqg": 'design = "lqg"',
     "h2": 'design = "h2"',
+    "preview": 'design = "preview"\npreview = 0.5',
     "law": 'law = "mine.py:step"',
     "semi_active": 'semi_active = "skyhook"',
     "stable": "stable = true",
@@ -218,7 +219,7 @@ actuator_force = 1e4
 def with_parts(text: str, parts: Collection[str]) -> str:
     """Returns a vehicle file with a controller that has these parts."""
     signals = ["suspension_deflection", "sprung_velocity"][1 if "pid" in parts else 0 :] + ["control_force"] * ("force" in parts)
-    measured = "" if {"lqr", "semi_active"} & {*parts} else f"measured = {json.dumps(signals)}\n"
+    measured = "" if {"lqr", "preview", "semi_active"} & {*parts} else f"measured = {json.dumps(signals)}\n"
     lines = "\n".join(SECTIONS[part] for part in parts)
     lines = lines.replace("1e3]]", "1e3, 0.0]]").replace("[[1.0, 1.0]]", "[[1.0, 1.0, 0.0]]") if "force" in parts else lines
     return f"{text}{BUILT}\n[controllers.mine]\n{measured}{lines}\n"
@@ -229,9 +230,9 @@ def test_the_table_is_what_is_done(paper, one):
     """Two parts of a section are read where the table has them together, else refused in a line that names both and says why."""
     for other in SECTIONS.keys() - {one}:
         pair = {one, other}
-        if {*QUADRATIC} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
+        if {*QUADRATIC, PREVIEW} >= pair or {"full", "order"} == pair or ("steps" in pair and {*KINDS} >= pair):
             continue  # no section has both
-        if "force" in pair and pair & {"lqr", "semi_active", "lag"}:
+        if "force" in pair and pair & {"lqr", "preview", "semi_active", "lag"}:
             continue  # these name no measurements, or have the force as a state
         designed = not pair & {*KINDS, "goals", "tolerance", "family"}
         parts = sorted(pair | {"steps"} if designed else pair, key=[*SECTIONS].index)

@@ -143,6 +143,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             {**measured, "Dyw": None, "lower_bound": None, "states": states, "fastest": 100.0},
         ),
         "lqr_design": (synth.lqr_design, {"plant": plant, "states": states}),
+        "preview_design": (synth.preview_design, {**measured, "preview": 0.5, "states": states, "Cy": np.eye(2)}),
         "lqg_design": (synth.lqg_design, {**measured, "noise": [0.01], "states": states}),
         "h2_design": (synth.h2_design, {**measured, "Dyw": None, "states": states}),
         "certify": (

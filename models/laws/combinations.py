@@ -22,6 +22,7 @@ KINDS = {  # of controllers: a section is one of them
     "lqr": '`design = "lqr"`',
     "lqg": '`design = "lqg"`',
     "h2": '`design = "h2"`',
+    "preview": '`design = "preview"`',
     "law": "`law` (Python), `fmu`",
     "semi_active": "`semi_active`",
 }
@@ -44,31 +45,32 @@ FLAGS = ("stable", "noise", "lag", "sampled")
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
 QUADRATIC = ("lqr", "lqg", "h2")  # values of `design`, all for the mean square
+PREVIEW = "preview"  # a further one, of the state and the road ahead
 
 _OF_STATE = "it is of the state itself, which no sensor reads"
-_DESIGNED = "full order pid lqr lqg h2"
+_DESIGNED = "full order pid lqr lqg h2 preview"
 _GOALS = "goals tolerance family"
 _NO_CLAIM = "it is run as it is, and there is no linear claim of it"
 _REASONS = (  # a part or command, the parts that it does not go with, and why
     (
         "stable",
-        f"gain states steps lqr lqg h2 {_GOALS}",
+        f"gain states steps lqr lqg h2 preview {_GOALS}",
         "it is a law designed with an order that is made stable by itself",
     ),
     ("stable", "pid", "its integral is a pole at 0, which is not stable by itself"),
-    ("anti_windup", f"gain steps lqr {_GOALS}", "a static gain has no states that wind up"),
-    ("noise", "lqr", _OF_STATE),
+    ("anti_windup", f"gain steps lqr preview {_GOALS}", "a static gain has no states that wind up"),
+    ("noise", "lqr preview", _OF_STATE),
     ("noise", "lqg", "it takes the noise of its sensors by itself"),
-    ("lag", "lqr", _OF_STATE),
+    ("lag", "lqr preview", _OF_STATE),
     ("sampled", "gain states", "a law that is given is not designed"),
-    ("sampled", "lqr lqg h2", "what is designed for the sampled loop has the least norm, not the least mean square"),
+    ("sampled", "lqr lqg h2 preview", "what is designed for the sampled loop has the least norm, not the least mean square"),
     ("sampled", f"loads {_GOALS}", "what is designed for the sampled loop has the least norm, of road and noise alone"),
-    ("loads", "lqr lqg h2", "the mean square is of the road alone"),
+    ("loads", "lqr lqg h2 preview", "the mean square is of the road alone"),
     ("loads", _GOALS, "goals are of the road alone"),
     *((goals, f"states {_DESIGNED}", "goals are of static gains in continuous time") for goals in _GOALS.split()),
     ("force", "pid", "it answers one measured signal for each force"),
     ("force", "steps", "a force says nothing of the state, so that no gain of the least norm is designed on it"),
-    ("force", "lqr", _OF_STATE),
+    ("force", "lqr preview", _OF_STATE),
     ("force", "semi_active", "it measures what it needs"),
     ("refine", f"states {_DESIGNED} stable anti_windup {_GOALS}", "it is static gains of the least norm that are refined"),
     ("zero_l", f"gain states {_DESIGNED} stable anti_windup noise sampled {_GOALS}", "there is no L but in the two steps"),

@@ -12,6 +12,7 @@ from models.common.errors import InputError
 from models.common.lean_scipy import linalg
 
 MATRICES = ("A", "B", "C", "D")
+PREVIEW_MATRICES = ("A", "B", "H", "C")  # of `models.laws.preview`
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens
 LARGEST = 1e15  # of an entry; beyond it rounding decides what acts
 ROUNDING = 1e-7  # relative: of the poles of a double integrator

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import MIB, origin, read_bytes, read_text
+from models.laws.combinations import PREVIEW
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.py):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.fmu")
@@ -156,15 +157,32 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
             )
         return PythonLaw(fmu, None, folder)
     if "law" not in entry:
-        if "preview" in entry:
-            raise InputError(f"{where} preview is what a law in Python is told of the road ahead; {GIVE}, or take it out")
+        if "preview" in entry and entry.get("design") != PREVIEW:
+            raise InputError(
+                f'{where} preview is what a law in Python is told of the road ahead; {GIVE}, or design = "{PREVIEW}", or '
+                "take it out"
+            )
         return None
     law = entry["law"]
     match = LAW.fullmatch(law) if isinstance(law, str) else None
     if match is None or Path(match["file"]).is_absolute() or ".." in Path(match["file"]).parts:
         raise InputError(f"{where} law = {quoted(law)} is no law in Python; {GIVE}")
     preview = entry.get("preview")
+    return PythonLaw(law, None if preview is None else checked_preview(where, preview), folder)
+
+
+def checked_preview(where: str, preview: Any) -> float:
+    """Returns how far the road ahead is known [s].
+
+    Raises:
+        InputError: it is no number of seconds from 0 to `FURTHEST`.
+    """
     real = isinstance(preview, (int, float)) and not isinstance(preview, bool)
-    if preview is not None and not (real and 0 <= preview <= FURTHEST):
+    if not real or not 0 <= preview <= FURTHEST:
         raise InputError(f"{where} preview = {quoted(preview)} is not allowed; give seconds from 0 to {FURTHEST:g}")
-    return PythonLaw(law, None if preview is None else float(preview), folder)
+    return float(preview)
+
+
+def samples_ahead(preview: float, period: float) -> int:
+    """Returns the number of samples within a preview [s], the present one included."""
+    return int(preview / period * (1 + 1e-9)) + 1

@@ -382,6 +382,11 @@ class RoadInput:
             return self.held_loads
         return np.hstack([self.held_loads, self.held_velocities])
 
+    def ahead(self, count: int) -> Array:
+        """Returns heights under the wheels at so many further samples after the last [m], shape (count, r)."""
+        after = self.time[-1] + self.timestep * np.arange(1, count + 1)
+        return under_wheels(self.road.displacement, self.road, self.vehicle, after)
+
     def scaled(self, share: float) -> "RoadInput":
         """Returns the input with heights and loads multiplied."""
         return replace(self, road=self.road.scaled(share))

@@ -69,7 +69,12 @@ def sources(vehicle: Vehicle, road: Spectrum, omega: Array) -> Array:
     return as_met(vehicle, omega, road.speed)[..., None] * tracks(vehicle, road, omega)
 
 
-def longest_panel(vehicle: Vehicle, speed: float) -> float:
-    """Returns the largest spacing of frequencies that resolves the delay of the last axle [rad/s]."""
-    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed
+def longest_panel(vehicle: Vehicle, speed: float, ahead: float = 0.0) -> float:
+    """Returns the largest spacing of frequencies that resolves the delay of the last axle, and what is known ahead [rad/s].
+
+    Args:
+        speed: [m/s].
+        ahead: how far ahead the road is known [s].
+    """
+    delay = max(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels) / speed + ahead
     return 2 * np.pi / delay if delay else math.inf

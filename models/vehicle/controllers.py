@@ -15,9 +15,19 @@ from models.common.printed import size
 from models.kinds.kind import LARGEST, Parameter, VehicleKind, is_number, is_within
 from models.kinds.linear_model import LinearModel
 from models.laws import GOAL_KEYS
-from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, goes, is_order, section_parts
+from models.laws.combinations import (
+    FULL,
+    PATTERNS,
+    PREVIEW,
+    QUADRATIC,
+    STATIC,
+    check_together,
+    goes,
+    is_order,
+    section_parts,
+)
 from models.laws.linear import MATRICES, MOST_STATES, LinearLaw, static_law
-from models.laws.python_law import Programmed, PythonLaw, read_law
+from models.laws.python_law import Programmed, PythonLaw, checked_preview, read_law
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
@@ -67,7 +77,7 @@ class ControllerEntry:
         law: from the q measurements to the m forces if the file gives it as numbers, else None: it is to be designed.
         certificate: the law's certificate, as `python -m synth --save` wrote it; None without one.
         design: method: "full" for the full-order H-infinity controller, "order" and "pid" for a law of a `structure`, or one of
-            `QUADRATIC`; empty for the paper's two steps.
+            `QUADRATIC` or `PREVIEW`; empty for the paper's two steps.
         python: the law in Python that the file names instead, without any claim; None for all others.
         hardware: sensor noise, actuator lag and loads that it is designed for and verified with.
         sampled: True if it is designed for the sampled loop.
@@ -77,6 +87,7 @@ class ControllerEntry:
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
         structure: of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
+        preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
     """
 
     name: str
@@ -93,6 +104,7 @@ class ControllerEntry:
     anti_windup: float | None = None
     structure: "LawStructure | None" = None
     errors: "WeightedErrors | None" = None
+    preview: float = 0.0
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -218,7 +230,8 @@ def _controller(
         raise InputError(f"{where} a certificate is a section of its own, beside the gain or law that it is about; take it out")
 
     python = read_law(where, entry, folder)
-    if design == "lqr" and "measured" not in entry:
+    of_state = design in ("lqr", PREVIEW)
+    if of_state and "measured" not in entry:
         entry = entry | {"measured": list(model.states)}
     measured = entry.get("measured")
     measurable = listing(model.measurable)
@@ -242,10 +255,11 @@ def _controller(
             )
     if not given and python is None and set(measured) <= set(model.inputs):
         raise InputError(f"{where} control forces alone say nothing of the state; give measured = signals out of: {measurable}")
-    if design == "lqr" and set(measured) != set(model.states):
+    if of_state and set(measured) != set(model.states):
+        instead = ', or give design = "lqg"' if design == "lqr" else ""
         raise InputError(
-            f'{where} measured = {quoted(measured)}: design = "lqr" is of the state, {listing(model.states)}; leave measured '
-            'out, or give design = "lqg"'
+            f'{where} measured = {quoted(measured)}: design = "{design}" is of the state, {listing(model.states)}; leave '
+            f"measured out{instead}"
         )
     structure = pid = None
     if structured or "pid" in entry or is_order(entry.get("order")):
@@ -262,8 +276,25 @@ def _controller(
     anti_windup = _anti_windup(where, entry, law, clipped)
     law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
     claims = entry.get("certificate")
-    rest = {"stable": stable, "anti_windup": anti_windup, "structure": structure}
+    rest = {"stable": stable, "anti_windup": anti_windup, "structure": structure, "preview": _preview(where, entry, dampers)}
     return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
+
+
+def _preview(where: str, entry: Mapping[str, Any], dampers: Mapping[str, str]) -> float:
+    """Returns how far ahead a design knows the road [s]; 0 if it is another design."""
+    if entry.get("design") != PREVIEW:
+        return 0.0
+    if "preview" not in entry:
+        raise InputError(
+            f'{where} design = "{PREVIEW}" knows the road ahead, and preview is missing; give seconds, as in preview = 0.5: the '
+            "distance that a sensor sees over the speed"
+        )
+    if dampers:
+        raise InputError(
+            f'{where} design = "{PREVIEW}" pushes before the road does, and adjustable dampers only resist motion; give another '
+            "design, or leave [actuators] out"
+        )
+    return checked_preview(where, entry["preview"])
 
 
 def _hardware(
@@ -301,7 +332,7 @@ def _hardware(
 
 def _design(where: str, entry: Mapping[str, Any]) -> str:
     """Returns the method of design, see `ControllerEntry`."""
-    for key, allowed in {"order": (STATIC, FULL), "design": QUADRATIC}.items():
+    for key, allowed in {"order": (STATIC, FULL), "design": (*QUADRATIC, PREVIEW)}.items():
         if key in entry and entry[key] not in allowed and not (key == "order" and is_order(entry[key])):
             states = f", or a number of states from 0 to {MOST_STATES}" if key == "order" else ""
             raise InputError(f"{where} {key} = {quoted(entry[key])} is not known; known: {listing(allowed)}{states}")

@@ -20,6 +20,7 @@ from sim.campaign.plan import Plan, PlannedRun
 from sim.campaign.samples import with_sample
 from sim.linear.dampers import is_linear
 from sim.linear.sampled_response import readings_of_loads
+from sim.physics.drivers import preview_forces
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.sensor_readout import reads_out
 from sim.physics.simulate import MonitoredBatch
@@ -43,17 +44,21 @@ class ReferenceResponse:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
         vehicle = runs[0].vehicle
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.held
+        heights = np.concatenate([watched.now, watched.beyond]) if len(watched.beyond) else watched.now
+        controllers, vehicles = [run.controller for run in runs], [run.vehicle for run in runs]
+        self.ahead = preview_forces(controllers, vehicles, heights, watched.timestep, len(watched.now))
         timestep = watched.timestep
         systems: dict[Any, Any] = {}
         for run in runs:
             if run.system not in systems:
                 assert isinstance(run.controller, Controller), "it is linear"
                 systems[run.system] = _system(run.vehicle, run.controller, timestep)
-        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N); and of
-        # loads (n, l, N), (n, l, N), (p, l, N), (p, l, N).
-        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr, self.of_loads, self.of_felt, self.Dl, self.D_felt = (
-            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(10)
+        # By entry of the matrices, runs last: shapes (n, n, N), (n, r, N), (n, r, N), (n, r, N), (p, n, N), (p, r, N); of loads
+        # (n, l, N), (n, l, N), (p, l, N), (p, l, N); and of forces from the road ahead (n, m, N), (p, m, N).
+        self.loop, self.of_now, self.of_midway, self.jump, self.C, self.Cr, *of_loads, self.of_ahead, self.D = (
+            np.stack([systems[run.system][i] for run in runs], axis=-1) for i in range(12)
         )
+        self.of_loads, self.of_felt, self.Dl, self.D_felt = of_loads
         self.outputs = vehicle.linear_model.outputs
         place = [signal.name for signal in self.signals]
         self.index = [place.index(name) for name in self.outputs]
@@ -73,6 +78,9 @@ class ReferenceResponse:
             before = self.loads[start - 1 : start] if start else np.zeros_like(self.loads[:1])
             loads, felt = (np.moveaxis(one, 1, 2) for one in (self.loads[some], np.concatenate([before, self.loads[some]])[:-1]))
             push += _applied(self.of_loads, loads) + _applied(self.of_felt, felt)
+        forces = None if self.ahead is None else np.moveaxis(self.ahead[some], 1, 2)
+        if forces is not None:
+            push += _applied(self.of_ahead, forces)
         states, products = np.empty_like(push), np.empty_like(self.loop)
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows; its run says so
             for k in range(len(values)):
@@ -86,6 +94,8 @@ class ReferenceResponse:
                 output = states[:, i] if self.meter is None else _row(self.C[i], states) + _row(self.Cr[i], now)
                 if self.meter is not None and loads is not None and felt is not None:
                     output = output + _row(self.Dl[i], loads) + _row(self.D_felt[i], felt)
+                if self.meter is not None and forces is not None:
+                    output = output + _row(self.D[i], forces)
                 apart = np.abs(values[:, self.index[i]] - output)
                 size = np.abs(output)
                 if not linear.all():
@@ -135,7 +145,9 @@ def _system(vehicle: Vehicle, controller: Controller, timestep: float) -> tuple[
     Phi, Gamma_u, Gamma_r = held_inputs(model.A, timestep, linalg.expm, model.B, model.A @ model.jump + model.Br)
     Gamma_l = held_inputs(model.A, timestep, linalg.expm, model.Bh)[1]
     of_road = (Gamma_u @ G @ model.jump, Gamma_r, model.jump, model.C + model.D @ G, model.Cr)
-    return Phi + Gamma_u @ G, *of_road, Gamma_l, Gamma_u @ felt, model.Dh, model.D @ felt
+    asked = cut.inputs(np.eye(cut.forces), np.zeros((len(cut.hold), cut.forces)))
+    of_loads = (Gamma_l, Gamma_u @ felt, model.Dh, model.D @ felt)
+    return Phi + Gamma_u @ G, *of_road, *of_loads, Gamma_u @ asked, model.D @ asked
 
 
 def _applied(matrix: Array, inputs: Array) -> Array:

@@ -4,6 +4,7 @@ Gains come from its folder. Laws in Python do not: their files are the user's, t
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +95,12 @@ def _driver(designer: Designer, entry: ControllerEntry) -> Driver:
 def _gain_of_then(designer: Designer, name: str, entry: Mapping[str, Any]) -> Controller:
     """Certifies a controller again from an entry of `sim.campaign.manifest.gains_of`."""
     try:
-        return designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
+        found = designer.certify(name, entry["measured"], law_of(entry), designer.vehicle.hardware(name))
+        if not isinstance(entry.get("preview"), dict):
+            return found
+        from models.laws.preview import preview_of
+
+        return replace(found, preview=preview_of(entry))
     except (KeyError, ValueError) as error:
         raise _strange(error) from error
 

@@ -16,7 +16,7 @@ import filelock
 from models.common import interrupt
 from models.common.errors import InputError, first_few, quoted
 from models.common.files import MIB, made_folder, read_text, whole_file
-from models.laws.linear import MATRICES
+from models.laws.linear import MATRICES, PREVIEW_MATRICES
 from synth.controller.controller import Driver
 
 NAME, LOCK = "campaign.json", ".lock"
@@ -148,6 +148,10 @@ def _is_its_kind(name: str, value: Any) -> bool:
         if "semi_active" in value:
             numbers = [value[key] for key in set(value) - {"measured", "semi_active"}]
             return text(value["semi_active"]) and row(numbers)
+        if isinstance(ahead := value.get("preview"), dict):  # beside a gain
+            seconds, *parts = (ahead.get(name) for name in ("seconds", *PREVIEW_MATRICES))
+            known = set(ahead) == {"seconds", *PREVIEW_MATRICES} and type(seconds) is float and all(map(matrix, parts))
+            return known and law({key: each for key, each in value.items() if key != "preview"})
         matrices = set(value) - {"measured", *numbers}
         return matrices in ({"gain"}, set(MATRICES)) and all(matrix(value[each]) for each in matrices)
 

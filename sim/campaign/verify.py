@@ -108,9 +108,19 @@ def _same_law(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
     one, two = law_of(there), law_of(here)
     if _made(one) != _made(two):
         return False
-    if not _near(one.D, two.D, SAME_GAIN):
+    if not _near(one.D, two.D, SAME_GAIN) or not _same_preview(there, here):
         return False
     return not two.states or all(_near(one.response(omega), two.response(omega), SAME_RESPONSE) for omega in _asked(two))
+
+
+def _same_preview(there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+    """Returns True if both answer the road ahead alike, to rounding, or neither does."""
+    if "preview" not in here:
+        return "preview" not in there
+    from models.laws.preview import preview_of
+
+    one, two = preview_of(there), preview_of(here)
+    return one is not None and two is not None and one.difference(two) <= SAME_RESPONSE
 
 
 def _made(law: LinearLaw) -> tuple[object, ...]:

@@ -11,7 +11,8 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.printed import finite
 from models.kinds.signals import is_kept
-from models.laws.combinations import QUADRATIC
+from models.laws.combinations import PREVIEW, QUADRATIC
+from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
     FAILS,
@@ -40,7 +41,7 @@ from synth.analysis.record import false_claims, to_record
 from synth.controller.controller import Controller
 from synth.controller.report import failures_of_sampled_loop, false_norm, norm_if_implemented, notes_on_sampled_loop
 from synth.design.full_order.quadratic import ASSUMED
-from synth.vehicle.quadratic import h2_norm_of, quadratic_optimum
+from synth.vehicle.quadratic import h2_norm_of, preview_optimum, quadratic_optimum
 
 
 def claimed_samples(recorded: RecordedRun, otherwise: int) -> int:
@@ -106,7 +107,7 @@ def check_certificate(
 
 
 def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
-    """Checks that a law is its section's design, if that needs no search: the best in the mean, LQR, LQG or H2.
+    """Checks that a law is its section's design, if that needs no search: the best in the mean, LQR, LQG, H2 or preview LQ.
 
     Laws are compared by their frequency responses around their poles, which do not depend on the coordinates of their states.
 
@@ -115,7 +116,10 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
         controller: its law is the logged one.
     """
     entry = vehicle.controllers.get(controller.name)
-    if entry is None or entry.law is not None or entry.design not in QUADRATIC:
+    if entry is None or entry.law is not None or entry.design not in (*QUADRATIC, PREVIEW):
+        return
+    if entry.design == PREVIEW:
+        yield _preview_design(vehicle, controller, entry)
         return
     best, design = quadratic_optimum(vehicle, entry), f'design = "{entry.design}" of vehicle.toml'
     logged, now = controller.law, best.law
@@ -133,6 +137,18 @@ def check_design(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:
     # What was assumed is a share of the plant's own units, which are powers of two, and rounding may decide which.
     near = best.remark and logged.states == now.states and mean <= best.h2_norm * (1 + ASSUMED)
     yield Finding("design", NOTE, f"{text}; {best.remark}") if near else Finding("design", FAILS, text)
+
+
+def _preview_design(vehicle: Vehicle, controller: Controller, entry: ControllerEntry) -> Finding:
+    """Checks that feedback and preview are those that its section comes to."""
+    best = preview_optimum(vehicle, entry, controller.problem(vehicle))
+    far, design = exceeds(controller.law.D, best.law.D), f'design = "{PREVIEW}" of vehicle.toml'
+    if controller.preview is not None and best.preview is not None:
+        far = max(far, controller.preview.difference(best.preview))
+    if far <= SAME:
+        how = f"to {far:.0e}" if far else "to the last bit"
+        return Finding("design", HOLDS, f"feedback and preview are what {design} comes to, {how}")
+    return Finding("design", FAILS, f"feedback and preview are not what {design} comes to: {far:.1e} of their largest off")
 
 
 def check_goals(vehicle: Vehicle, controller: Controller) -> Iterator[Finding]:

@@ -11,7 +11,7 @@ from sim.inspect.log import Recorded, RecordedRun, read_json
 from sim.inspect.proof import Inspected, Proof
 from sim.runs.report import controller_object, run_object
 from synth.controller.controller import Controller
-from synth.controller.report import law_lines
+from synth.controller.report import law_lines, preview_lines
 
 LONGEST = 400  # characters of a text from a log on the terminal
 
@@ -68,6 +68,7 @@ def proof_lines(proof: Proof) -> list[str]:
                 lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
             elif controller.measured:
                 lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
+                lines += preview_lines(controller, f"  {'':10}")
         lines += _lines(one.findings)
     broken = [f"the {name}" for name in _broken(proof.findings)]
     broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]

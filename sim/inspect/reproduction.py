@@ -137,11 +137,19 @@ def recorded_law(log: Recorded, vehicle: Vehicle, run: RecordedRun) -> Driver:
     only_sampled = SAMPLED_NORM in record and "norm" not in record  # its computer alone makes its loop stable
     if given is None and "X" not in record and not only_sampled:
         raise InputError("it was designed, and its certificate proves no bound")
+    preview = None
+    if entry is not None and entry.preview:
+        from models.laws.preview import preview_of
+
+        preview = preview_of({"preview": run.claim("preview")})
+        shape = len(vehicle.linear_model.inputs), len(vehicle.linear_model.disturbances)
+        if preview is None or (len(preview.C), preview.B.shape[1]) != shape or preview.seconds != entry.preview:
+            raise InputError("its preview of the road is not that of vehicle.toml")
     hardware = vehicle.hardware(name)
     certificate, _ = verify_record(
         problem(vehicle, signals, hardware), ControllerEntry(name, tuple(signals), law, record, hardware=hardware)
     )
-    return Controller(name, signals, law, given is None, certificate, hardware=hardware)
+    return Controller(name, signals, law, given is None, certificate, hardware=hardware, preview=preview)
 
 
 def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[str], law: PythonLaw) -> Programmed:

@@ -13,6 +13,9 @@ exp(j omega h k) with
 without any approximation: a sampled sinusoid stays one. Where the controller's own sample period is several steps, it does not:
 then the response is its share at omega itself, over all the steps of a period.
 
+A preview adds to the requested forces the sum of its weights times exp(j omega i T), over the coming samples of every T seconds,
+and continuous the integral of F(s) exp(j omega s).
+
 A force in a suspension that is F exp(j omega t), held over a step at its midpoint as the road is, is one more Z, which moves no
 state at once. Responses to such forces stand beside those to the wheels' roads, per newton.
 """
@@ -49,8 +52,15 @@ def continuous_frequency_response(vehicle: Vehicle, controller: Controller, omeg
     model, G = cut.model, cut.G
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     felt = readings_of_road(cut, controller)
+    if controller.preview is not None:
+        felt = felt + _on_inputs(controller.preview.response(omega), cut)
     x = np.linalg.solve(s * np.eye(len(model.A)) - model.A - model.B @ G, model.Bw + model.B @ felt + model.Br / s)
     return (model.C + model.D @ G) @ x + model.Dw + model.D @ felt + model.Cr / s
+
+
+def _on_inputs(forces: Array, cut: OpenLoop) -> Array:
+    """Returns responses of the forces, shape (F, m, r), as those of all inputs, (F, m + k, r)."""
+    return np.concatenate([forces, np.zeros((len(forces), len(cut.hold), forces.shape[2]))], axis=1)
 
 
 def sampled_frequency_response(
@@ -71,7 +81,7 @@ def sampled_frequency_response(
         pulls: e forces, responses to which follow, per newton, shape (F, p, r + e).
     """
     cut, _, mean_x, inputs = _harmonic(vehicle, controller, omega, timestep, exponential, pulls)
-    model, outside = cut.model, _outside(cut, controller, pulls, omega, timestep)
+    model, outside = cut.model, _outside(cut, vehicle, controller, pulls, omega, timestep)
     return (model.C @ mean_x + model.D @ inputs + outside.outputs) / outside.per(omega)
 
 
@@ -85,7 +95,7 @@ def sampled_states(vehicle: Vehicle, controller: Controller, omega: Array, times
     how = vehicle.implementation
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm)
     period = timestep * steps_per_sample(how, timestep)
-    felt, asked = _outside(cut, controller, None, omega, timestep).through_readings, cut.asked @ x
+    felt, asked = _outside(cut, vehicle, controller, None, omega, timestep).through_readings, cut.asked @ x
     asked = asked if felt is None else asked + felt[..., : cut.forces, :]
     waiting = [np.exp(-s * period * late) * asked for late in range(how.pending_forces, 0, -1)]
     return np.concatenate([x, *waiting], axis=1) / s
@@ -107,7 +117,7 @@ def stepwise_frequency_response(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
-    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, controller, pulls, omega, h)
+    model, steps, outside = cut.model, steps_per_sample(how, h), _outside(cut, vehicle, controller, pulls, omega, h)
     Phi, Gamma, Gamma_r = outside.held(model, linalg.expm)
     by_step, xi, responses, per = (
         _inputs_by_step(cut, how, s, h, x, outside.through_readings),
@@ -136,7 +146,7 @@ def leaps_by_step(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     how, h = vehicle.implementation, timestep
     cut, x, _, _ = _harmonic(vehicle, controller, omega, timestep, linalg.expm, pulls)
-    outside, turn = _outside(cut, controller, pulls, omega, h), np.exp(-s * h * steps_per_sample(how, h))
+    outside, turn = _outside(cut, vehicle, controller, pulls, omega, h), np.exp(-s * h * steps_per_sample(how, h))
     by_step, per = _inputs_by_step(cut, how, s, h, x, outside.through_readings), outside.per(omega)
     before = [by_step[-1] * turn, *by_step[:-1]]
     return np.stack([cut.model.D @ (now - last) / per for now, last in zip(by_step, before, strict=True)])
@@ -150,7 +160,8 @@ class _Outside:
         jump: direct effect on the states, shape (n, c).
         rates: effect on the rates of the continuous states xi, shape (n, c).
         outputs: direct effect on the output signals, shape (p, c), or (F, p, c) if tyres damp.
-        through_readings: effect on all inputs by measured accelerations, shape (m + k, c) or (F, m + k, c); None for no effect.
+        through_readings: effect on all inputs by measured accelerations and preview, shape (m + k, c) or (F, m + k, c); None for
+            no effect.
         wheels: r.
         omega: angular frequencies [rad/s], shape (F,).
         timestep: h [s].
@@ -185,7 +196,7 @@ class _Outside:
         return np.concatenate([*([s] * self.wheels), *([np.ones_like(s)] * forces)], axis=-1) if forces else s
 
 
-def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None, omega: Array, h: float) -> _Outside:
+def _outside(cut: OpenLoop, vehicle: Vehicle, controller: Controller, pulls: Elements | None, omega: Array, h: float) -> _Outside:
     """Returns the disturbances by the roads under the wheels and by suspension forces."""
     model, omega = cut.model, np.asarray(omega, dtype=float)
     rates, wheels = model.A @ model.jump + model.Br, model.Bw.shape[1]
@@ -194,6 +205,10 @@ def _outside(cut: OpenLoop, controller: Controller, pulls: Elements | None, omeg
         turn = np.exp(1j * omega * h)[:, None, None]
         outputs = outputs + model.Dw * (turn - 1) / h
         felt = readings_of_road(cut, controller) * (1 - 1 / turn) / h if readings_of_road(cut, controller).any() else None
+    if controller.preview is not None:
+        period = h * steps_per_sample(vehicle.implementation, h)
+        ahead = _on_inputs(controller.preview.sampled_response(omega, period), cut)
+        felt = ahead if felt is None else felt + ahead
     if pulls is None:
         return _Outside(model.jump, rates, outputs, felt, wheels, omega, h)
     count = pulls.outputs.shape[1]
@@ -239,7 +254,7 @@ def _harmonic(
     s = 1j * np.asarray(omega, dtype=float)[:, None, None]
     steps = steps_per_sample(how, h)
     cut = sampled(vehicle, controller, steps * h)
-    model, outside = cut.model, _outside(cut, controller, pulls, omega, h)
+    model, outside = cut.model, _outside(cut, vehicle, controller, pulls, omega, h)
     jump = outside.jump
     Phi, Gamma, Gamma_r = outside.held(model, exponential)
 

@@ -21,6 +21,12 @@ Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a s
 
 by Gauss-Legendre quadrature with 8 nodes: exact to rounding for a smooth road. A step that holds a kink of the road is cut there.
 
+Preview. The forces from the road ahead add to those of the gain. Sampled, they are known sums over its heights. Continuous, they
+are Cp g, with g' = -Ap g - d(t) + exp(Ap T) d(t + T) and d = Bp z_r' + Hp z_r, which decays backwards in time. With P of the
+Sylvester equation A_G P + P Ap + B Cp = 0, y = x - P g has the road alone on its right, and g is computed apart:
+
+    y' = A_G y + Bw z_r' + Br z_r + P d(t) - P exp(Ap T) d(t + T).
+
 Rounding moves signals whatever the road. MuJoCo holds a vehicle up by lengths of about a metre, rounded to 1e-16 of it, and
 by balanced forces of its whole weight. The error of a signal is the same over a bump of a decimetre and of a micrometre. The
 model of it: every length among the states moves by a few roundings, every velocity by that times the vehicle's fastest rate.
@@ -30,6 +36,7 @@ The outputs follow from the linear model.
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
@@ -46,8 +53,13 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, OpenLoop
 from synth.plant.discrete import held_inputs
 
+if TYPE_CHECKING:
+    from models.laws.preview import RoadPreview
+
 LENGTH = 16 * float(np.finfo(float).eps)  # m or rad; measured over roads of 1e-9 m: up to 5e-16 m, in 20000 steps
 LENGTHS = ("m", "rad")
+NODES = 8  # of the quadrature over a step
+WHOLE = 1e-9  # relative: a preview this near to a whole number of steps is one
 RATES = 400  # number of frequencies at which a law's gain is evaluated
 
 
@@ -142,15 +154,18 @@ def sampled_responses(
         from sim.linear.piecewise_linear_steps import CurvedSteps
 
         steps = CurvedSteps(vehicle, model, h, exact=exponential is not taylor4)
-    through_readings = (
-        None  # effect of loads, by measured accelerations, on requested forces and on the rates of the law's states
-    )
+    # Of loads, by measured accelerations, and of the road ahead, on requested forces and on the rates of the law's states.
+    through_readings = None
     if loads is not None:
         push += loads @ Gamma_l[0].T
         # A reading is taken before a new load acts, as before a new force does.
         through_readings = (
             np.concatenate([np.zeros_like(loads[:, :1]), loads[:, :-1]], axis=1) @ readings_of_loads(cut, controller).T
         )
+    if controller.preview is not None:
+        ahead = np.stack([forces_ahead(controller.preview, road, period) for road in roads])
+        ahead = np.concatenate([ahead, np.zeros((*ahead.shape[:2], len(cut.hold)))], axis=2)
+        through_readings = ahead if through_readings is None else through_readings + ahead
     if how.undelayed and steps is None:
         G = cut.inputs(cut.asked)
         if through_readings is not None:
@@ -193,6 +208,17 @@ def sampled_responses(
     return _with_kept(Response(time, vehicle.kind.signals, np.stack(runs)), kept)
 
 
+def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
+    """Returns the forces by which a computer answers the road ahead [N], shape (T, m), held from sample to sample.
+
+    Args:
+        steps: timesteps between two of its samples.
+    """
+    h = road.timestep
+    heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
+    return preview.forces(heights, steps, h, len(road.time))
+
+
 def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
     """Returns the response of the continuous closed loop (16), from rest. Arguments as for `sampled_response`."""
     controller, cut = loop.controller, loop.continuous
@@ -207,8 +233,15 @@ def continuous_response(loop: LoopModel, road: RoadInput) -> Response:
             of_loads[:, len(model.loads) :] -= model.Bt
         if road.loaded or of_loads[:, len(model.loads) :].any():
             forcing += load_forcing(A, of_loads, road)
-    states = recursion(linalg.expm(A * loop.timestep), forcing)
-    inputs = states @ G.T
+    Phi = linalg.expm(A * loop.timestep)
+    if controller.preview is None:
+        states = recursion(Phi, forcing)
+        inputs = states @ G.T
+    else:
+        ahead, P, drive = _continuous_ahead(controller.preview, A, model.B[:, : cut.forces], road)
+        states = _recursion_from(-P @ ahead[0], Phi, (forcing + drive)[:-1]) + ahead @ P.T
+        inputs = states @ G.T
+        inputs[:, : cut.forces] += ahead @ controller.preview.C.T
     if loads is not None and through_readings is not None:
         inputs += loads @ through_readings.T
     response = response_of(model, road, states, inputs, 0.0 if loads is None else loads @ model.Dh.T)
@@ -240,6 +273,65 @@ def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
         A, push, np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)]), road_input.time
     )
     return forcing + _leaps(A, model.Bw, road_input) if road.jumps else forcing
+
+
+def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: RoadInput) -> tuple[Array, Array, Array]:
+    """Returns g at the samples, shape (T, k), P, shape (n, k), and the drive of y over the steps from them, shape (T, n).
+
+    A random road costs most where it is evaluated, so every node of the quadrature is used for all three integrals.
+
+    Args:
+        A: of the closed loop, shape (n, n).
+        B: of the forces, shape (n, m).
+    """
+    road, vehicle, time, h, T = road_input.road, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
+    kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
+    whole, later, count = int(T / h * (1 + WHOLE)), linalg.expm(preview.A * T), len(time)
+    in_steps = abs(whole * h / T - 1) <= WHOLE
+    P = linalg.solve_sylvester(A, preview.A, -B @ preview.C)
+
+    def met(t: Array) -> Array:
+        """Returns d, shape (T, k)."""
+        pushed = under_wheels(road.velocity, road, vehicle, t) @ preview.B.T
+        return pushed + under_wheels(road.displacement, road, vehicle, t) @ preview.H.T if preview.H.any() else pushed
+
+    def change(t: Array) -> Array:
+        """Returns what comes in at t, less what it leaves at t + T, shape (T, k)."""
+        return met(t) - met(t + T) @ later.T
+
+    def back(push: Callable[[Array], Array], left: float, right: float, start: float) -> Array:
+        """Returns the integral of exp(Ap (t - start)) push(t) from left to right, shape (k,)."""
+        piece = _convolution(preview.A, lambda t: push(left + right - t), np.array([left]), right - left)[0]
+        return linalg.expm(preview.A * (left - start)) @ piece
+
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    after = time[-1] + h * np.arange(whole)  # the preview at the end of the run
+    drive, ahead, end = np.zeros((count, len(A))), np.zeros((count, len(preview.A))), np.zeros((len(after), len(preview.A)))
+    for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
+        known = met(time[0] + h * np.arange(count + whole) + s)
+        come = known[:count] - (known[whole:] if in_steps else met(time + T + s)) @ later.T
+        drive += weight * come @ P.T @ linalg.expm(A * (h - s)).T
+        ahead += weight * come @ linalg.expm(preview.A * s).T
+        end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
+    for k, edges in _cut_steps(np.concatenate([kinks, kinks - T]), time, h):
+        pieces = list(itertools.pairwise(edges))
+        drive[k] = _pieces(A, lambda t: change(t) @ P.T, edges)
+        ahead[k] = sum(back(change, left, right, time[k]) for left, right in pieces)
+    for k, edges in _cut_steps(kinks, after, h):
+        end[k] = sum(back(met, left, right, after[k]) for left, right in itertools.pairwise(edges))
+    Phi = linalg.expm(preview.A * h)
+    last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
+    if not in_steps:  # a part of a step is left
+        left, right = time[-1] + whole * h, time[-1] + T
+        edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
+        last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
+    ahead = _recursion_from(last, Phi, ahead[-2::-1])[::-1]
+    return ahead, P, drive
+
+
+def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
+    """Returns x[k+1] = Phi x[k] + forcing[k] from a start, shape (n,), with its last, shape (T + 1, n); see `recursion`."""
+    return recursion(Phi, np.concatenate([start[None], forcing, start[None]]))[1:]
 
 
 def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
@@ -291,20 +383,32 @@ def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array
     """
     h = float(time[1] - time[0])
     forcing = _convolution(A, push, time, h)
-    for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)):
+    for k, edges in _cut_steps(kinks, time, h):
+        forcing[k] = _pieces(A, push, edges)
+    return forcing
+
+
+def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
+    """Returns the steps from these times [s] that hold a kink, each with its ends and kinks in between [s]."""
+    found = []
+    for k in np.unique(np.floor((kinks - time[0]) / h).astype(int)) if len(time) else ():
         if 0 <= k < len(time):
             start, end = time[k], time[k] + h
-            edges = [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]
-            forcing[k] = 0.0
-            for left, right in itertools.pairwise(edges):
-                piece = _convolution(A, push, np.array([left]), right - left)[0]
-                forcing[k] += linalg.expm(A * (end - right)) @ piece
-    return forcing
+            found.append((int(k), [start, *np.unique(kinks[(kinks > start) & (kinks < end)]), end]))
+    return found
+
+
+def _pieces(A: Array, push: Callable[[Array], Array], edges: Sequence[float]) -> Array:
+    """Returns the contribution of push(t) to x' = A x + push(t) from the first of these times to the last [s], shape (n,)."""
+    total = np.zeros(len(A))
+    for left, right in itertools.pairwise(edges):
+        total += linalg.expm(A * (edges[-1] - right)) @ _convolution(A, push, np.array([left]), right - left)[0]
+    return total
 
 
 def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: float) -> Array:
     """Returns the integral of exp(A (h - s)) push(start + s) ds over 0..h, shape (T, n), for start times of shape (T,)."""
-    nodes, weights = np.polynomial.legendre.leggauss(8)
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = np.zeros((len(start), len(A)))
     for s, weight in zip(h * (nodes + 1) / 2, h * weights / 2, strict=True):
         if (pushed := push(start + s)).any():

@@ -8,12 +8,12 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.laws.python_law import Programmed
+from models.laws.python_law import Programmed, samples_ahead
 from models.laws.semi_active import SemiActive
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.sensor_readout import AntiWindup, Laws, LinearLaws, Readout
-from synth.controller.controller import Driver
+from synth.controller.controller import Controller, Driver
 
 if TYPE_CHECKING:
     from models.laws.python_runtime import OwnLaw
@@ -67,16 +67,38 @@ def preview_samples(controller: RunDriver, period: float) -> int:
     """Returns the number of road heights that a controller receives under each wheel, the present one included; 0 without
     preview.
     """
-    if not isinstance(controller, Programmed) or controller.law.preview is None:
-        return 0
-    return int(controller.law.preview / period * (1 + 1e-9)) + 1
+    if isinstance(controller, Programmed) and controller.law.preview is not None:
+        return samples_ahead(controller.law.preview, period)
+    if isinstance(controller, Controller) and controller.preview is not None:
+        return controller.preview.samples(period)
+    return 0
 
 
 def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], timestep: float) -> int:
-    """Returns the largest number of timesteps [s] by which a law previews its road beyond a run's end."""
+    """Returns the largest number of timesteps [s] by which a controller previews its road beyond a run's end."""
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
     return max((max(preview_samples(driver, steps * timestep) - 1, 0) * steps for driver, steps in pairs), default=0)
+
+
+def preview_forces(
+    controllers: Sequence[RunDriver], vehicles: Sequence[Vehicle], heights: Array, timestep: float, samples: int
+) -> Array | None:
+    """Returns the forces by which N linear controllers answer the road ahead [N], shape (T, N, m), or None if none does.
+
+    Args:
+        heights: of the roads from the start to `steps_ahead` of the end [m], shape (.., N, r).
+        timestep: [s].
+        samples: T.
+    """
+    ahead = [one.preview if isinstance(one, Controller) else None for one in controllers]
+    if not any(ahead):
+        return None
+    forces = np.zeros((samples, len(controllers), len(vehicles[0].linear_model.inputs)))
+    for i, (one, vehicle) in enumerate(zip(ahead, vehicles, strict=True)):
+        if one is not None:
+            forces[:, i] = one.forces(heights[:, i], steps_per_sample(vehicle.implementation, timestep), timestep, samples)
+    return forces
 
 
 class PythonLaws:

@@ -117,7 +117,7 @@ class BatchInputs:
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.
         going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
             unwanted run is not stepped, and its part of later blocks is meaningless.
-        beyond: road heights at the samples after the last [m], shape (E, N, r), for the preview of laws in Python, or None.
+        beyond: road heights at the samples after the last [m], shape (E, N, r), for controllers that preview them, or None.
         failures: by run, failures of laws in Python, for the caller to read: such a run goes on without forces. None to raise
             the first failure.
         accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
@@ -214,6 +214,10 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         if len(noise):
             for i, one in enumerate(controllers):
                 offset[:, i] += noise[:, i, [readout.names.index(name) for name in one.measured]]
+    whole = now if course.beyond is None or not len(course.beyond) else np.concatenate([now, course.beyond])
+    ahead = drivers.preview_forces(controllers, vehicles, whole, timestep, len(now))
+    if ahead is not None:
+        offset[..., : ahead.shape[2]] += ahead
     reads = (gain, memory, offset)
     if dampers is not None:
         reads = dampers.beside(gain, memory, offset)
@@ -250,7 +254,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
-            laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup)
+            laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup, whole, ahead)
             seen = _seen_names(readout, mine)
             samplers = [Sampler(how, laws, seen, timestep, len(now))]
             if undelayed is not None:
@@ -344,12 +348,16 @@ def _laws_of(
     memory: Array,
     dampers: drivers.Dampers | None,
     anti_windup: AntiWindup | None,
+    whole: Array,
+    ahead: Array | None,
 ) -> Laws:
     """Returns the laws of some of the runs, on signals of these names.
 
     Args:
         dampers: of those runs, or None; the laws then return their commands.
         anti_windup: of those runs, or None.
+        whole: road heights at the samples, and beyond the last one [m], shape (.., N, r).
+        ahead: forces of all runs from the road ahead, or None.
     """
     semi_active = [one for one in course.controllers[runs] if isinstance(one, SemiActive)]
     if semi_active:
@@ -357,13 +365,12 @@ def _laws_of(
         return drivers.SemiActiveLaws(semi_active, dampers, names)
     programmed = [one for one in course.controllers[runs] if isinstance(one, Programmed)]
     if not programmed:
-        linear = LinearLaws(gain[runs], memory[runs], anti_windup)
+        linear = LinearLaws(gain[runs], memory[runs], anti_windup, None if ahead is None else ahead[:, runs])
         if dampers is not None:
             return drivers.Damped(linear, dampers.of)
         return linear if anti_windup is None else drivers.Limited(linear)
-    ahead = course.now if course.beyond is None else np.concatenate([course.now, course.beyond])
     numbers = range(len(course.vehicles))[runs]
-    laws = drivers.PythonLaws(programmed, course.vehicles[runs], names, course.timestep, ahead[:, runs], course.failures, numbers)
+    laws = drivers.PythonLaws(programmed, course.vehicles[runs], names, course.timestep, whole[:, runs], course.failures, numbers)
     return laws if dampers is None else drivers.Damped(laws, dampers.of)
 
 

@@ -71,9 +71,12 @@ class AntiWindup:
 class LinearLaws:
     """N linear laws."""
 
-    def __init__(self, gain: Array, memory: Array, anti_windup: "AntiWindup | None" = None) -> None:
-        """Takes the gains from the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k)."""
+    def __init__(self, gain: Array, memory: Array, anti_windup: "AntiWindup | None" = None, ahead: Array | None = None) -> None:
+        """Takes the gains from the signals to [u; x_c], shape (N, m + k, S), and from x_c, shape (N, m + k, k), and the forces
+        from the road ahead at every step, shape (T, N, m), or None.
+        """
         self.gain, self.memory, self.anti_windup = gain, memory if memory.shape[2] else None, anti_windup
+        self.ahead = ahead
         self.forces = gain.shape[1] - memory.shape[2]
         self.kept, self.used = (np.zeros((len(gain), memory.shape[2])) for _ in range(2))
 
@@ -85,7 +88,7 @@ class LinearLaws:
             computed += np.matvec(self.memory[due], self.used[due])
             self.kept[due] = computed[:, self.forces :]
             computed = computed[:, : self.forces]
-        return computed
+        return computed if self.ahead is None else computed + self.ahead[k, due]
 
     def follow(self, due: Array | slice, requested_force: Array) -> None:
         """Adds the anti-windup to the states of the due laws; `requested_force` is as for `AntiWindup`."""

@@ -81,10 +81,8 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     signals, wheels = vehicles[0].kind.signals, vehicles[0].kind.wheels
     once = met_alike(inputs)
     now, midway = (np.stack([getattr(road, name) for road in once], axis=1) for name in ("heights", "midway"))
-    beyond = None
-    if ahead := steps_ahead(vehicles, controllers, timestep):
-        after = time[-1] + timestep * np.arange(1, ahead + 1)
-        beyond = np.stack([under_wheels(road.road.displacement, road.road, road.vehicle, after) for road in once], axis=1)
+    ahead = steps_ahead(vehicles, controllers, timestep)
+    beyond = np.stack([road.ahead(ahead) for road in once], axis=1) if ahead else None
     shares = shared(
         len(vehicles), 1 if kinds[0][0] is Programmed else threads or cores()
     )  # only one thread at a time executes Python
@@ -187,7 +185,7 @@ class MonitoredBatch:
         midway: the same half a step later, where MuJoCo holds them.
         ends: detector of the ends of their linear regime in the blocks so far.
         held: see `BatchInputs`.
-        beyond: heights of the roads at the samples after the last, as far as laws in Python preview them.
+        beyond: heights of the roads at the samples after the last, as far as controllers preview them.
         failures: by run, the laws in Python that have failed; such a run goes on without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
         ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).

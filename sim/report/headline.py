@@ -91,6 +91,8 @@ def norms(scope: Scope) -> list[Statement]:
     passive = scope.designer.design("passive").certificate.norm.value
     each = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
     text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {each}."
+    if ahead := [one.name for one in scope.controllers if one.preview is not None and one.name in values]:
+        text += f" That of {joined(ahead)} is of the feedback alone, without the road ahead."
     if least != "passive" and math.isfinite(passive):
         share = values[least] / passive - 1
         text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."

@@ -185,7 +185,8 @@ def claims(controller: Driver) -> str:
     if not certificate.stable:
         return certificate.own.words
     where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
-    return f"norm {norm.value:.7g}{where}{f', bound {certificate.bound:.7g}' if certificate.bound is not None else ''}"
+    alone = ", of its feedback alone" if controller.preview is not None else ""
+    return f"norm {norm.value:.7g}{where}{f', bound {certificate.bound:.7g}' if certificate.bound is not None else ''}{alone}"
 
 
 def _found(vehicle: Vehicle, controller: Driver) -> list[str]:

@@ -11,7 +11,7 @@ from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
-from synth.controller.controller import SUFFIX, Controller
+from synth.controller.controller import SUFFIX, Controller, check_feedback_alone
 from synth.controller.report import norm_if_implemented, norm_record
 
 
@@ -58,6 +58,8 @@ def saved_text(
 ) -> str:
     """Returns the text that `save` writes. Arguments and errors as for `save`."""
     designed = [controller for controller in controllers if controller.designed and controller.measured]
+    for controller in designed:
+        check_feedback_alone(controller, "a section with a gain, or what is exported")
     check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text_for(path).rstrip("\n") + "\n"
     for controller in designed:

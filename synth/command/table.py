@@ -14,6 +14,7 @@ from synth.analysis.specification import SampledNorm
 from synth.controller.controller import Controller
 from synth.controller.report import (
     BOUND,
+    FEEDBACK_ALONE,
     GAP,
     LOWER_BOUND,
     NORM,
@@ -26,6 +27,7 @@ from synth.controller.report import (
     norm_lines,
     norm_object,
     norm_record,
+    preview_lines,
 )
 
 if TYPE_CHECKING:
@@ -200,6 +202,8 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
         lines = wrapped(f"{first.text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
     else:
         lines = gain if gains and row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+    if row.controller.preview is not None:
+        lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
     lines += [f"{row.name}: {row.notes[-1]}"] if checked and row.notes else []
     return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
 

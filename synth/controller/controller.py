@@ -19,6 +19,7 @@ from synth.controller.problem import Problem, problem
 from synth.plant.generalized import GeneralizedPlant
 
 if TYPE_CHECKING:
+    from models.laws.preview import RoadPreview
     from synth.analysis.specification import Specification
 
 
@@ -98,6 +99,7 @@ class Controller(Checked, Shown):
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
         specifications: specifications that it was designed for or is judged by, beside the least norm.
+        preview: its force from the road ahead, beside that of its law; None without.
     """
 
     name: str
@@ -116,6 +118,7 @@ class Controller(Checked, Shown):
     hardware: DesignConditions = NOMINAL
     sampled: bool = False
     specifications: "tuple[Specification, ...]" = ()
+    preview: "RoadPreview | None" = None
     kind: ClassVar[str] = "a linear law"
 
     @property
@@ -140,12 +143,24 @@ class Controller(Checked, Shown):
     @property
     def record(self) -> dict[str, Any]:
         """Name, signals and law as JSON has them."""
-        return {"name": self.name, "measured": list(self.measured), **self.law.record}
+        ahead = {"preview": self.preview.record} if self.preview is not None else {}
+        return {"name": self.name, "measured": list(self.measured), **self.law.record, **ahead}
 
     @property
     def text(self) -> str:
         """The law on one line."""
-        return self.law.text if self.measured else "no control force"
+        ahead = "" if self.preview is None else f", and the road {self.preview.seconds:g} s ahead"
+        return f"{self.law.text}{ahead}" if self.measured else "no control force"
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead it knows the road [s]; 0 without a preview."""
+        return 0.0 if self.preview is None else self.preview.seconds
+
+    @property
+    def feedback(self) -> "Controller":
+        """The controller without its force from the road ahead; it has the same poles and margins."""
+        return self if self.preview is None else replace(self, preview=None)
 
     @property
     def quiet(self) -> "Controller":
@@ -229,6 +244,22 @@ def check_fits(vehicle: Vehicle, *controllers: Driver) -> None:
                 f"controller {one.name!r} {wrong}, and is another vehicle's; this {vehicle.kind.name} has {forces} force(s) and "
                 f"the signals {listing(outputs)}"
             )
+
+
+def check_feedback_alone(controller: Controller, what: str) -> None:
+    """Refuses a controller that answers the road ahead where only its feedback would be held.
+
+    Args:
+        what: that holds it, for the message.
+
+    Raises:
+        InputError: it has a preview.
+    """
+    if controller.preview is not None:
+        raise InputError(
+            f"controller {controller.name!r} answers the road ahead, and {what} holds a law of what is measured alone; name a "
+            "controller without preview"
+        )
 
 
 class InterruptedDesign(KeyboardInterrupt):

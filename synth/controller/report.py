@@ -180,7 +180,12 @@ def heading_lines(controller: Controller) -> list[str]:
     measures = f"controller {controller.name}: measures {', '.join(controller.measured) or 'nothing'}"
     if not controller.measured:
         return [measures, "  no control force"]
-    return [measures, *law_lines(controller.law, "  gain ", "  law ")]
+    return [measures, *law_lines(controller.law, "  gain ", "  law "), *preview_lines(controller, "  ")]
+
+
+def preview_lines(controller: Controller, start: str) -> list[str]:
+    """Returns a line on how far ahead a controller knows the road, after some text; empty if it does not."""
+    return [f"{start}answers the road {controller.ahead:g} s ahead, too"] if controller.preview is not None else []
 
 
 def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
@@ -283,12 +288,17 @@ def filter_lines(vehicle: Vehicle) -> list[str]:
     return lines
 
 
+FEEDBACK_ALONE = "norm, bound and poles are of its feedback alone; the road ahead moves no pole and changes no margin"
+
+
 def judged_lines(controller: Controller) -> list[str]:
-    """Returns notes on noise, loads, lag and bilinear transform if a controller's norm and bounds include them."""
+    """Returns notes on what a controller's norm and bounds include and leave out: noise, loads, lag, preview, a transform."""
     measured, hardware = controller.measured, controller.hardware
     pairs = zip(measured, hardware.noise, strict=bool(hardware.noise))
     noise = ", ".join(f"{rms:g} on {name}" for name, rms in pairs if rms)
     texts = []
+    if controller.preview is not None:
+        texts.append(FEEDBACK_ALONE)
     if noise:
         texts.append(
             f"norm and bounds count noise, too: an rms of {noise} weighs as much as 1 m/s of road velocity, before any filter of "

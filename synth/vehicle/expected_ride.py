@@ -55,10 +55,13 @@ def expected_ride(vehicle: Vehicle, controller: Controller) -> float | None:
         """Returns the spectra of the weighted accelerations over the road's, shape (F, a)."""
         s = 1j * omega[:, None, None]
         response = C @ np.linalg.solve(s * np.eye(len(loop)) - loop, Bw + model.Br / s) + Dw + Cr / s
+        if controller.preview is not None:
+            ahead, B, D = controller.preview.response(omega), model.B[:, : cut.forces], model.D[rows, : cut.forces]
+            response = response + C @ np.linalg.solve(s * np.eye(len(loop)) - loop, B @ ahead) + D @ ahead
         weighted = WEIGHTED.response(omega)[:, None, None] * (response @ sources(vehicle, road, omega))
         return np.sum(np.abs(weighted) ** 2, axis=-1)
 
     filter_poles = np.concatenate([np.roots(below) for _, below in WEIGHTED.sections])
     every = np.concatenate([poles, filter_poles])
-    band = sample_band(spectra, lambda _, value: value, *road.band, every, longest_panel(vehicle, SPEED))
+    band = sample_band(spectra, lambda _, value: value, *road.band, every, longest_panel(vehicle, SPEED, controller.ahead))
     return math.sqrt(road.density * float((band.share @ band.values).max()))

@@ -1,14 +1,16 @@
-"""A controller of a vehicle file that is the best in the mean: LQR, LQG or H2, from Riccati equations, without an LMI."""
+"""A controller of a vehicle file that is the best in the mean, from Riccati equations: LQR, LQG, H2, or preview LQ."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from models.laws.linear import LinearLaw
+from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import on_readings
-from synth.controller.problem import Problem, plant_states, problem
+from synth.controller.controller import Controller, on_readings
+from synth.controller.problem import Problem, plant_states, problem, road_twist_inputs
+from synth.design.full_order.preview import PreviewDesign, preview_design
 from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, with_extra_disturbances
 
 
@@ -38,6 +40,43 @@ def quadratic_optimum(vehicle: Vehicle, entry: ControllerEntry) -> QuadraticDesi
     states, noise = plant_states(vehicle, entry.hardware.bandwidth), white_noise(vehicle, entry, posed)
     optimum = quadratic_design(entry.design, posed.plant, Cy, states, noise, Dyw)
     return replace(optimum, law=on_readings(optimum.law, posed))
+
+
+def preview_optimum(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> PreviewDesign:
+    """Returns the preview LQ design of a section, with its feedback on sensor readings and its preview on roads.
+
+    A twist of the road, which acts by its height, is a disturbance beside its velocity (`generalized_plant`), and known too.
+
+    Args:
+        entry: its `design` is "preview".
+        posed: its problem.
+
+    Raises:
+        InputError, DesignError: as `preview_design`.
+    """
+    Cy, _ = posed.select_rows(posed.state_measurements)
+    found = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
+    law, ahead, model = on_readings(found.law, posed), found.preview, vehicle.linear_model
+    if ahead is None:
+        return replace(found, law=law)
+    r = len(model.disturbances)
+    heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
+    return replace(found, law=law, preview=RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C))
+
+
+def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> Controller:
+    """Returns the controller of a preview LQ design.
+
+    Raises:
+        InputError, DesignError: as `preview_design`.
+    """
+    found = preview_optimum(vehicle, entry, posed)
+    best = (
+        f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {found.h2_norm:.7g}, and {found.without:.7g} "
+        "without, the rms of z where road velocity is white noise of intensity one"
+    )
+    made = Controller(entry.name, entry.measured, found.law, True, found.certificate, remarks=(best,), hardware=entry.hardware)
+    return replace(made, preview=found.preview)
 
 
 def h2_norm_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:

@@ -12,7 +12,7 @@ from models.common.errors import InputError, listing, quoted
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import NOMINAL, read_controllers
 from models.vehicle.vehicle import Vehicle
-from synth.controller.controller import Controller, check_fits
+from synth.controller.controller import Controller, check_feedback_alone, check_fits
 from synth.plant.generalized import GeneralizedPlant
 from synth.vehicle.designer import certify_given
 
@@ -145,9 +145,10 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
         >>> law_system(vehicle, controller).input_labels
         ['suspension_deflection', 'sprung_velocity']
     """
+    check_fits(vehicle, controller)
+    check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss
 
-    check_fits(vehicle, controller)
     law = controller.law
     if not controller.measured:
         raise InputError(f"controller {controller.name!r} measures nothing, and is no system")
@@ -215,6 +216,7 @@ def weighted_loop(vehicle: Vehicle, controller: Controller) -> "control.StateSpa
 
 def _loop(vehicle: Vehicle, controller: Controller, outputs: Sequence[str]) -> "control.StateSpace":
     """The closed loop to a vehicle's z, whose entries are called so."""
+    check_feedback_alone(controller, "a state-space system")
     from control import StateSpace, ss
 
     judged, hardware = controller.problem(vehicle).judged(controller.law), controller.hardware

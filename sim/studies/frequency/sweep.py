@@ -43,7 +43,7 @@ class Sweep:
 
     lines: Lines
     extremes: Extremes
-    sampled: SampledNorm | None  # of the loop as implemented, exact; None without [implementation], or if the road is read
+    sampled: SampledNorm | None  # of the loop as implemented, exact; None without [implementation], or if the road is known
     road: WorstRoad | None  # the one that reaches it; None where there is none such
     loads: tuple[MinimumLoad, ...]  # by wheel, on EUSAMA's plate
     without: str  # what the vehicle file has of noise and quantisation, and these runs had not, in words; empty for neither
@@ -100,7 +100,8 @@ def sweep(
         small = {line.controller.name: line for line in identify(near, off, amplitude * SMALLER, timestep, speed)}
     ideal, sweeps = ideal_measurements(near), []
     for controller, line, extreme, load in zip(controllers, lines, most, loads, strict=True):
-        norm = norm_if_implemented(ideal, controller.quiet, timestep) if not _reads_road(ideal, controller) else None
+        of_feedback = controller.preview is None and not _reads_road(ideal, controller)
+        norm = norm_if_implemented(ideal, controller.quiet, timestep) if of_feedback else None
         road = worst_road(ideal, controller, norm, amplitude, timestep) if norm is not None else None
         noise_text = vehicle.implementation.noise_text
         sweeps.append(Sweep(line, extreme, norm, road, load, noise_text, small.get(controller.name)))

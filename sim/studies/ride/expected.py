@@ -78,6 +78,8 @@ class Settled:
 def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> Settled | None:
     """Returns the measured signal furthest from its final variance when measuring begins, or None for an unstable loop.
 
+    It is None, too, if a preview has the rear wheels' road before these are on it.
+
     Args:
         road: the spectrum of the road; its roughness has no effect.
         timestep: of the sampled loop [s].
@@ -91,7 +93,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
 
 
 def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, start: float) -> dict[str, float]:
-    """Returns the share of its final variance for every measured signal that moves, by name; empty for an unstable loop."""
+    """Returns the share of its final variance for every measured signal that moves, by name; empty where `settled` is None."""
     whole = LoopModel(vehicle, controller, timestep)
     if not is_linear(vehicle, controller) or whole.radius >= 1:
         return {}
@@ -104,6 +106,8 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
     period = whole.period
     sample = round(start / period)
     late = np.array([round(wheel.behind(vehicle.parameters) / road.speed / period) for wheel in vehicle.kind.wheels])
+    if controller.preview is not None and late.any():
+        return {}
     here = late <= sample
     left_behind = {k: C @ np.linalg.matrix_power(loop, sample - k) for k in set(late[here].tolist())}
 
@@ -124,7 +128,8 @@ def settled_shares(vehicle: Vehicle, controller: Controller, road: Spectrum, tim
 
     low, high = road.band
     poles, _ = loop_poles(vehicle, controller, timestep, high)
-    band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest_panel(vehicle, road.speed))
+    longest = longest_panel(vehicle, road.speed, controller.ahead)
+    band = sample_band(amplitudes, lambda _, both: power_of(both), low, high, poles, longest)
     A, B = np.split(band.values, 2, axis=1)
     # A has the phase of time 0 and B that of the start, so the product is turned by the time between.
     cross = np.real(band.turning(sample * period) @ np.sum(A * np.conj(B), axis=-1))
@@ -221,9 +226,9 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
         """Returns the means over a period of the spectra that cannot be negative."""
         return spectra_by_step[:, :, : len(index) + len(ride)].mean(axis=1)
 
-    band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed))
+    band = sample_band(spectra, checked, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))
     if rest is not None:
-        below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed))
+        below = sample_band(spectra, checked, LOWEST * low, low, poles, longest_panel(vehicle, road.speed, controller.ahead))
         band = below.before(band)
     # The integral is the sum over the lines if every resonance is wider than their spacing.
     damping, rate = -np.real(poles), np.abs(np.imag(poles))

@@ -353,7 +353,7 @@ def _deviations(vehicle: Vehicle, controller: Controller, road: Spectrum, timest
         at_steps = stepwise_frequency_response(vehicle, controller, omega, timestep)[:-1, :, index]
         return road.density * power_of(at_steps @ sources(vehicle, road, omega)).mean(axis=0)
 
-    band = sample_band(spectra, lambda _, value: value, low, high, poles, longest_panel(vehicle, road.speed))
+    band = sample_band(spectra, lambda _, value: value, low, high, poles, longest_panel(vehicle, road.speed, controller.ahead))
     return np.sqrt(band.share @ band.values)
 
 

@@ -127,7 +127,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
     loops = [late_loop(trial.vehicle, trial.controller, trial.undelayed, timestep) for trial in trials]
     duration = max(_duration(trial, timestep, least) for trial in trials)
     time = np.arange(round(duration / timestep) + 1) * timestep
-    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller for trial in trials]
+    vehicles, controllers = [trial.vehicle for trial in trials], [trial.controller.feedback for trial in trials]
     undelayed = [trial.undelayed for trial in trials] if any(trial.undelayed for trial in trials) else None
     inputs = met_alike([RoadInput(vehicle, BUMP, time) for vehicle in vehicles])
     now, midway = (np.stack([getattr(each, what) for each in inputs], axis=1) for what in ("heights", "midway"))

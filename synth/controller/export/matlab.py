@@ -9,7 +9,7 @@ import numpy as np
 from models.kinds.signals import Signal
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.record import to_record
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, check_feedback_alone
 from synth.controller.export.c_law import c_name
 from synth.controller.export.linear_system import vehicle_system
 
@@ -63,6 +63,8 @@ def mat_file(vehicle: Vehicle, controllers: Sequence[Controller]) -> bytes:
     feedthrough, and `certificate`: norm, bound, lower bound and X. Where the vehicle file has a sample period, `sampled` has the
     matrices that its computer runs.
     """
+    for one in controllers:
+        check_feedback_alone(one, "a file for MATLAB")
     from scipy.io import savemat
 
     system, period = vehicle_system(vehicle), vehicle.implementation.sample_period

@@ -161,16 +161,31 @@ def quadratic_design(
     if name != "lqr":
         return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
     Cy, _ = measurement_matrices(plant, Cy)
+    kept = state_rows(plant, Cy)
+    lqr = lqr_design(plant, states)
+    return replace(lqr, law=on_rows(lqr.law, Cy, kept))
+
+
+def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
+    """Returns the indices of as many independent measurements y = C_y x as there are states, shape (q, n).
+
+    Raises:
+        DesignError: not every state is measured.
+    """
     kept, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
     if len(kept) < n:
         raise DesignError(
             f"LQR feeds back every state, and {len(kept)} of {n} are measured; those of filters in [performance] never are: "
             'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
-    lqr = lqr_design(plant, states)
-    gain = np.zeros((len(lqr.law.D), len(Cy)))
-    gain[:, kept] = np.linalg.solve(Cy[kept].T, lqr.law.D.T).T
-    return replace(lqr, law=static_law(gain))
+    return kept
+
+
+def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:
+    """Returns a gain on the state as one on measurements y = C_y x, of which these are used, see `state_rows`."""
+    gain = np.zeros((len(law.D), len(Cy)))
+    gain[:, kept] = np.linalg.solve(Cy[kept].T, law.D.T).T
+    return static_law(gain)
 
 
 def h2_norm(loop: GeneralizedPlant) -> float:

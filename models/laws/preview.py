@@ -1,0 +1,157 @@
+"""Preview: the part of a linear law that answers the road ahead, a feedforward beside the feedback u = K y.
+
+The force is the integral from 0 to T of F(s) d(t + s) ds, with d the road's velocities and heights under the wheels,
+
+    F(s) = C exp(A s) [B, H]    on [w; z_r].
+
+A computer knows the road at its samples. As a law with states is run exact for readings that go straight from sample to sample
+(`models.laws.linear`), so is the preview for a road that does. It then is a sum over the heights at the coming samples.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array, real_matrix
+from models.common.errors import InputError
+from models.common.lean_scipy import linalg
+from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
+from models.laws.python_law import checked_preview, samples_ahead
+
+COMPARED = 100  # samples at which two previews are compared
+MOST_PRODUCTS = 2e9  # of a sum that is made term by term, in a second
+
+
+@dataclass(frozen=True, eq=False)
+class RoadPreview:
+    """Force from the road ahead, see above.
+
+    Attributes:
+        seconds: T, how far ahead of every wheel its road is known [s].
+        A: shape (k, k).
+        B: from the road's velocities, shape (k, r).
+        H: from the road's heights, shape (k, r).
+        C: shape (m, k).
+
+    Raises:
+        InputError: a matrix has no real and finite entries, or the wrong shape, or T is not allowed.
+    """
+
+    seconds: float
+    A: Array
+    B: Array
+    H: Array
+    C: Array
+
+    def __post_init__(self) -> None:
+        for name in PREVIEW_MATRICES:
+            matrix, _ = real_matrix(getattr(self, name), name, LARGEST)
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
+        k, r = self.B.shape
+        if not 0 < k <= MOST_STATES:
+            raise InputError(f"a preview of {k} states is not allowed; give 1 to {MOST_STATES}")
+        for name, shape in {"A": (k, k), "H": (k, r), "C": (len(self.C), k)}.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"{name} of a preview has shape {getattr(self, name).shape}; expected {shape}")
+        object.__setattr__(self, "seconds", checked_preview("a", self.seconds))
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The preview as JSON holds it."""
+        return {"seconds": self.seconds} | {name: getattr(self, name).tolist() for name in PREVIEW_MATRICES}
+
+    def samples(self, period: float) -> int:
+        """Returns the number of heights under each wheel that a computer uses, the present one included.
+
+        Args:
+            period: of its samples [s].
+        """
+        return samples_ahead(self.seconds, period)
+
+    def weights(self, period: float) -> Array:
+        """Returns the forces per metre of height at the coming samples, shape (P, m, r): u = sum of W_i z_r(t + i period).
+
+        A preview that is no whole number of samples is cut to one.
+        """
+        count, (k, r), m = self.samples(period), self.B.shape, len(self.C)
+        if count == 1:
+            return np.zeros((1, m, r))
+        step = np.zeros((3 * k, 3 * k))  # integrals over a sample of exp(A s) and of exp(A s) s / period
+        step[:k, :k], step[:k, k : 2 * k], step[k : 2 * k, 2 * k :] = period * self.A, np.eye(k), np.eye(k)
+        whole = linalg.expm(step)
+        level, fall = period * whole[:k, k : 2 * k], period * whole[:k, 2 * k :]  # fall: of exp(A s) (1 - s / period)
+        rise = level - fall
+        near, far = fall @ self.H - level @ self.B / period, rise @ self.H + level @ self.B / period
+        weights, row = np.zeros((count, m, r)), self.C
+        for i in range(count - 1):
+            weights[i] += row @ near
+            weights[i + 1] += row @ far
+            row = row @ whole[:k, :k]
+        return weights
+
+    def difference(self, other: "RoadPreview") -> float:
+        """Returns the largest difference of the weights from another's, over their largest; infinite if T or a shape differs."""
+        if self.seconds != other.seconds:
+            return np.inf
+        one, two = (each.weights(self.seconds / COMPARED) for each in (self, other))
+        return float(np.abs(one - two).max() / (np.abs(two).max() or 1.0)) if one.shape == two.shape else np.inf
+
+    def forces(self, heights: Array, steps: int, timestep: float, samples: int) -> Array:
+        """Returns the forces along a road, held from sample to sample, shape (T, m).
+
+        Args:
+            heights: of the road at the timesteps of a run, and beyond its end as far as it looks [m], shape (T + ahead, r).
+            steps: timesteps between two samples of the controller.
+            timestep: [s].
+            samples: T.
+        """
+        weights, due = self.weights(steps * timestep), -(-samples // steps)
+        sampled = heights[: (due + len(weights) - 2) * steps + 1 : steps]
+        forces = np.zeros((due, weights.shape[1]))
+        for i, j in np.ndindex(weights.shape[1:]):
+            if np.any(weights[:, i, j]):
+                forces[:, i] += _correlated(sampled[:, j], weights[:, i, j])
+        return np.repeat(forces, steps, axis=0)[:samples]
+
+    def response(self, omega: Array) -> Array:
+        """Returns the frequency response from the road's velocity to the forces, complex, shape (F, m, r).
+
+        Args:
+            omega: angular frequencies above 0 [rad/s], shape (F,).
+        """
+        s = 1j * np.asarray(omega, dtype=float)[:, None, None]
+        turning = self.A + s * np.eye(len(self.A))
+        ahead = linalg.expm(self.A * self.seconds) * np.exp(s * self.seconds) - np.eye(len(self.A))
+        return self.C @ np.linalg.solve(turning, ahead @ (self.B + self.H / s))
+
+    def sampled_response(self, omega: Array, period: float) -> Array:
+        """Returns the same from the road's height for a computer's samples, complex, shape (F, m, r)."""
+        weights = self.weights(period)
+        turns = np.exp(1j * np.multiply.outer(np.asarray(omega, dtype=float), period * np.arange(len(weights))))
+        return (turns @ weights.reshape(len(weights), -1)).reshape(-1, *weights.shape[1:])
+
+
+def _correlated(heights: Array, weights: Array) -> Array:
+    """Returns the sums of weighted heights at every place where all of them are there; many of them by Fourier transforms."""
+    if len(heights) * len(weights) <= MOST_PRODUCTS:
+        return np.correlate(heights, weights, "valid")
+    size = 1 << (len(heights) - 1).bit_length()
+    turned = np.fft.irfft(np.fft.rfft(heights, size) * np.conj(np.fft.rfft(weights, size)), size)
+    return turned[: len(heights) - len(weights) + 1]
+
+
+def preview_of(record: Mapping[str, Any]) -> RoadPreview | None:
+    """Returns the preview in the record of a controller, or None without one.
+
+    Raises:
+        InputError: a number is missing, or no number.
+    """
+    if not isinstance(found := record.get("preview"), Mapping):
+        return None
+    try:
+        return RoadPreview(*(found[name] for name in ("seconds", *PREVIEW_MATRICES)))
+    except KeyError as error:
+        raise InputError(f"its preview has no {error}") from error

@@ -1,0 +1,93 @@
+"""Preview LQ: the best law in the mean for a plant whose disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
+
+z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR,
+R = D'D and A_K = A + B K,
+
+    u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
+
+The feedback is that of LQR, and what is known ahead changes no pole. It takes from the mean square of z what it would cost to
+wait for it:
+
+    mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
+
+which falls as T grows, and is that of LQR for T = 0. The integral follows from a Lyapunov equation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.arrays import Array
+from models.laws.linear import LinearLaw
+from models.laws.preview import RoadPreview
+from models.laws.python_law import checked_preview
+from synth.analysis.certificate import Certificate
+from synth.design.full_order.quadratic import lqr_design, on_rows, state_rows
+from synth.plant.generalized import GeneralizedPlant, measurement_matrices
+from synth.plant.numerics import DesignError, numerics
+from synth.plant.units import own_units
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewDesign:
+    """A controller that is the best in the mean for a disturbance that is known ahead.
+
+    Attributes:
+        law: its feedback, that of LQR.
+        preview: F(s) from w as from the road's velocity, and with no part from its height; None if nothing is known ahead.
+        h2_norm: rms of z under white noise w.
+        without: the same where nothing is known ahead.
+        certificate: of the feedback for the worst case of w, without what is known ahead.
+    """
+
+    law: LinearLaw
+    preview: RoadPreview | None
+    h2_norm: float
+    without: float
+    certificate: Certificate
+
+
+@numerics()
+def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str] = (), Cy: Array | None = None) -> PreviewDesign:
+    """The law of the state and the coming disturbance with the smallest mean square of z. D_w is left out, as by `lqr_design`.
+
+    Args:
+        plant: n states, m inputs, r disturbances.
+        preview: T, how far ahead w is known [s].
+        states: names of the states, for messages.
+        Cy: measurements that are the state in other coordinates, shape (q, n); None for the state itself.
+
+    Raises:
+        InputError: as `lqr_design`, or a preview that is not allowed.
+        InfeasibleError: the plant cannot be stabilised; the message names the mode.
+        DesignError: as `lqr_design`, or z does not weigh every force.
+
+    Example:
+        >>> from synth import GeneralizedPlant, preview_design
+        >>> oscillator = GeneralizedPlant(
+        ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
+        ... )
+        >>> design = preview_design(oscillator, preview=0.5)
+        >>> f"{design.without:.4f} {design.h2_norm:.4f}"
+        '0.1892 0.1184'
+    """
+    seconds = checked_preview("a", preview)
+    Cy, _ = measurement_matrices(plant, np.eye(len(plant.A)) if Cy is None else Cy)
+    kept = state_rows(plant, Cy)
+    found = lqr_design(plant, states)
+    if found.remark:
+        raise DesignError("a preview needs a cost of every force, and z hardly weighs one; weigh it in [performance]")
+    units = own_units(plant, np.eye(len(plant.A)))
+    own, K = units.into(plant), found.law.D * units.states / units.inputs[:, None]
+    closed, cost = own.A + own.B @ K, own.C + own.D @ K
+    X = linalg.solve_continuous_lyapunov(closed.T, -cost.T @ cost)
+    R = own.D.T @ own.D
+    B, C = X @ own.Bw, -np.linalg.solve(R, own.B.T)
+    later = linalg.expm(closed.T * seconds)
+    saved = linalg.solve_continuous_lyapunov(closed, -C.T @ R @ C)
+    saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
+    least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
+    ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None
+    return PreviewDesign(on_rows(found.law, Cy, kept), ahead, float(least), found.h2_norm, found.certificate)
