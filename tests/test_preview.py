@@ -14,6 +14,7 @@ from scipy import integrate, linalg
 
 from models.laws.preview import RoadPreview
 from models.roads.iso8608 import Iso8608
+from models.roads.obstacles import Step
 from models.roads.road import Bump, RoadInput
 from models.roads.sinusoids import sinusoid
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
@@ -23,6 +24,7 @@ from sim.inspect.proof import prove
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response
 from sim.linear.sampled_response import continuous_response, sampled_response
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.ride.between_samples import exact
 from sim.studies.ride.expected import expect
 from synth import closed_loop, law_system
 from synth.command.save import saved_text
@@ -216,6 +218,23 @@ def test_the_continuous_response_depends_on_no_step(kind, road):
         one, two = whole[name][::7], other[name][::10]
         assert np.abs(one - two).max() <= 1e-10 * np.abs(whole.values).max()  # found: 1e-13
     assert np.abs(whole["control_force" if kind == "quarter_car" else "control_force_front_left"]).max() > 1.0
+
+
+def test_a_vertical_step_is_the_limit_of_steep_ones():
+    """The road ahead holds a jump as an impulse; the feedback goes on where the preview ends, so that the force does not leap."""
+    vehicle, time = car("quarter_car", preview=0.05), np.arange(201) * 1e-3
+    designed = controller("quarter_car", 0.05)
+    steep, steeper, vertical = (
+        continuous_response(LoopModel(vehicle, designed, 1e-3), RoadInput(vehicle, Step(0.01, edge, 8.0, 0.1), time)).values
+        for edge in (2e-3, 1e-3, 0.0)
+    )
+    apart = np.abs(2 * steeper - steep - vertical)[[*range(100), *range(102, 201)]]  # but at the edge itself
+    assert np.all(apart.max(axis=0) <= 1e-4 * np.abs(vertical).max(axis=0) + 1e-12)  # of second order in 0.25 ms: 2e-5
+    (run,) = run_controllers(vehicle, [designed], Step(0.01, 0.0, 8.0, 0.1), time)
+    pieces = exact(run, ("control_force",))["control_force"]
+    leaps = pieces.values[1:, 0] - pieces.values[:-1, -1]
+    (known,) = np.flatnonzero(np.abs(leaps) > 1e-6 * np.abs(vertical).max())
+    assert pieces.start[known + 1] == pytest.approx(0.05)  # where it comes into view
 
 
 def test_frequency_responses_are_those_of_time():

@@ -326,7 +326,21 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
         edges = [left, *np.unique(kinks[(kinks > left) & (kinks < right)]), right]
         last = last + sum(back(met, *pair, time[-1]) for pair in itertools.pairwise(edges))
     ahead = _recursion_from(last, Phi, ahead[-2::-1])[::-1]
+    if road.jumps:
+        drive += _leaps(A, P @ preview.B, road_input) - _leaps(A, P @ later @ preview.B, road_input, T)
+        ahead = ahead + _leaps_ahead(preview, road_input)
     return ahead, P, drive
+
+
+def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
+    """Returns the contribution of jumps of the road's height to g at the samples, shape (T, k): from T ahead until just before."""
+    time, h = road_input.time, road_input.timestep
+    seen = np.zeros((len(time), len(preview.A)))
+    for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
+        left = at - time
+        for k in np.flatnonzero((left >= -SAME_TIME * h) & (left < preview.seconds - SAME_TIME * h)):
+            seen[k] += height * linalg.expm(preview.A * max(left[k], 0.0)) @ preview.B[:, wheel]
+    return seen
 
 
 def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
@@ -355,14 +369,15 @@ def jumps_under_wheels(road: Road, vehicle: Vehicle) -> list[tuple[float, int, f
     return [(time + delay, i, height) for i, delay in later for time, height in road.jumps]
 
 
-def _leaps(A: Array, Bw: Array, road_input: RoadInput) -> Array:
+def _leaps(A: Array, Bw: Array, road_input: RoadInput, ahead: float = 0.0) -> Array:
     """Returns the contribution of jumps of the road's height, as impulses of its velocity through Bw, to the step that has them.
 
-    One at a sample belongs to the step from there.
+    One at a sample belongs to the step from there. Each acts so many seconds before it is met.
     """
     time, h = road_input.time, road_input.timestep
     leaps = np.zeros((len(time), len(A)))
-    for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
+    for met, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):
+        at = met - ahead
         k = math.floor((at - time[0]) / h * (1 + SAME_TIME))
         if 0 <= k < len(time):
             leaps[k] += height * linalg.expm(A * max(time[k] + h - at, 0.0)) @ Bw[:, wheel]

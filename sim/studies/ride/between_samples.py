@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.laws.python_law import Programmed
@@ -215,16 +216,28 @@ def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
     vehicle, loop, leaps = run.vehicle, run.prediction.loop, np.zeros(len(start))
     cut = None if loop is None else loop.continuous
     model = with_lag(vehicle) if cut is None else cut.model
+    preview = None if loop is None else loop.controller.preview
     i = model.outputs.index(name)
     row = model.C[i] if cut is None else model.C[i] + model.D[i] @ cut.G
     for at, wheel, height in jumps_under_wheels(run.road, vehicle):
         push = model.Bw[:, wheel]
         if loop is not None and cut is not None and model.tyres_damp:
             push = push + model.B @ readings_of_road(cut, loop.controller)[:, wheel]
-        k = int(np.argmin(np.abs(start - at)))
-        if abs(start[k] - at) <= EARLY * length:
-            leaps[k] += height * (row @ push + model.Cr[i, wheel])
+        leaps += height * (row @ push + model.Cr[i, wheel]) * _begins(start, at, length)
+        if cut is not None and preview is not None:  # the road ahead begins to hold the jump, and no longer does
+            seen = model.D[i, : cut.forces] @ preview.C
+            leaps += height * (seen @ linalg.expm(preview.A * preview.seconds) @ preview.B[:, wheel]) * _begins(
+                start, at - preview.seconds, length
+            )
+            leaps -= height * (seen @ preview.B[:, wheel]) * _begins(start, at, length)
     return leaps
+
+
+def _begins(start: Array, at: float, length: float) -> Array:
+    """Returns 1 for the piece that begins at a time, else 0, shape like the starts [s]."""
+    k, begins = int(np.argmin(np.abs(start - at))), np.zeros(len(start))
+    begins[k] = abs(start[k] - at) <= EARLY * length
+    return begins
 
 
 def sampled(run: Run, response: Response, signals: tuple[str, ...]) -> dict[str, Pieces]:
