@@ -21,10 +21,11 @@ from sim.linear.sampled_response import sampled_response
 from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.simulate import simulate
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.stability.exported_margins import find_exported_margins
 from synth.__main__ import main as synth
 from synth.controller.controller import Driver
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
-from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
@@ -291,3 +292,47 @@ def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
     with pytest.raises(InputError, match="no C compiler is here; install cc, or"):
         bump([*options, "--as", str(folders / "double")])
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("numbers", "name", "kind"),
+    [("float", "II", "quarter_car"), *attacks([("int16", "II", "quarter_car"), ("double", "I", "half_car")])],
+)
+def test_margins_with_the_code(numbers, name, kind):
+    """MuJoCo, driven by the code, loses the loop at the factor and at the delay that are predicted with its numbers."""
+    vehicle = parse_vehicle(read_vehicle(kind).text + "\n[implementation]\nsample_period = 0.01\ndelay = 1\n")
+    driver = coded(vehicle, given(vehicle, name), numbers, {"sprung_velocity": 2.0})
+    assert isinstance(driver, CompiledController)
+    found = find_exported_margins(vehicle, driver, 2e-3)
+    ideal, held = found.about["loops"].values()
+    assert found.agrees
+    assert held["margins"]["gain"] == pytest.approx(ideal["margins"]["gain"], rel=1e-5)  # coefficients have 15 bits
+    assert held["margins"]["gain"] != ideal["margins"]["gain"] or numbers == "double"
+    within = 2e-3 if numbers != "int16" else 0.05  # how closely is looked, see `Bisection` and `COARSE`
+    assert found.gain.found == pytest.approx(found.predicted.gain, rel=within)
+    assert 0 <= found.delay.unstable - found.predicted.delay <= found.delay.step
+
+
+@needs_cc
+@pytest.mark.attack
+def test_a_wrong_margin_is_found_out():
+    """Code with a hundredth more gain than its law loses the loop earlier than is predicted, and does not agree."""
+    vehicle = read_vehicle("quarter_car")
+    driver = coded(vehicle, given(vehicle, "I"), "double")
+    assert isinstance(driver, CompiledController)
+    assert driver.code is not None
+    law = driver.code.law
+    code = dataclasses.replace(driver.code, law=dataclasses.replace(law, D=law.D / 1.01))
+    found = find_exported_margins(vehicle, dataclasses.replace(driver, code=code), 2e-3)
+    assert not found.agrees
+    assert found.gain.found == pytest.approx(found.predicted.gain / 1.01, rel=2e-3)  # how closely is looked
+
+
+def test_dampers_have_no_such_margins():
+    """Code that sets coefficients has no margin of forces, and one line says so."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    driver = coded(vehicle, given(vehicle, "sky"), "double")
+    assert isinstance(driver, CompiledController)
+    with pytest.raises(InputError, match="its adjustable dampers get coefficients; leave out --as"):
+        find_exported_margins(vehicle, driver, 2e-3)

@@ -21,6 +21,8 @@ from synth.controller.export import cortex_m4
 from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
+from synth.controller.open_loop import LoopModel
+from synth.controller.sampled_margins import sampled_margins
 from tests.commands import attacks, prose
 
 COMPILER = shutil.which("cc")
@@ -284,3 +286,23 @@ def test_without_the_extra_it_is_asked_for(exported, monkeypatch):
         main(["--check", str(exported), "--cortex-m4"])
     with pytest.raises(InputError, match="--cortex-m4 runs exported code"):
         main(["--controller", "I", "--cortex-m4"])
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car"])
+@pytest.mark.parametrize(("period", "delay"), [(None, 0), (0.005, 1)])
+def test_margins_of_the_loop_as_implemented(name, period, delay):
+    """At a margin the loop itself is marginal: by its transition with that gain, and between two timesteps of that delay."""
+    vehicle, h = read_vehicle(name), 1e-3
+    how = dataclasses.replace(vehicle.implementation, sample_period=period, delay=delay)
+    vehicle, controller = dataclasses.replace(vehicle, implementation=how), _given(vehicle, "I")
+    found = sampled_margins(vehicle, controller, h)
+    assert found is not None
+    scaled = dataclasses.replace(controller, law=controller.law.scaled(found.gain))
+    assert LoopModel(vehicle, scaled, h).radius == pytest.approx(1, abs=1e-9)  # bisected to 1e-10
+    steps, held = int(found.delay / h), LoopModel(vehicle, controller, h).steps
+    late = [
+        dataclasses.replace(vehicle, implementation=dataclasses.replace(how, delay=delay + k / held)) for k in (steps, steps + 1)
+    ]
+    before, after = (LoopModel(one, controller, h).radius for one in late)
+    assert before < 1 <= after
+    assert found.phase == found.delay * found.frequency

@@ -3,6 +3,7 @@
 Quantisation, delay, limits and anti-windup of the controller are in the code, and not here. Noise is of the sensors, and is here.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -14,7 +15,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
 from synth.controller.controller import Controller, code_of
-from synth.controller.export.compiled import ExportedCode
+from synth.controller.export.compiled import BehindCode, ExportedCode
 from synth.controller.export.folder import differs, same_as
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
@@ -61,7 +62,11 @@ class CodeInTheLoop:
         late = self._law.delay * self._held
         self._late = np.zeros((late, len(controllers), self.actuators * (1 if dampers is None else 2)))
 
-        self._plain = self.flat and dampers is None and self._held == 1 and self._law.fixed is None
+        behind = [getattr(one, "behind", None) or BehindCode() for one in controllers]
+        self._factor = np.array([[one.factor] for one in behind])
+        self._later = [deque([np.zeros(self.actuators)] * one.steps) for one in behind]
+        self._moved = any(one != BehindCode() for one in behind)
+        self._plain = self.flat and dampers is None and self._held == 1 and self._law.fixed is None and not self._moved
         if self._plain:
             self.set = self._setter()  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
 
@@ -91,8 +96,16 @@ class CodeInTheLoop:
             self._last = given, used = np.stack([one for one, _ in pairs]), np.stack([one for _, one in pairs])
         self._given.append(given.tobytes())
         self._used.append(used.tobytes())
-        acting[...] = given
+        acting[...] = self._behind(given) if self._moved else given
         self._k = (self._k + 1) % self._held
+
+    def _behind(self, given: Array) -> Array:
+        """Returns the forces that act, from those of the code, shape (N, m) or (m,)."""
+        forces = (self._factor * given).reshape(-1, self.actuators)
+        for line, row in zip(self._later, forces, strict=True):
+            line.append(row.copy())
+            row[...] = line.popleft()
+        return forces.reshape(given.shape)
 
     def _sample(self, i: int, seen: Array) -> tuple[Array, Array]:
         """Returns the commands of a run from its signals, and the states at the sample."""
@@ -135,6 +148,8 @@ def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
     code = code_of(driver)
     assert code is not None, "exported code drives all of these runs"
     assert isinstance(driver, (Controller, SemiActive)), "and it is of such a law"
+    if getattr(driver, "behind", None) is not None:  # its maker has checked it, and changed the law since
+        return code
     if differs(code.law, same_as(code.law, vehicle, driver)):
         raise InputError(
             f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -145,15 +145,30 @@ class CompiledStep:
         return self.x.astype(float) if self.fixed is None else self.x * self.fixed.kept
 
 
+@dataclass(frozen=True)
+class BehindCode:
+    """What a margin is a margin of, between exported code and the actuators.
+
+    Attributes:
+        factor: on every force.
+        steps: of the run, by which every force is later.
+    """
+
+    factor: float = 1.0
+    steps: int = 0
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CompiledController(Controller):
     """A linear controller whose outputs exported code computes.
 
     Attributes:
         code: the code.
+        behind: what acts on its forces in runs for margins, where law and delay have it in them; None in others.
     """
 
     code: ExportedCode | None = None
+    behind: BehindCode | None = None
 
     @property
     def record(self) -> dict[str, Any]:
@@ -198,3 +213,10 @@ def driven_by(driver: Driver, code: ExportedCode) -> Driver:
     """Returns a controller whose outputs this code computes."""
     kind = CompiledController if isinstance(driver, Controller) else CompiledSemiActive
     return kind(**{one.name: getattr(driver, one.name) for one in fields(driver)}, code=code)  # pyright: ignore[reportArgumentType]
+
+
+def with_behind(controller: Controller, code: ExportedCode, behind: BehindCode) -> CompiledController:
+    """Returns a linear controller whose outputs this code computes, with something behind it."""
+    driven = driven_by(controller, code)
+    assert isinstance(driven, CompiledController), "it is linear"
+    return replace(driven, behind=behind)
