@@ -1,6 +1,7 @@
 """Exported code drives the runs: its bits are the law's, its runs are those of our law, and its rounding is as predicted."""
 
 import dataclasses
+import hashlib
 import importlib.util
 import json
 import shutil
@@ -15,20 +16,27 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
+from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
 from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.simulate import simulate
+from sim.report.__main__ import main as report
+from sim.report.contents import EXPORTED, pieces_of
+from sim.report.exported import exported_section
+from sim.report.scope import Exported, Scope
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.exported_margins import find_exported_margins
 from synth.__main__ import main as synth
-from synth.controller.controller import Driver
+from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
+from synth.vehicle.designer import Designer
+from synth.vehicle.exported_numbers import numbers_object
 from tests.commands import attacks, prose
 from tests.test_export import BUILT, LAW, needs_cc
 from tests.test_export import _given as given
@@ -202,8 +210,12 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     assert "law agrees throughout" in said
     assert ("rounding is predicted" in said) == (numbers == "float")
     assert bump([*options, "--json"]) == 0
-    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    printed = json.loads(capsys.readouterr().out)
+    (run,), exported = printed["runs"], printed["exported"]
     assert run["controller"]["code"]["numbers"] == numbers
+    assert [*exported["loops"]] == ["ideal", numbers]
+    assert f"{exported['loops'][numbers]['norm']:.7g}" in said
+    assert "delay margin, ms" in said
     if numbers == "float":
         force = run["rounding"]["control_force"]
         assert 0 < force["rms"] < force["most"] < 1
@@ -336,3 +348,37 @@ def test_dampers_have_no_such_margins():
     assert isinstance(driver, CompiledController)
     with pytest.raises(InputError, match="its adjustable dampers get coefficients; leave out --as"):
         find_exported_margins(vehicle, driver, 2e-3)
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
+def test_the_section_of_a_report(folders, numbers):
+    """The page has the folder, its checksum, and for every signal what rounding does beside what is predicted of it."""
+    vehicle, folder = read_vehicle(str(folders / "car.toml")), folders / numbers
+    designer = Designer(vehicle, search=False)
+    own, coded = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
+    assert isinstance(own, Controller)
+    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, coded))
+    assert (EXPORTED, "") in pieces_of(scope)
+    section, (finding,) = exported_section(scope)
+    tables = {table.name: table for table in section.tables}
+    facts = {row[0]: row[1] for row in tables["exported"].rows}
+    assert facts["folder"] == str(folder)
+    assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert facts["format"] == f"C99 in {numbers}, law_step every 5 ms"
+    assert finding.state == "holds"
+    if numbers == "float":
+        for _, _, rms, found, most, farthest in tables["exported-rounding"].rows:
+            assert 0.2 < float(rms) / float(found) < 5  # see `test_rounding_is_predicted`
+            assert 0 < float(farthest) < float(most)
+    loop = {row[0]: row[1:] for row in tables["exported-loop"].rows}
+    about = numbers_object(vehicle, own, code_of(coded).law, STEP)
+    norms = [one["norm"] for one in about["loops"].values()]
+    assert [float(cell) for cell in loop["norm as implemented"][:2]] == pytest.approx(norms, rel=1e-6)  # 7 digits
+    assert float(loop["delay margin, ms"][1]) == pytest.approx(1e3 * about["loops"][numbers]["margins"]["delay"], rel=1e-5)
+
+
+def test_no_folder_of_a_gallery(tmp_path):
+    """The page of the gallery is of no vehicle file, and so of no folder."""
+    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
+        report(["--gallery", "--as", str(tmp_path)])

@@ -27,7 +27,7 @@ from sim.runs.report import (
     verdict_lines,
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, code_of
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
@@ -57,6 +57,29 @@ def controllers_of(
         return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
+
+
+def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
+    """Returns what the numbers of exported code make of its loop, as JSON has it, under `exported`; empty without such code.
+
+    See `synth.vehicle.exported_numbers.numbers_object`; of a law that sets dampers there is nothing to say.
+    """
+    for run in runs:
+        code, driver = code_of(run.controller), run.controller
+        if code is not None and isinstance(driver, Controller) and not code.law.dampers:
+            from synth.vehicle.exported_numbers import numbers_object
+
+            return {"exported": {"controller": driver.name, **numbers_object(vehicle, driver, code.law, timestep)}}
+    return {}
+
+
+def exported_lines(exported: Mapping[str, Any]) -> list[str]:
+    """Returns the same as lines of a table; empty without."""
+    if not exported:
+        return []
+    from synth.vehicle.exported_numbers import numbers_lines
+
+    return ["", *numbers_lines(exported["exported"])]
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:

@@ -85,39 +85,45 @@ MARGINS = {
 }
 
 
-def numbers_rows(about: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Returns the rows of a table: what, ideal, with the numbers of the code."""
+CHANGE = "change"
+
+
+def numbers_rows(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Returns the rows of a table: what, ideal, with the numbers of the code, and the relative change."""
     ideal, coded = about["loops"].values()
     norms = [one["norm"] for one in (ideal, coded)]
     words = [f"{norm:.7g}" if norm is not None else "infinite" for norm in norms]
-    rows = [("norm as implemented", words[0], words[1] + _change(*norms))]
+    rows = [("norm as implemented", words[0], words[1], _change(*norms))]
     if ideal["margins"] is not None and coded["margins"] is not None:
         for key, (name, scale) in MARGINS.items():
-            first, second = ideal["margins"][key], coded["margins"][key]
-            if key == "gain_lower" and first is None and second is None:
+            both = ideal["margins"][key], coded["margins"][key]
+            if key == "gain_lower" and both == (None, None):
                 continue
-            cells = ["any" if value is None else f"{scale * value:.6g}" for value in (first, second)]
-            rows.append((name, cells[0], cells[1] + _change(first, second)))
+            cells = ["any" if value is None else f"{scale * value:.6g}" for value in both]
+            rows.append((name, cells[0], cells[1], _change(*both)))
     if ideal["promises"]:
         kept = [f"{one['kept']} of {one['promises']}" for one in (ideal, coded)]
-        rows.append(("promises kept", kept[0], kept[1]))
+        rows.append(("promises kept", kept[0], kept[1], ""))
     effect = about["rounding"]
     if effect is not None:
-        rows += [("rounding, of a force", "0", f"{effect['rms_share']:.1e} rms"), ("", "0", f"{effect['most']:.2g} N at most")]
+        rows.append(("rounding, rms", "0", f"{effect['rms_share']:.1e}", ""))
+        rows.append(("rounding, at most, N", "0", f"{effect['most']:.2g}", ""))
     return rows
 
 
 def _change(before: float | None, after: float | None) -> str:
-    return f", {after / before - 1:+.1e}" if before and after else ""
+    return f"{after / before - 1:+.1e}" if before and after else ""
 
 
 def numbers_notes(about: Mapping[str, Any]) -> list[str]:
     """Returns the sentences below the rows."""
     if about["rounding"] is None:
         return [about["why"]]
-    return ["rms as a share of the force's, on roads whose velocity is white noise; the worst case for velocities up to 1 m/s"]
+    return [
+        "rounding of a force: rms as a share of its own, on roads whose velocity is white noise; the worst case for up to 1 m/s"
+    ]
 
 
 def numbers_lines(about: Mapping[str, Any]) -> list[str]:
     """Returns the same as a table, with its sentences."""
-    return [*table([("", *about["loops"]), *numbers_rows(about)]), *numbers_notes(about)]
+    return [*table([("", *about["loops"], CHANGE), *numbers_rows(about)]), *numbers_notes(about)]

@@ -25,7 +25,7 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import BehindCode, CompiledController, ExportedCode, with_behind
 from synth.controller.open_loop import LoopModel
 from synth.controller.sampled_margins import SampledMargins, sampled_margins
-from synth.vehicle.exported_numbers import MARGINS, numbers_notes, numbers_object, numbers_rows, with_numbers
+from synth.vehicle.exported_numbers import CHANGE, MARGINS, numbers_notes, numbers_object, numbers_rows, with_numbers
 
 AMPLE, LATEST = 32.0, 1.0  # the largest factor that is tried where any is predicted, and the longest delay [s]
 HIGHEST = 0.01  # m, of a bump that lifts no wheel
@@ -95,13 +95,13 @@ class ExportedMargins:
         return {**self.about, "mujoco": mujoco, "agrees": self.agrees}
 
     @property
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Returns the rows of a table: what, with ideal numbers, with those of the code, and as MuJoCo found it."""
+    def rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Returns the rows of a table: those of `numbers_rows`, and what MuJoCo found."""
         found, rows = self.record["mujoco"] or {}, []
         seen = {name: found[key] and scale * found[key] for key, (name, scale) in MARGINS.items() if key in found}
-        for what, ideal, coded in numbers_rows(self.about):
-            value = seen.get(what)
-            rows.append((what, ideal, coded, "" if what not in seen else "any" if value is None else f"{value:{self.digits}}"))
+        for row in numbers_rows(self.about):
+            value = seen.get(row[0])
+            rows.append((*row, "" if row[0] not in seen else "any" if value is None else f"{value:{self.digits}}"))
         return rows
 
     @property
@@ -114,7 +114,7 @@ class ExportedMargins:
     @property
     def lines(self) -> list[str]:
         """Returns the table with its sentences."""
-        head = ("with the exported code", *self.about["loops"], "MuJoCo")
+        head = ("with the exported code", *self.about["loops"], CHANGE, "MuJoCo")
         return [*table([head, *self.rows]), *numbers_notes(self.about), f"  {self.verdict}"]
 
 
