@@ -18,7 +18,7 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.controller.export import cortex_m4
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
+from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
 from synth.controller.open_loop import LoopModel
@@ -255,6 +255,42 @@ def test_a_folder_in_fixed_point(capsys, tmp_path):
     record.write_text(record.read_text().replace("0.12", "0.13"))
     assert main(["--check", str(tmp_path / "ecu")]) == 1
     assert "certificate.json: is changed" in prose(capsys.readouterr().out)
+
+
+GOALS = """
+[controllers.goals]
+measured = ["suspension_deflection", "sprung_velocity"]
+gain = [[8000.0, -3000.0]]
+bounds = [
+    { peak = "suspension_deflection", road = "bump", at_most = 0.12 },
+    { energy_peak = "suspension_deflection", energy = 0.001, at_most = 0.2 },
+]
+"""
+
+
+def test_a_proved_peak_is_a_range(capsys, tmp_path):
+    """The largest proved peak of a goal is the range of its signal, as the folder says; a range that no peak proves is named."""
+    (tmp_path / "car.toml").write_text((HERE / "quarter_car.toml").read_text() + GOALS)
+    command = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "goals", "--numbers", "int32"]
+    with pytest.raises(InputError, match="fixed point needs the range of sprung_velocity"):
+        main([*command, "--export", str(tmp_path / "ecu")])
+    assert main([*command, "--range", "sprung_velocity=2", "--export", str(tmp_path / "ecu")]) == 0
+    record = json.loads((tmp_path / "ecu" / "certificate.json").read_text())
+    peak, energy = _given(read_vehicle(str(tmp_path / "car.toml")), "goals").specifications[-2:]
+    assert peak.proved is not None
+    assert energy.proved is not None
+    assert peak.proved > energy.proved
+    assert record["ranges"] == {"suspension_deflection": pytest.approx(SPARE * peak.proved), "sprung_velocity": 2.0}
+    assert record["range_sources"]["sprung_velocity"] == "given"
+    said = record["range_sources"]["suspension_deflection"]
+    assert said == f"1.1 times its peak over bump, proved to be at most {peak.proved:.4g} m"
+    assert said in (tmp_path / "ecu" / "README.md").read_text()
+    assert main(["--check", str(tmp_path / "ecu")]) == 0
+    changed = json.dumps(record).replace("over bump", "over a kerb")
+    (tmp_path / "ecu" / "certificate.json").write_text(changed)
+    capsys.readouterr()
+    assert main(["--check", str(tmp_path / "ecu")]) == 1
+    assert "the range of suspension_deflection is from no peak that is proved" in prose(capsys.readouterr().out)
 
 
 def test_nothing_is_overwritten(exported):

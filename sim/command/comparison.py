@@ -17,8 +17,6 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.report import (
-    NO_CLAIM,
-    NO_CLAIM_OF_SWITCHING,
     claims,
     code_line,
     controller_lines,
@@ -244,10 +242,11 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
 
 def short_lines(runs: Sequence[Run]) -> list[str]:
     """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable."""
-    lines, without = [], {NO_CLAIM: [], NO_CLAIM_OF_SWITCHING: []}
+    lines, without = [], dict[str, list[str]]()
     for run in runs:
-        if (claim := claims(run.controller)) in without:
-            without[claim].append(run.controller.name)
+        claim = claims(run.controller)
+        if not isinstance(run.controller, Controller):
+            without.setdefault(claim, []).append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
         if code := code_line(run):

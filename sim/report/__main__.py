@@ -137,7 +137,9 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.studies.gallery.numbers import compared
     from sim.studies.gallery.summary import entry_object, last_lines, sources_object
 
-    repeated = {name for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported")) if getattr(options, of)}
+    repeated = {
+        name for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported")) if getattr(options, of)
+    }
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
         raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}

@@ -72,8 +72,8 @@ def _facts(vehicle: Vehicle, exported: Exported) -> Table:
         ("states, delay", f"{law.states}, {law.delay} samples"),
     ]
     if law.ranges is not None:
-        for name, most, unit in zip(law.inputs, law.ranges, law.units, strict=True):
-            rows.append((f"range of {name.replace('_', ' ')}", f"±{most:.6g} {unit}"))
+        for name, most, unit, source in zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True):
+            rows.append((f"range of {name.replace('_', ' ')}", f"±{most:.6g} {unit}, {source}"))
     return Table(
         "exported", "The folder, and its code.", ("what", "value"), (*rows, ("on a Cortex-M4", _elsewhere(law))), words=2
     )
