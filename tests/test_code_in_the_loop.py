@@ -28,6 +28,7 @@ from sim.report.exported import exported_section
 from sim.report.scope import Exported, Scope
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.exported_margins import find_exported_margins
+from sim.sweep import main as sweep
 from synth.__main__ import main as synth
 from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
@@ -382,3 +383,38 @@ def test_no_folder_of_a_gallery(tmp_path):
     """The page of the gallery is of no vehicle file, and so of no folder."""
     with pytest.raises(InputError, match="--as is of a vehicle file's report"):
         report(["--gallery", "--as", str(tmp_path)])
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["double", "float", "int32", "int16"])
+def test_the_loop_in_c_has_the_same_bits(numbers):
+    """A single run, which is stepped in C, has the forces and states of one that is stepped by Python, to the last bit."""
+    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + WIDE)
+    driver = coded(vehicle, given(vehicle, "law"), numbers, {"suspension_deflection": 0.05, "sprung_velocity": 0.5})
+    seen = np.random.default_rng(0).standard_normal((1000, 2)) * [0.05, 0.5]  # a third leaves its range
+    runs = []
+    for longest in (0, 400):
+        setting, acting, parts = CodeInTheLoop([driver], [vehicle], STEP, None, longest), np.zeros((1, 1)), []
+        for start in range(0, 1000, 400):
+            block, forces = seen[start : start + 400].copy(), []
+            for row in block:
+                setting.set(row, acting)
+                forces.append(acting[0, 0])
+            given_, kept = setting.commands(block[:, None])[:, 0, 0], setting.kept[:, 0]
+            parts.append(np.column_stack([forces, given_, kept]))
+        runs.append(np.concatenate(parts))
+    assert np.array_equal(*runs)
+    assert np.any(runs[0][:, 0] != 0)
+
+
+@needs_cc
+@pytest.mark.parametrize(("numbers", "code"), [("int32", 0), *attacks([("int16", 1)])])
+def test_a_sweep_is_driven_by_quantised_code(numbers, code, tmp_path, capsys):
+    """On roads of a tenth of a millimetre a sweep agrees with code in int32; steps of int16 are too coarse there, as it says."""
+    ranges = ["--range", "suspension_deflection=0.2", "--range", "sprung_velocity=2"]
+    assert synth(["--controller", "I", "--numbers", numbers, *ranges, "--export", str(tmp_path / "ecu")]) == 0
+    capsys.readouterr()
+    assert sweep(["--controller", "I", "--timestep", "4e-3", "--as", str(tmp_path / "ecu"), "--json"]) == code
+    (found,) = json.loads(capsys.readouterr().out)["sweeps"]
+    said = "; ".join(found["failures"])
+    assert ("rounding to int16 is not in that" in said) == (numbers == "int16")

@@ -3,8 +3,10 @@
 import ctypes
 import dataclasses
 import json
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -342,3 +344,24 @@ def test_margins_of_the_loop_as_implemented(name, period, delay):
     before, after = (LoopModel(one, controller, h).radius for one in late)
     assert before < 1 <= after
     assert found.phase == found.delay * found.frequency
+
+
+SOFT = re.compile(rb"__aeabi_(?:[ui]?l?2)?(d|f)[a-z0-9]+|__aeabi_[ui]?l?2(d|f)")  # routines for numbers of 64 and 32 bits
+
+
+@pytest.mark.parametrize("numbers", NUMBERS)
+def test_an_arm_build_has_no_number_that_it_should_not(numbers, tmp_path):
+    """Built for a processor without floating point, float needs no routine for double, and whole numbers need none at all."""
+    pytest.importorskip("ziglang", reason="needs the extra [export]")
+    law = random_law(np.random.default_rng(2), read_vehicle("quarter_car"), numbers)
+    source = source_of(law, "0" * 64)
+    texts = {f"{law.name}.c": source.source(), f"{law.name}.h": source.header(), f"{law.name}_data.h": source.data()}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    target = (
+        "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -std=c99 -O2 -ffp-contract=off -Wdouble-promotion -Werror"
+    )
+    command = [sys.executable, "-m", "ziglang", "cc", *target.split(), "-c", f"{law.name}.c", "-o", "law.o"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    found = {name for pair in SOFT.findall((tmp_path / "law.o").read_bytes()) for name in pair if name}
+    assert found == {"double": {b"d"}, "float": {b"f"}}.get(numbers, set())

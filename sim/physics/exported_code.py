@@ -4,7 +4,7 @@ Quantisation, delay, limits and anti-windup of the controller are in the code, a
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
 from synth.controller.controller import Controller, code_of
-from synth.controller.export.compiled import BehindCode, ExportedCode
+from synth.controller.export.compiled import BehindCode, CompiledLoop, ExportedCode
 from synth.controller.export.folder import differs, same_as
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
@@ -35,12 +35,14 @@ class CodeInTheLoop:
         vehicles: Sequence[Vehicle],
         timestep: float,
         dampers: "drivers.Dampers | None",
+        longest: int = 0,
     ) -> None:
         """Starts the code of N controllers, each of its own vehicle.
 
         Args:
             timestep: of the runs [s].
             dampers: of the vehicles, or None.
+            longest: most timesteps of a block, whose readings lie side by side; 0 if they do not.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.
@@ -52,7 +54,7 @@ class CodeInTheLoop:
         self.actuators, q = len(self._law.outputs), self._law.readings
         self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * self.actuators for code in self._codes])
         self._sign = None if dampers is None else np.repeat([1.0, -1.0], [q, len(self._law.inputs) - q])
-        self._keeps, self.flat = self._law.states > 0, len(self._codes) == 1
+        self.flat = len(self._codes) == 1
         self._given, self._used = list[bytes](), list[bytes]()
         self._last = np.zeros(0), np.zeros(0)
         self.kept = np.zeros((0, len(self._codes), self._law.states))  # states at the samples of the last block
@@ -66,24 +68,17 @@ class CodeInTheLoop:
         self._factor = np.array([[one.factor] for one in behind])
         self._later = [deque([np.zeros(self.actuators)] * one.steps) for one in behind]
         self._moved = any(one != BehindCode() for one in behind)
-        self._plain = self.flat and dampers is None and self._held == 1 and self._law.fixed is None and not self._moved
-        if self._plain:
-            self.set = self._setter()  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
+        self._alone: CompiledLoop | None = None
+        if longest and self.flat and dampers is None and not self._moved:
+            self._alone = CompiledLoop(self._codes[0], self._held, longest)
+            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
 
-    def _setter(self) -> Callable[[Array, Array], None]:
-        """Returns `set` of a single run that acts at every step, where any call more costs a hundredth of it."""
-        step, keep, note, keeps = self._steps[0], self._used.append, self._given.append, self._keeps
-        read, x, given, call = step.seen, step.x, step.given, step.step
-
-        def set_one(seen: Array, acting: Array) -> None:
-            read[...] = seen  # [...] takes half as long as [:]
-            if keeps:
-                keep(x.tobytes())
-            call()
-            note(given.tobytes())
-            acting[...] = given
-
-        return set_one
+    def _begin(self, seen: Array, acting: Array) -> None:
+        """Sets the first commands of a block of a single run; the others follow in C, where any call more costs a hundredth."""
+        assert self._alone is not None, "it is one run"
+        self._alone.begin(seen, acting)
+        self.set = self._alone.step  # pyright: ignore[reportAttributeAccessIssue]
+        self.set(seen, acting)
 
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; of a single run the signals have shape (d,)."""
@@ -118,11 +113,14 @@ class CodeInTheLoop:
     def commands(self, seen: Array) -> Array:
         """See `sim.physics.stepping.Setting`: of the samples since the last call."""
         law, shape = self._law, (len(seen), len(self._steps))
-        number = self._steps[0].given.dtype if self._plain else float
-        given = np.frombuffer(b"".join(self._given), number).astype(float).reshape(*shape, self.actuators)
-        self.kept = np.frombuffer(b"".join(self._used), number).astype(float).reshape(*shape, law.states)
-        self._given.clear()
-        self._used.clear()
+        if self._alone is not None:
+            given, self.kept = (each[: len(seen), None].copy() for each in (self._alone.given, self._alone.used))
+            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            given = np.frombuffer(b"".join(self._given)).reshape(*shape, self.actuators)
+            self.kept = np.frombuffer(b"".join(self._used)).reshape(*shape, law.states)
+            self._given.clear()
+            self._used.clear()
         if self._dampers is None and law.limit is None:
             return given
         y, closing = seen[..., : law.readings], seen[..., law.readings :]
