@@ -46,8 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive)
+    exported = comparison.exported_object(vehicle, runs, options.timestep)
     if options.json:
-        print(json.dumps({**result, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
+        print(json.dumps({**result, **exported, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
     else:
         lines = _titled(vehicle, road, options)
         if options.verbose:
@@ -55,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lines += ["", *of_run]
         elif not options.brief:
             lines += comparison.short_lines(runs)
+        lines += comparison.exported_lines(exported) if not options.brief else []
         lines += ["", *standing_lines(standings, comparison.table_note(runs, options, "MuJoCo, all of the run"))]
         say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
     comparison.view(options, logs)

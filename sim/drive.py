@@ -54,9 +54,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive, first, measured)
+    exported = comparison.exported_object(vehicle, runs, options.timestep)
     if options.json:
         step = {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
-        print(json.dumps({**result, "step": step, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
+        print(
+            json.dumps(
+                {**result, "step": step, **exported, "compared": standings_object(standings), "logs": logs}, allow_nan=False
+            )
+        )
     else:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
@@ -69,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += comparison.short_lines(runs)
             lines += shared_lines([(run.controller.name, line) for run in runs for line in run_metrics.broken_lines(run)])
             lines += run_metrics.angle_lines(runs, measured)
+        lines += comparison.exported_lines(exported) if not options.brief else []
         if steps and not options.brief:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")

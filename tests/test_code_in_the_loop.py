@@ -1,6 +1,7 @@
 """Exported code drives the runs: its bits are the law's, its runs are those of our law, and its rounding is as predicted."""
 
 import dataclasses
+import hashlib
 import importlib.util
 import json
 import shutil
@@ -15,19 +16,28 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
+from sim.command.comparison import controllers_of
 from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
 from sim.physics.exported_code import CodeInTheLoop
 from sim.physics.simulate import simulate
+from sim.report.__main__ import main as report
+from sim.report.contents import EXPORTED, pieces_of
+from sim.report.exported import exported_section
+from sim.report.scope import Exported, Scope
 from sim.runs.run import run_controllers, sample_times
+from sim.studies.stability.exported_margins import find_exported_margins
+from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.controller.controller import Driver
+from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
-from synth.controller.export.compiled import ExportedCode, driven_by
+from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
+from synth.vehicle.designer import Designer
+from synth.vehicle.exported_numbers import numbers_object
 from tests.commands import attacks, prose
 from tests.test_export import BUILT, LAW, needs_cc
 from tests.test_export import _given as given
@@ -201,8 +211,12 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     assert "law agrees throughout" in said
     assert ("rounding is predicted" in said) == (numbers == "float")
     assert bump([*options, "--json"]) == 0
-    (run,) = json.loads(capsys.readouterr().out)["runs"]
+    printed = json.loads(capsys.readouterr().out)
+    (run,), exported = printed["runs"], printed["exported"]
     assert run["controller"]["code"]["numbers"] == numbers
+    assert [*exported["loops"]] == ["ideal", numbers]
+    assert f"{exported['loops'][numbers]['norm']:.7g}" in said
+    assert "delay margin, ms" in said
     if numbers == "float":
         force = run["rounding"]["control_force"]
         assert 0 < force["rms"] < force["most"] < 1
@@ -291,3 +305,116 @@ def test_without_a_compiler_one_line_says_so(folders, monkeypatch):
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--no-logs"]
     with pytest.raises(InputError, match="no C compiler is here; install cc, or"):
         bump([*options, "--as", str(folders / "double")])
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("numbers", "name", "kind"),
+    [("float", "II", "quarter_car"), *attacks([("int16", "II", "quarter_car"), ("double", "I", "half_car")])],
+)
+def test_margins_with_the_code(numbers, name, kind):
+    """MuJoCo, driven by the code, loses the loop at the factor and at the delay that are predicted with its numbers."""
+    vehicle = parse_vehicle(read_vehicle(kind).text + "\n[implementation]\nsample_period = 0.01\ndelay = 1\n")
+    driver = coded(vehicle, given(vehicle, name), numbers, {"sprung_velocity": 2.0})
+    assert isinstance(driver, CompiledController)
+    found = find_exported_margins(vehicle, driver, 2e-3)
+    ideal, held = found.about["loops"].values()
+    assert found.agrees
+    assert held["margins"]["gain"] == pytest.approx(ideal["margins"]["gain"], rel=1e-5)  # coefficients have 15 bits
+    assert held["margins"]["gain"] != ideal["margins"]["gain"] or numbers == "double"
+    within = 2e-3 if numbers != "int16" else 0.05  # how closely is looked, see `Bisection` and `COARSE`
+    assert found.gain.found == pytest.approx(found.predicted.gain, rel=within)
+    assert 0 <= found.delay.unstable - found.predicted.delay <= found.delay.step
+
+
+@needs_cc
+@pytest.mark.attack
+def test_a_wrong_margin_is_found_out():
+    """Code with a hundredth more gain than its law loses the loop earlier than is predicted, and does not agree."""
+    vehicle = read_vehicle("quarter_car")
+    driver = coded(vehicle, given(vehicle, "I"), "double")
+    assert isinstance(driver, CompiledController)
+    assert driver.code is not None
+    law = driver.code.law
+    code = dataclasses.replace(driver.code, law=dataclasses.replace(law, D=law.D / 1.01))
+    found = find_exported_margins(vehicle, dataclasses.replace(driver, code=code), 2e-3)
+    assert not found.agrees
+    assert found.gain.found == pytest.approx(found.predicted.gain / 1.01, rel=2e-3)  # how closely is looked
+
+
+def test_dampers_have_no_such_margins():
+    """Code that sets coefficients has no margin of forces, and one line says so."""
+    vehicle = read_vehicle("quarter_car_semi_active")
+    driver = coded(vehicle, given(vehicle, "sky"), "double")
+    assert isinstance(driver, CompiledController)
+    with pytest.raises(InputError, match="its adjustable dampers get coefficients; leave out --as"):
+        find_exported_margins(vehicle, driver, 2e-3)
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
+def test_the_section_of_a_report(folders, numbers):
+    """The page has the folder, its checksum, and for every signal what rounding does beside what is predicted of it."""
+    vehicle, folder = read_vehicle(str(folders / "car.toml")), folders / numbers
+    designer = Designer(vehicle, search=False)
+    own, coded = (controllers_of(vehicle, ["law"], designer.design, of)[0] for of in (None, folder))
+    assert isinstance(own, Controller)
+    scope = Scope(vehicle, designer, (own,), STEP, True, print, exported=Exported(folder, coded))
+    assert (EXPORTED, "") in pieces_of(scope)
+    section, (finding,) = exported_section(scope)
+    tables = {table.name: table for table in section.tables}
+    facts = {row[0]: row[1] for row in tables["exported"].rows}
+    assert facts["folder"] == str(folder)
+    assert facts["SHA-256 of its manifest"] == hashlib.sha256((folder / "MANIFEST.sha256").read_bytes()).hexdigest()
+    assert facts["format"] == f"C99 in {numbers}, law_step every 5 ms"
+    assert finding.state == "holds"
+    if numbers == "float":
+        for _, _, rms, found, most, farthest in tables["exported-rounding"].rows:
+            assert 0.2 < float(rms) / float(found) < 5  # see `test_rounding_is_predicted`
+            assert 0 < float(farthest) < float(most)
+    loop = {row[0]: row[1:] for row in tables["exported-loop"].rows}
+    about = numbers_object(vehicle, own, code_of(coded).law, STEP)
+    norms = [one["norm"] for one in about["loops"].values()]
+    assert [float(cell) for cell in loop["norm as implemented"][:2]] == pytest.approx(norms, rel=1e-6)  # 7 digits
+    assert float(loop["delay margin, ms"][1]) == pytest.approx(1e3 * about["loops"][numbers]["margins"]["delay"], rel=1e-5)
+
+
+def test_no_folder_of_a_gallery(tmp_path):
+    """The page of the gallery is of no vehicle file, and so of no folder."""
+    with pytest.raises(InputError, match="--as is of a vehicle file's report"):
+        report(["--gallery", "--as", str(tmp_path)])
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["double", "float", "int32", "int16"])
+def test_the_loop_in_c_has_the_same_bits(numbers):
+    """A single run, which is stepped in C, has the forces and states of one that is stepped by Python, to the last bit."""
+    vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + WIDE)
+    driver = coded(vehicle, given(vehicle, "law"), numbers, {"suspension_deflection": 0.05, "sprung_velocity": 0.5})
+    seen = np.random.default_rng(0).standard_normal((1000, 2)) * [0.05, 0.5]  # a third leaves its range
+    runs = []
+    for longest in (0, 400):
+        setting, acting, parts = CodeInTheLoop([driver], [vehicle], STEP, None, longest), np.zeros((1, 1)), []
+        for start in range(0, 1000, 400):
+            block, forces = seen[start : start + 400].copy(), []
+            for row in block:
+                setting.set(row, acting)
+                forces.append(acting[0, 0])
+            given_, kept = setting.commands(block[:, None])[:, 0, 0], setting.kept[:, 0]
+            parts.append(np.column_stack([forces, given_, kept]))
+        runs.append(np.concatenate(parts))
+    assert np.array_equal(*runs)
+    assert np.any(runs[0][:, 0] != 0)
+
+
+@needs_cc
+@pytest.mark.parametrize(("numbers", "code"), [("int32", 0), *attacks([("int16", 1)])])
+def test_a_sweep_is_driven_by_quantised_code(numbers, code, tmp_path, capsys):
+    """On roads of a tenth of a millimetre a sweep agrees with code in int32; steps of int16 are too coarse there, as it says."""
+    ranges = ["--range", "suspension_deflection=0.2", "--range", "sprung_velocity=2"]
+    assert synth(["--controller", "I", "--numbers", numbers, *ranges, "--export", str(tmp_path / "ecu")]) == 0
+    capsys.readouterr()
+    assert sweep(["--controller", "I", "--timestep", "4e-3", "--as", str(tmp_path / "ecu"), "--json"]) == code
+    (found,) = json.loads(capsys.readouterr().out)["sweeps"]
+    said = "; ".join(found["failures"])
+    assert ("rounding to int16 is not in that" in said) == (numbers == "int16")

@@ -3,8 +3,10 @@
 import ctypes
 import dataclasses
 import json
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +20,11 @@ from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.controller.controller import Controller
 from synth.controller.export import cortex_m4
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
+from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
+from synth.controller.open_loop import LoopModel
+from synth.controller.sampled_margins import sampled_margins
 from tests.commands import attacks, prose
 
 COMPILER = shutil.which("cc")
@@ -255,6 +259,42 @@ def test_a_folder_in_fixed_point(capsys, tmp_path):
     assert "certificate.json: is changed" in prose(capsys.readouterr().out)
 
 
+GOALS = """
+[controllers.goals]
+measured = ["suspension_deflection", "sprung_velocity"]
+gain = [[8000.0, -3000.0]]
+bounds = [
+    { peak = "suspension_deflection", road = "bump", at_most = 0.12 },
+    { energy_peak = "suspension_deflection", energy = 0.001, at_most = 0.2 },
+]
+"""
+
+
+def test_a_proved_peak_is_a_range(capsys, tmp_path):
+    """The largest proved peak of a goal is the range of its signal, as the folder says; a range that no peak proves is named."""
+    (tmp_path / "car.toml").write_text((HERE / "quarter_car.toml").read_text() + GOALS)
+    command = ["--vehicle", str(tmp_path / "car.toml"), "--controller", "goals", "--numbers", "int32"]
+    with pytest.raises(InputError, match="fixed point needs the range of sprung_velocity"):
+        main([*command, "--export", str(tmp_path / "ecu")])
+    assert main([*command, "--range", "sprung_velocity=2", "--export", str(tmp_path / "ecu")]) == 0
+    record = json.loads((tmp_path / "ecu" / "certificate.json").read_text())
+    peak, energy = _given(read_vehicle(str(tmp_path / "car.toml")), "goals").specifications[-2:]
+    assert peak.proved is not None
+    assert energy.proved is not None
+    assert peak.proved > energy.proved
+    assert record["ranges"] == {"suspension_deflection": pytest.approx(SPARE * peak.proved), "sprung_velocity": 2.0}
+    assert record["range_sources"]["sprung_velocity"] == "given"
+    said = record["range_sources"]["suspension_deflection"]
+    assert said == f"1.1 times its peak over bump, proved to be at most {peak.proved:.4g} m"
+    assert said in (tmp_path / "ecu" / "README.md").read_text()
+    assert main(["--check", str(tmp_path / "ecu")]) == 0
+    changed = json.dumps(record).replace("over bump", "over a kerb")
+    (tmp_path / "ecu" / "certificate.json").write_text(changed)
+    capsys.readouterr()
+    assert main(["--check", str(tmp_path / "ecu")]) == 1
+    assert "the range of suspension_deflection is from no peak that is proved" in prose(capsys.readouterr().out)
+
+
 def test_nothing_is_overwritten(exported):
     """A folder that holds something is left as it is; --numbers is of --export alone."""
     with pytest.raises(InputError, match="is there already, and not empty"):
@@ -284,3 +324,44 @@ def test_without_the_extra_it_is_asked_for(exported, monkeypatch):
         main(["--check", str(exported), "--cortex-m4"])
     with pytest.raises(InputError, match="--cortex-m4 runs exported code"):
         main(["--controller", "I", "--cortex-m4"])
+
+
+@pytest.mark.parametrize("name", ["quarter_car", "half_car"])
+@pytest.mark.parametrize(("period", "delay"), [(None, 0), (0.005, 1)])
+def test_margins_of_the_loop_as_implemented(name, period, delay):
+    """At a margin the loop itself is marginal: by its transition with that gain, and between two timesteps of that delay."""
+    vehicle, h = read_vehicle(name), 1e-3
+    how = dataclasses.replace(vehicle.implementation, sample_period=period, delay=delay)
+    vehicle, controller = dataclasses.replace(vehicle, implementation=how), _given(vehicle, "I")
+    found = sampled_margins(vehicle, controller, h)
+    assert found is not None
+    scaled = dataclasses.replace(controller, law=controller.law.scaled(found.gain))
+    assert LoopModel(vehicle, scaled, h).radius == pytest.approx(1, abs=1e-9)  # bisected to 1e-10
+    steps, held = int(found.delay / h), LoopModel(vehicle, controller, h).steps
+    late = [
+        dataclasses.replace(vehicle, implementation=dataclasses.replace(how, delay=delay + k / held)) for k in (steps, steps + 1)
+    ]
+    before, after = (LoopModel(one, controller, h).radius for one in late)
+    assert before < 1 <= after
+    assert found.phase == found.delay * found.frequency
+
+
+SOFT = re.compile(rb"__aeabi_(?:[ui]?l?2)?(d|f)[a-z0-9]+|__aeabi_[ui]?l?2(d|f)")  # routines for numbers of 64 and 32 bits
+
+
+@pytest.mark.parametrize("numbers", NUMBERS)
+def test_an_arm_build_has_no_number_that_it_should_not(numbers, tmp_path):
+    """Built for a processor without floating point, float needs no routine for double, and whole numbers need none at all."""
+    pytest.importorskip("ziglang", reason="needs the extra [export]")
+    law = random_law(np.random.default_rng(2), read_vehicle("quarter_car"), numbers)
+    source = source_of(law, "0" * 64)
+    texts = {f"{law.name}.c": source.source(), f"{law.name}.h": source.header(), f"{law.name}_data.h": source.data()}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    target = (
+        "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -std=c99 -O2 -ffp-contract=off -Wdouble-promotion -Werror"
+    )
+    command = [sys.executable, "-m", "ziglang", "cc", *target.split(), "-c", f"{law.name}.c", "-o", "law.o"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    found = {name for pair in SOFT.findall((tmp_path / "law.o").read_bytes()) for name in pair if name}
+    assert found == {"double": {b"d"}, "float": {b"f"}}.get(numbers, set())

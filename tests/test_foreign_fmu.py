@@ -16,7 +16,9 @@ from models.roads.road import Bump
 from models.vehicle import foreign_fmu
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.runs.by_name import run
+from sim.runs.report import claims
 from synth.__main__ import main
+from synth.controller.export.c_law import exported_law
 from tests.commands import refused
 from tests.test_export import BUILT, LAW
 
@@ -96,6 +98,9 @@ def test_it_drives_as_its_law_does(tmp_path):
     assert theirs.controller.record["fmu"] == "their.fmu"
     with refused("controller 'theirs' is an FMU, their.fmu, which has no linear loop to analyse"):
         vehicle.linear_entry("theirs")
+    with refused("controller 'theirs' is an FMU, and its own code; export a linear or semi-active one"):
+        exported_law(vehicle, vehicle.controllers["theirs"].driver(), "double", "theirs")
+    assert claims(theirs.controller) == "no linear claim: an FMU"
 
 
 @pytest.mark.parametrize(

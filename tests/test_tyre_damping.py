@@ -19,16 +19,17 @@ from models.roads.spectrum import sources
 from models.vehicle.mjcf import build_model
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response
-from sim.linear.sampled_response import continuous_response
+from sim.linear.rounding import rounding_effect
+from sim.linear.sampled_response import continuous_response, sampled_response
 from sim.response.regime import LIFT_OFF
 from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure
-from synth.command.export_numbers import numbers_lines, numbers_object
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import exported_law
 from synth.controller.export.linear_system import loop_system
+from synth.controller.export.rounding import steady_rounding
 from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
@@ -303,12 +304,20 @@ def test_the_sampled_norm_counts_the_road_in_a_reading():
     assert norm_as_implemented(vehicle, controller, 1e-5).value == pytest.approx(peak, rel=1e-3)
 
 
-def test_no_bound_on_rounding_is_said_of_a_reading_of_the_road():
-    """What such a reading gives at an instant is no part of the loop's response, of which the bound on rounding is computed."""
+def test_rounding_is_predicted_of_a_reading_of_the_road():
+    """Rounding for ever, where a reading has the road's mean velocity in it, is that of a run, from its own response.
+
+    The velocity of the run's road is white but for its lowest frequencies.
+    """
     vehicle, controller, _ = reading_the_wheel()
-    found = numbers_object(vehicle, controller, exported_law(vehicle, controller, "float", "felt"))
-    assert found["rounding"] is None
-    assert "a reading has the road's velocity in it" in numbers_lines(found)[-1]
+    law, loop = exported_law(vehicle, controller, "float", "felt"), LoopModel(vehicle, controller, 1e-3)
+    steady = steady_rounding(loop, law)
+    on = RoadInput(vehicle, Iso8608("C", length=800.0, speed=20.0), sample_times(vehicle, 40.0, 1e-3))
+    response, force = sampled_response(loop, on), vehicle.linear_model.inputs[0]
+    effect = rounding_effect(loop, law, response)
+    assert steady is not None
+    assert effect.rms[force] / response.rms(force) == pytest.approx(steady.rms, rel=0.05)  # 2 % less, of those frequencies
+    assert effect.most[force].max() < steady.most * np.abs(on.velocities).max()
 
 
 def test_a_sampled_design_refuses_a_reading_of_the_road():

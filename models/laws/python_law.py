@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import MIB, origin, read_bytes, read_text
@@ -109,7 +109,10 @@ class Programmed:
     law: PythonLaw
     source: str
 
-    kind: ClassVar[str] = "a law in Python"
+    @property
+    def kind(self) -> str:
+        """What it is, in words, with an article: a law in Python, or an FMU."""
+        return self.law.with_article
 
     @property
     def states(self) -> int:

@@ -12,7 +12,7 @@ Semi-Active Suspension Control Design for Vehicles (2010), chapters 3 and 6.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -236,7 +236,11 @@ class SemiActive:
 
     name: str
     law: SemiActiveLaw
-    kind: ClassVar[str] = "a semi-active law"
+
+    @property
+    def kind(self) -> str:
+        """Kind of its law, in words, with an article."""
+        return "a semi-active law"
 
     @property
     def states(self) -> int:

@@ -31,7 +31,7 @@ def law_values(vehicle: Vehicle, controller: str) -> dict[str, float | None]:
             raise InputError(f"{where}: its law {entry.semi_active.name} has nothing beside its name; draw another one's keys")
         return {key: dict(entry.semi_active.numbers).get(key) for key in keys}
     if entry.python is not None:
-        raise InputError(f"{where} is a law in Python, whose numbers stand in its own file; draw another one's keys")
+        raise InputError(f"{where} is {entry.python.with_article}, whose numbers stand in its own file; draw another one's keys")
     if entry.law is None:
         raise InputError(
             f"{where} is designed, and the file has no law of it to be drawn; write its gain first, with python -m synth --save"

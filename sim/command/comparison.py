@@ -18,8 +18,6 @@ from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
 from sim.runs.report import (
     FEW,
-    NO_CLAIM,
-    NO_CLAIM_OF_SWITCHING,
     claims,
     code_line,
     controller_lines,
@@ -28,7 +26,7 @@ from sim.runs.report import (
     verdict_lines,
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, code_of
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
@@ -58,6 +56,29 @@ def controllers_of(
         return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
+
+
+def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
+    """Returns what the numbers of exported code make of its loop, as JSON has it, under `exported`; empty without such code.
+
+    See `synth.vehicle.exported_numbers.numbers_object`; of a law that sets dampers there is nothing to say.
+    """
+    for run in runs:
+        code, driver = code_of(run.controller), run.controller
+        if code is not None and isinstance(driver, Controller) and not code.law.dampers:
+            from synth.vehicle.exported_numbers import numbers_object
+
+            return {"exported": {"controller": driver.name, **numbers_object(vehicle, driver, code.law, timestep)}}
+    return {}
+
+
+def exported_lines(exported: Mapping[str, Any]) -> list[str]:
+    """Returns the same as lines of a table; empty without."""
+    if not exported:
+        return []
+    from synth.vehicle.exported_numbers import numbers_lines
+
+    return ["", *numbers_lines(exported["exported"])]
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:
@@ -228,12 +249,13 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
 
     Claims of more than `FEW` controllers are left to `-v`.
     """
-    lines, without, few = [], {NO_CLAIM: [], NO_CLAIM_OF_SWITCHING: []}, len(runs) <= FEW
+    lines, without, few = [], dict[str, list[str]](), len(runs) <= FEW
     for run in runs:
+        claim = claims(run.controller) if few else ""
         if not few:
             pass
-        elif (claim := claims(run.controller)) in without:
-            without[claim].append(run.controller.name)
+        elif not isinstance(run.controller, Controller):
+            without.setdefault(claim, []).append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
         if code := code_line(run):

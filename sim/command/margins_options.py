@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.common.command import Parser, one_chosen
+from sim.command.road_options import add_exported
 from sim.studies.stability import TIMESTEP
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def parser() -> Parser:
         EPILOG,
     )
     parser.add_one("state, or one of the vehicle file's")
+    add_exported(parser)
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
     parser.add_logs("MuJoCo on either side of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")

@@ -80,14 +80,16 @@ def add_run_options(parser: Parser, duration: float) -> None:
     )
 
 
-def add_exported(parser: Parser) -> None:
+def add_exported(
+    parser: Parser, what: str = "let the compiled code of this folder of python -m synth --export drive its controller"
+) -> None:
     """Adds `--as`."""
     parser.add_argument(
         "--as",
         dest="exported",
         type=Path,
         metavar="DIR",
-        help="let the compiled code of this folder of python -m synth --export drive its controller",
+        help=what,
     )
 
 

@@ -182,7 +182,9 @@ def _inspect(log: Recorded, vehicle: Vehicle, recorded: RecordedRun, h: float, c
         findings += _guarded("design", FAILS, lambda: claims.check_design(vehicle, controller))
         findings += _guarded("goals", FAILS, lambda: claims.check_goals(vehicle, controller))
     else:
-        said = f"{NO_CLAIM}; {NOT_RUN}" if isinstance(controller, Programmed) else NO_CLAIM_OF_SWITCHING
+        said = (
+            f"{NO_CLAIM.format(kind=controller.kind)}; {NOT_RUN}" if isinstance(controller, Programmed) else NO_CLAIM_OF_SWITCHING
+        )
         findings.append(Finding("certificate", NOTE, said))
     if samples < reproduction.FEWEST:
         return inspected()

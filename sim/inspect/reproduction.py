@@ -156,14 +156,14 @@ def _programmed(log: Recorded, run: RecordedRun, name: str, signals: Sequence[st
     """A law in Python of a run, its text as it is attached."""
     content = log.attachments.get(run.claims.get("law_file", ""))
     if content is None or len(content) > MOST_TEXT:
-        raise InputError("the text of its law in Python is not attached")
+        raise InputError(f"the text of its {law.kind} is not attached")
     try:
         programmed = Programmed(name, tuple(signals), law, content.decode("utf-8"))
     except UnicodeDecodeError:
-        raise InputError("what is attached as its law in Python is no text") from None
+        raise InputError(f"what is attached as its {law.kind} is no text") from None
     if run.claims.get("sha256") != programmed.sha256:
-        raise InputError("the text of its law in Python is not the one whose checksum the log has")
-    _check_unclaimed(run, "a law in Python")
+        raise InputError(f"the text of its {law.kind} is not the one whose checksum the log has")
+    _check_unclaimed(run, law.with_article)
     return programmed
 
 
@@ -224,7 +224,7 @@ def predicted_again(
     if isinstance(controller, Programmed):
         content = log.attachments.get(run.claims.get("forces_file", ""))
         if content is None:
-            raise InputError("the forces of its law in Python are not attached")
+            raise InputError(f"the forces of its {controller.law.kind} are not attached")
         forces = read_forces(content, command_names(vehicle), samples)
     physics = as_response(vehicle, run, MUJOCO, samples, timestep, kept(controller))
     return predict_replayed(controller, road, physics, forces)

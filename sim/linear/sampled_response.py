@@ -333,7 +333,7 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
 
 
 def _leaps_ahead(preview: "RoadPreview", road_input: RoadInput) -> Array:
-    """Returns the contribution of jumps of the road's height to g at the samples, shape (T, k): from T ahead until just before."""
+    """Returns the contribution of jumps of the road's height to g at the samples, shape (T, k): from T ahead to just before."""
     time, h = road_input.time, road_input.timestep
     seen = np.zeros((len(time), len(preview.A)))
     for at, wheel, height in jumps_under_wheels(road_input.road, road_input.vehicle):

@@ -3,7 +3,8 @@
 Quantisation, delay, limits and anti-windup of the controller are in the code, and not here. Noise is of the sensors, and is here.
 """
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
 from synth.controller.controller import Controller, code_of
-from synth.controller.export.compiled import ExportedCode
+from synth.controller.export.compiled import BehindCode, CompiledLoop, ExportedCode
 from synth.controller.export.folder import differs, same_as
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
@@ -34,12 +35,14 @@ class CodeInTheLoop:
         vehicles: Sequence[Vehicle],
         timestep: float,
         dampers: "drivers.Dampers | None",
+        longest: int = 0,
     ) -> None:
         """Starts the code of N controllers, each of its own vehicle.
 
         Args:
             timestep: of the runs [s].
             dampers: of the vehicles, or None.
+            longest: most timesteps of a block, whose readings lie side by side; 0 if they do not.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.
@@ -51,7 +54,7 @@ class CodeInTheLoop:
         self.actuators, q = len(self._law.outputs), self._law.readings
         self._nominal = np.array([[one[0] for one in code.law.dampers] or [0.0] * self.actuators for code in self._codes])
         self._sign = None if dampers is None else np.repeat([1.0, -1.0], [q, len(self._law.inputs) - q])
-        self._keeps, self.flat = self._law.states > 0, len(self._codes) == 1
+        self.flat = len(self._codes) == 1
         self._given, self._used = list[bytes](), list[bytes]()
         self._last = np.zeros(0), np.zeros(0)
         self.kept = np.zeros((0, len(self._codes), self._law.states))  # states at the samples of the last block
@@ -61,24 +64,21 @@ class CodeInTheLoop:
         late = self._law.delay * self._held
         self._late = np.zeros((late, len(controllers), self.actuators * (1 if dampers is None else 2)))
 
-        self._plain = self.flat and dampers is None and self._held == 1 and self._law.fixed is None
-        if self._plain:
-            self.set = self._setter()  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
+        behind = [getattr(one, "behind", None) or BehindCode() for one in controllers]
+        self._factor = np.array([[one.factor] for one in behind])
+        self._later = [deque([np.zeros(self.actuators)] * one.steps) for one in behind]
+        self._moved = any(one != BehindCode() for one in behind)
+        self._alone: CompiledLoop | None = None
+        if longest and self.flat and dampers is None and not self._moved:
+            self._alone = CompiledLoop(self._codes[0], self._held, longest)
+            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
 
-    def _setter(self) -> Callable[[Array, Array], None]:
-        """Returns `set` of a single run that acts at every step, where any call more costs a hundredth of it."""
-        step, keep, note, keeps = self._steps[0], self._used.append, self._given.append, self._keeps
-        read, x, given, call = step.seen, step.x, step.given, step.step
-
-        def set_one(seen: Array, acting: Array) -> None:
-            read[...] = seen  # [...] takes half as long as [:]
-            if keeps:
-                keep(x.tobytes())
-            call()
-            note(given.tobytes())
-            acting[...] = given
-
-        return set_one
+    def _begin(self, seen: Array, acting: Array) -> None:
+        """Sets the first commands of a block of a single run; the others follow in C, where any call more costs a hundredth."""
+        assert self._alone is not None, "it is one run"
+        self._alone.begin(seen, acting)
+        self.set = self._alone.step  # pyright: ignore[reportAttributeAccessIssue]
+        self.set(seen, acting)
 
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; of a single run the signals have shape (d,)."""
@@ -91,8 +91,16 @@ class CodeInTheLoop:
             self._last = given, used = np.stack([one for one, _ in pairs]), np.stack([one for _, one in pairs])
         self._given.append(given.tobytes())
         self._used.append(used.tobytes())
-        acting[...] = given
+        acting[...] = self._behind(given) if self._moved else given
         self._k = (self._k + 1) % self._held
+
+    def _behind(self, given: Array) -> Array:
+        """Returns the forces that act, from those of the code, shape (N, m) or (m,)."""
+        forces = (self._factor * given).reshape(-1, self.actuators)
+        for line, row in zip(self._later, forces, strict=True):
+            line.append(row.copy())
+            row[...] = line.popleft()
+        return forces.reshape(given.shape)
 
     def _sample(self, i: int, seen: Array) -> tuple[Array, Array]:
         """Returns the commands of a run from its signals, and the states at the sample."""
@@ -105,11 +113,14 @@ class CodeInTheLoop:
     def commands(self, seen: Array) -> Array:
         """See `sim.physics.stepping.Setting`: of the samples since the last call."""
         law, shape = self._law, (len(seen), len(self._steps))
-        number = self._steps[0].given.dtype if self._plain else float
-        given = np.frombuffer(b"".join(self._given), number).astype(float).reshape(*shape, self.actuators)
-        self.kept = np.frombuffer(b"".join(self._used), number).astype(float).reshape(*shape, law.states)
-        self._given.clear()
-        self._used.clear()
+        if self._alone is not None:
+            given, self.kept = (each[: len(seen), None].copy() for each in (self._alone.given, self._alone.used))
+            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            given = np.frombuffer(b"".join(self._given)).reshape(*shape, self.actuators)
+            self.kept = np.frombuffer(b"".join(self._used)).reshape(*shape, law.states)
+            self._given.clear()
+            self._used.clear()
         if self._dampers is None and law.limit is None:
             return given
         y, closing = seen[..., : law.readings], seen[..., law.readings :]
@@ -135,6 +146,8 @@ def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
     code = code_of(driver)
     assert code is not None, "exported code drives all of these runs"
     assert isinstance(driver, (Controller, SemiActive)), "and it is of such a law"
+    if getattr(driver, "behind", None) is not None:  # its maker has checked it, and changed the law since
+        return code
     if differs(code.law, same_as(code.law, vehicle, driver)):
         raise InputError(
             f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "

@@ -251,7 +251,9 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
         if coded:
             from sim.physics.exported_code import CodeInTheLoop
 
-            code = CodeInTheLoop(controllers[runs], vehicles[runs], timestep, mine)
+            code = CodeInTheLoop(
+                controllers[runs], vehicles[runs], timestep, mine, int(np.diff(edges).max()) if going is None else 0
+            )
         if not plain:
             how = [one.implementation for one in vehicles[runs]]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup, whole, ahead)

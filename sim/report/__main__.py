@@ -8,11 +8,11 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say
-from sim.command.road_options import add_loads, left_out_lines, omitted_controllers
+from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
     from models.figures.page import Page
@@ -90,9 +90,9 @@ def _reported(
     from sim.command.comparison import controllers_of, say_false_claims
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import Scope, check_scope
+    from sim.report.scope import Exported, Scope, check_scope
     from sim.runs.run import sample_times
-    from synth.controller.controller import Controller
+    from synth.controller.controller import Controller, code_of
     from synth.vehicle.designer import Designer
 
     check_scope(vehicle, options.timestep)
@@ -103,14 +103,22 @@ def _reported(
     if loads:
         loaded_road(loads).check(vehicle, sample_times(vehicle, duration_of(loads), options.timestep))
 
-    stage = Stages("designs", *stages(vehicle, options.quick, bool(loads), options.front is not None), "the page")
+    stage = Stages(
+        "designs",
+        *stages(vehicle, options.quick, bool(loads), options.front is not None, options.exported is not None),
+        "the page",
+    )
     stage("designs")
     designer = Designer(vehicle)
-    controllers = controllers_of(vehicle, names, designer.design)
+    controllers, exported = controllers_of(vehicle, names, designer.design), None
+    if options.exported is not None:
+        known = {one.name: one for one in controllers}
+        coded = controllers_of(vehicle, names, lambda name: cast("Controller", known[name]), options.exported)
+        exported = Exported(options.exported, next(one for one in coded if code_of(one) is not None))
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads)
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported)
     result = report(scope, _about(vehicle.source), beside)
     stage("the page")
     _write(result.page, options.out, options.figures)
@@ -118,7 +126,7 @@ def _reported(
     return result
 
 
-OF_A_VEHICLE = ("controller", "vehicle", "quick", "front", "load", "timestep")  # options without a meaning for the gallery
+OF_A_VEHICLE = ("controller", "vehicle", "quick", "front", "load", "as", "timestep")  # options without a meaning for the gallery
 
 
 def _gallery(options: argparse.Namespace) -> int:
@@ -131,7 +139,9 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.studies.gallery.numbers import compared
     from sim.studies.gallery.summary import entry_object, last_lines, sources_object
 
-    repeated = {name for name in ("controller", "load") if getattr(options, "loads" if name == "load" else name)}
+    repeated = {
+        name for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported")) if getattr(options, of)
+    }
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
         raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
@@ -201,6 +211,7 @@ def _parser() -> Parser:
         help="also a trade-off between two or three demands, e.g. ride:travel, as `python -m synth --front` has it, with "
         "MuJoCo's values at some of its designs; takes half a minute more",
     )
+    add_exported(parser, "also what this folder of python -m synth --export holds, and what its code does")
     add_loads(parser, "also what this load does on a flat road")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()

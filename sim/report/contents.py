@@ -19,7 +19,6 @@ from sim.report.designs import design_section, frequency_section, paper_section
 from sim.report.headline import Statement
 from sim.report.limits import map_of, margins_section, regime_section, validity_section
 from sim.report.loads import loads_section, workshop_section
-from sim.report.regime_end import regime_end
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import compared_on, first_screen, trust_section
@@ -29,10 +28,12 @@ from sim.studies.frequency.describing_function import DescribingFunction, descri
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
 from sim.studies.ride.standing import Standing, standing, standings_object
+from sim.studies.validity.regime_end import regime_end
 from synth.vehicle.paper import SEED, is_the_papers
 
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
 MAP, RIDE, LOADS, FRONT, PAPER = "map", "random roads", "loads", "trade-off", "the paper"
+EXPORTED = "exported code"
 
 
 MOST_ORDERS = 4  # controllers whose order of convergence is found, as that takes twice a run
@@ -98,10 +99,11 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         sections.append(ride_section(vehicle, rides, scope.styles))
     if frequencies.workshop is not None:
         sections.append(frequencies.workshop)
-    if (LOADS, "") in parts:
-        section, findings = parts[LOADS, ""]
-        sections.append(section)
-        answer += findings
+    for name in (LOADS, EXPORTED):
+        if (name, "") in parts:
+            section, findings = parts[name, ""]
+            sections.append(section)
+            answer += findings
     sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
     texts = tuple(one.text for one in answer)
@@ -120,10 +122,15 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     return Report(whole, compared, where)
 
 
-def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool) -> tuple[str, ...]:
+def stages(vehicle: Vehicle, quick: bool, loads: bool, front: bool, exported: bool = False) -> tuple[str, ...]:
     """The stages of a page, in their order where one process does all of it: the reverse of `pieces_of`."""
     there = {PAPER: is_the_papers(vehicle), LOADS: loads, RIDE: not quick, MAP: not quick, MARGINS: not quick, FRONT: front}
-    return (BUMP, REGIME, *(name for name in (PAPER, LOADS, FREQUENCIES, RIDE, MAP, MARGINS, FRONT) if there.get(name, True)))
+    there[EXPORTED] = exported
+    return (
+        BUMP,
+        REGIME,
+        *(name for name in (PAPER, LOADS, EXPORTED, FREQUENCIES, RIDE, MAP, MARGINS, FRONT) if there.get(name, True)),
+    )
 
 
 def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
@@ -139,6 +146,10 @@ def pieces_of(scope: Scope) -> dict[tuple[str, str], Piece]:
     if not scope.quick and (scope.stable or scope.laws):
         pieces[RIDE, ""] = _rides
     pieces[FREQUENCIES, ""] = _frequencies
+    if scope.exported is not None:
+        from sim.report.exported import exported_section
+
+        pieces[EXPORTED, ""] = exported_section
     if scope.loads and (scope.stable or scope.laws):
         pieces[LOADS, ""] = loads_section
     if is_the_papers(scope.vehicle):

@@ -8,7 +8,6 @@ from models.common.printed import percent
 from models.figures.page import State
 from models.roads.road import Bump
 from sim.linear.dampers import is_linear
-from sim.report.regime_end import REACHES, RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
 from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
@@ -16,6 +15,7 @@ from sim.runs.report import NO_STATE
 from sim.runs.run import Run
 from sim.studies.frequency.identification import Lines
 from sim.studies.frequency.sweep import Sweep, failures
+from sim.studies.validity.regime_end import REACHES, RegimeEnd
 from synth.controller.controller import Controller
 
 HALF = 0.5  # of the force: where more is left out, linear claims say little of the ride

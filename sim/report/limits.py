@@ -13,12 +13,12 @@ from models.figures.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.limits_and_implementation import Implementation
 from sim.report.headline import Statement, unclaimed_words
-from sim.report.regime_end import RegimeEnd
 from sim.report.scope import BUMP_DURATION, Scope
 from sim.response.regime import END_NAMES
 from sim.runs.run import Run, sample_times
 from sim.studies.frequency.identification import ideal_measurements
 from sim.studies.validity.grid import grid, read_axes
+from sim.studies.validity.regime_end import RegimeEnd
 from sim.studies.validity.regime_map import validity
 from sim.studies.validity.report import envelope_figure
 from synth.controller.controller import Controller

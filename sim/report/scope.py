@@ -26,6 +26,19 @@ AMPLITUDE = 1e-4  # m, of the roads that frequency responses are identified on
 
 
 @dataclass(frozen=True, eq=False)
+class Exported:
+    """A folder of exported code.
+
+    Attributes:
+        folder: its path.
+        driver: the controller that its code drives.
+    """
+
+    folder: Path
+    driver: Driver
+
+
+@dataclass(frozen=True, eq=False)
 class Scope:
     """Subject of a report.
 
@@ -42,6 +55,7 @@ class Scope:
         laws: those in Python, and semi-active ones, of which it does not.
         front: the axes of a trade-off, as `--front` has them; None without one.
         loads: that are put on the body on a flat road.
+        exported: the folder of exported code that is reported; None without one.
     """
 
     vehicle: Vehicle
@@ -53,6 +67,7 @@ class Scope:
     laws: tuple[Driver, ...] = ()
     front: str | None = None
     loads: tuple[Load, ...] = ()
+    exported: Exported | None = None
 
     @property
     def stem(self) -> str:

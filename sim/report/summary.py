@@ -11,11 +11,11 @@ from models.figures.page import Section, Table
 from models.vehicle.names import PASSIVE
 from sim.report.best import DIVE, headline, requirements_table
 from sim.report.headline import unclaimed
-from sim.report.regime_end import RegimeEnd
 from sim.report.ride import AVERAGE, SEEDS, SPEED, Ride
 from sim.report.scope import LEAST, Scope, percents
 from sim.runs.run import Run
 from sim.studies.ride.standing import LOAD, MEASURES, RIDE, TRAVEL, Standing, best, compared_columns, digits
+from sim.studies.validity.regime_end import RegimeEnd
 from synth.controller.controller import Controller
 
 PANELS = {  # of the first figure, by measure

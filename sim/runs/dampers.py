@@ -88,6 +88,6 @@ def damper_lines(prediction: Prediction, physics: Response, until: float) -> lis
             f"followed there: a change of what is decided on by {most:.0e} of its peak makes the other decision"
         )
     if prediction.played:
-        why = vehicle.implementation.noise_text or "a law in Python"
+        why = vehicle.implementation.noise_text or prediction.controller.kind
         lines.append(f"the exact response takes over what physics decided, with {why}")
     return lines

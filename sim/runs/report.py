@@ -69,7 +69,7 @@ def energy_lines(run: Run) -> list[str]:
     return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {energy.allowed:.0e} is allowed: {why}"]
 
 
-NO_CLAIM = "no linear claim: a law in Python"
+NO_CLAIM = "no linear claim: {kind}"
 NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
 LOST = "beyond its equations"
 NO_STATE = "a strut has no length left, or the body lies over"
@@ -180,7 +180,7 @@ def claims(controller: Driver) -> str:
     if isinstance(controller, SemiActive):
         return NO_CLAIM_OF_SWITCHING
     if not isinstance(controller, Controller):
-        return NO_CLAIM
+        return NO_CLAIM.format(kind=controller.kind)
     certificate, norm = controller.certificate, controller.certificate.norm
     if not certificate.stable:
         return certificate.own.words
@@ -195,7 +195,10 @@ def _found(vehicle: Vehicle, controller: Driver) -> list[str]:
         return [NO_CLAIM_OF_SWITCHING, "sampled and continuous are the exact response of the system that it switches at samples"]
     if not isinstance(controller, Controller):
         what = "with the coefficients" if vehicle.dampers else "under the forces"
-        return [NO_CLAIM, f"sampled and continuous are the linear vehicle's {what} that the law asked for"]
+        return [
+            NO_CLAIM.format(kind=controller.kind),
+            f"sampled and continuous are the linear vehicle's {what} that the law asked for",
+        ]
     certificate = controller.certificate
     norm, lines = certificate.norm, []
     built = None if certificate.stable else norm_if_implemented(vehicle, controller)

@@ -8,12 +8,12 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from models import USUAL_TIMESTEP
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import made_folder
 from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
-from synth.command.export_numbers import numbers_lines, numbers_object
 from synth.command.save import SUFFIX, saved_text
 from synth.controller.controller import Controller, Driver
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
@@ -21,6 +21,7 @@ from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
 from synth.controller.export.folder import SEED, VEHICLE, files, read_folder
 from synth.vehicle.designer import Designer
+from synth.vehicle.exported_numbers import numbers_lines, numbers_object
 
 FEW = 50  # samples on a simulated processor
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
@@ -44,7 +45,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
     driver = driver_of(saved, own)
     law = exported_law(saved, driver, options.numbers, prefix, _ranges(options.ranges))
     texts = files(saved, driver, law)
-    about = numbers_object(saved, driver, law) if isinstance(driver, Controller) and not law.dampers else None
+    about = numbers_object(saved, driver, law, USUAL_TIMESTEP) if isinstance(driver, Controller) and not law.dampers else None
     with (
         made_folder(folder.parent, "export"),
         tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside,

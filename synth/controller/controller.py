@@ -1,7 +1,7 @@
 """A controller of a vehicle: its law, and its certificate for the problem it solves (`synth.controller.problem`)."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -37,13 +37,12 @@ class Law(Protocol):
 
 @runtime_checkable
 class Driver(Protocol):
-    """A controller that drives a vehicle: a linear `Controller`, a `Programmed` law in Python, or a `SemiActive` law.
+    """A controller that drives a vehicle: a linear `Controller`, a `Programmed` law in Python or FMU, or a `SemiActive` law."""
 
-    Attributes:
-        kind: of its law, in words, with an article.
-    """
-
-    kind: ClassVar[str]
+    @property
+    def kind(self) -> str:
+        """Kind of its law, in words, with an article."""
+        ...
 
     @property
     def name(self) -> str:
@@ -119,7 +118,11 @@ class Controller(Checked, Shown):
     sampled: bool = False
     specifications: "tuple[Specification, ...]" = ()
     preview: "RoadPreview | None" = None
-    kind: ClassVar[str] = "a linear law"
+
+    @property
+    def kind(self) -> str:
+        """Kind of its law, in words, with an article."""
+        return "a linear law"
 
     @property
     def shown(self) -> tuple[str, dict[str, str]]:

@@ -24,7 +24,7 @@ from sim.studies.frequency.eusama import MinimumLoad, load_failures, load_lines,
 from sim.studies.frequency.identification import Lines, difference, ideal_measurements, identify
 from sim.studies.frequency.worst_case_gain import Extremes, WorstRoad, extremes, worst_road
 from synth.analysis.specification import SampledNorm
-from synth.controller.controller import Controller
+from synth.controller.controller import Controller, code_of
 from synth.controller.report import judged_lines, norm_if_implemented
 
 LINES, EXTREMES, OWN = "frequency responses", "norms", "laws in Python"
@@ -133,7 +133,9 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     # What turning makes of a line goes with the road's height.
     off, allowed, signal, coarse = _off(lines if one.small is None else one.small)
     if not off <= allowed:
-        why = "; the timestep is too coarse, give a smaller one" if coarse else ""
+        why, code = "; the timestep is too coarse, give a smaller one" if coarse else "", code_of(one.controller)
+        if code is not None and code.law.fixed is not None:
+            why = f"; rounding to {code.law.numbers} is not in that: give a larger --amplitude"
         failed.append(f"a line of {signal} is {off:.2e} off the sampled response; {allowed:.2e} is allowed{why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:

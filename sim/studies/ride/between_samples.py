@@ -226,8 +226,10 @@ def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
         leaps += height * (row @ push + model.Cr[i, wheel]) * _begins(start, at, length)
         if cut is not None and preview is not None:  # the road ahead begins to hold the jump, and no longer does
             seen = model.D[i, : cut.forces] @ preview.C
-            leaps += height * (seen @ linalg.expm(preview.A * preview.seconds) @ preview.B[:, wheel]) * _begins(
-                start, at - preview.seconds, length
+            leaps += (
+                height
+                * (seen @ linalg.expm(preview.A * preview.seconds) @ preview.B[:, wheel])
+                * _begins(start, at - preview.seconds, length)
             )
             leaps -= height * (seen @ preview.B[:, wheel]) * _begins(start, at, length)
     return leaps

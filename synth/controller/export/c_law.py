@@ -26,6 +26,8 @@ from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, r
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
 STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
+GIVEN = "given"  # where a range is from, if no peak proves it
+SPARE = 1.1  # times a proved peak, for what sampling and rounding add to it
 KEYWORDS = frozenset(
     ("auto", "const", "default", "double", "float", "int", "long", "short", "static", "switch", "void")
 )  # that names may be
@@ -55,6 +57,7 @@ class ExportedLaw:
         coefficients: of a semi-active law; None for a linear one.
         modes: number of readings of the body's modes before those of the suspensions.
         ranges: largest magnitude of each reading, shape (q,), in fixed point; else None.
+        range_sources: where each range is from, in words.
     """
 
     name: str
@@ -79,6 +82,7 @@ class ExportedLaw:
     coefficients: LawCoefficients | None = None
     modes: int = 0
     ranges: Array | None = None
+    range_sources: tuple[str, ...] = ()
 
     @cached_property
     def fixed(self) -> FixedPoint | None:
@@ -106,7 +110,12 @@ def c_name(name: str) -> str:
 
 
 def exported_law(
-    vehicle: Vehicle, driver: Driver, numbers: str, name: str, ranges: Mapping[str, float] | None = None
+    vehicle: Vehicle,
+    driver: Driver,
+    numbers: str,
+    name: str,
+    ranges: Mapping[str, float] | None = None,
+    sources: Mapping[str, str] | None = None,
 ) -> ExportedLaw:
     """Returns a controller as it is exported.
 
@@ -115,10 +124,11 @@ def exported_law(
         driver: a controller of it.
         numbers: see `ExportedLaw`.
         name: prefix in C.
-        ranges: largest magnitude of each reading, by name, for fixed point.
+        ranges: largest magnitude of each reading, by name, for fixed point; a reading with a proved peak may be left out.
+        sources: where ranges are from, by name, if they were not given.
 
     Raises:
-        InputError: the controller is a law in Python, has states but no sample period, or sets dampers with curves.
+        InputError: the controller is a law in Python or an FMU, has states but no sample period, or sets dampers with curves.
     """
     how, model = vehicle.implementation, vehicle.linear_model
     if not isinstance(driver, (Controller, SemiActive)):
@@ -142,6 +152,7 @@ def exported_law(
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]
     outputs = tuple(one.coefficient for one in vehicle.adjustable) if vehicle.dampers else model.inputs
+    limits, sources_of = _ranges(vehicle, driver, ranges or {}, sources or {}) if numbers in BITS else (None, ())
     common: dict[str, Any] = {
         "name": name,
         "controller": driver.name,
@@ -156,7 +167,8 @@ def exported_law(
         "limit": None if vehicle.dampers else vehicle.limits.actuator_force,
         "delay": int(how.delay),
         "dampers": tuple((one.nominal, one.low, one.high) for one in vehicle.adjustable),
-        "ranges": _ranges(vehicle, driver, ranges or {}) if numbers in BITS else None,
+        "ranges": limits,
+        "range_sources": sources_of,
     }
     if isinstance(driver, SemiActive):
         none = {"A": np.zeros((0, 0)), "B": np.zeros((0, q)), "C": np.zeros((m, 0)), "D": np.zeros((m, q)), "anti_windup": None}
@@ -169,8 +181,26 @@ def exported_law(
     return made
 
 
-def _ranges(vehicle: Vehicle, driver: Driver, given: Mapping[str, float]) -> Array:
-    """Returns the range of each reading of a controller in fixed point, shape (q,).
+def proved_ranges(driver: Driver) -> dict[str, tuple[float, str]]:
+    """Returns the range of every reading whose peak is proved by a goal, and in words where it is from, by name.
+
+    The peak is that of the ideal loop: `SPARE` is for what sampling and rounding add. At the range a reading is clipped.
+    """
+    found = dict[str, tuple[float, str]]()
+    for name in driver.measured:
+        for promise in getattr(driver, "specifications", ()):
+            what, proved = promise.what.removeprefix(f"largest {name} "), promise.proved
+            if what == promise.what or proved is None or not 0 < proved < np.inf:
+                continue
+            if name not in found or SPARE * proved > found[name][0]:
+                found[name] = SPARE * proved, f"{SPARE:g} times its peak {what}, proved to be at most {proved:.4g} {promise.unit}"
+    return found
+
+
+def _ranges(
+    vehicle: Vehicle, driver: Driver, given: Mapping[str, float], sources: Mapping[str, str]
+) -> tuple[Array, tuple[str, ...]]:
+    """Returns the range of each reading of a controller in fixed point, shape (q,), and where each is from.
 
     Raises:
         InputError: a reading has no range, a range is of no reading, or the controller sets dampers.
@@ -180,11 +210,12 @@ def _ranges(vehicle: Vehicle, driver: Driver, given: Mapping[str, float]) -> Arr
     unknown = [name for name in given if name not in driver.measured]
     if unknown:
         raise InputError(f"--range {unknown[0]}: controller {driver.name!r} measures {listing(driver.measured)}; leave it out")
-    lacking = [name for name in driver.measured if name not in given]
+    known = proved_ranges(driver) | {name: (most, sources.get(name, GIVEN)) for name, most in given.items()}
+    lacking = [name for name in driver.measured if name not in known]
     if lacking:
         name = lacking[0]
         raise InputError(f"fixed point needs the range of {name}; give it: --range {name}=NUMBER, its largest magnitude")
-    return np.array([given[name] for name in driver.measured])
+    return np.array([known[name][0] for name in driver.measured]), tuple(known[name][1] for name in driver.measured)
 
 
 @dataclass

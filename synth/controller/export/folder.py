@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from models.common.files import read_text
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.controller.controller import SUFFIX, Controller, Driver
-from synth.controller.export.c_law import NUMBERS, ExportedLaw, PythonStep, exported_law, random_inputs
+from synth.controller.export.c_law import GIVEN, NUMBERS, ExportedLaw, PythonStep, exported_law, proved_ranges, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
@@ -23,6 +24,7 @@ VECTORS, SEED = 1000, 20261126
 TABLES = ("A", "B", "C", "D", "anti_windup")
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 MOST = 10_000_000  # bytes of a file of the folder
+NEAR = 1e-6  # relative: a peak that is proved anew is as near
 SAME = 1e-9  # relative: tables that another machine computes are as near
 
 
@@ -37,7 +39,14 @@ def certificate(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str,
         "sample_period": law.period,
         "tables": {name: None if table is None else table.tolist() for name, table in tables.items()},
         "claims": None if claims is None else dict(claims),
-    } | ({} if law.ranges is None else {"ranges": dict(zip(law.inputs, law.ranges.tolist(), strict=True))})
+    } | _record_of_ranges(law)
+
+
+def _record_of_ranges(law: ExportedLaw) -> dict[str, Any]:
+    if law.ranges is None:
+        return {}
+    ranges = dict(zip(law.inputs, law.ranges.tolist(), strict=True))
+    return {"ranges": ranges, "range_sources": dict(zip(law.inputs, law.range_sources, strict=True))}
 
 
 def with_tables(law: ExportedLaw, tables: Mapping[str, Any]) -> ExportedLaw | None:
@@ -155,10 +164,11 @@ def _whole_numbers(law: ExportedLaw) -> str:
     """Returns what README.md says of fixed point."""
     if law.ranges is None:
         return ""
-    ranges = ", ".join(f"`{name}` ±{most:g} {unit}" for name, most, unit in zip(law.inputs, law.ranges, law.units, strict=True))
+    each = zip(law.inputs, law.ranges, law.units, law.range_sources, strict=True)
+    ranges = "; ".join(f"`{name}` ±{most:g} {unit}, {source}" for name, most, unit, source in each)
     return (
         "- Inputs and outputs are whole numbers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
-        f"- The ranges of the readings were given: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
+        f"- The ranges of the readings: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
     )
 
 
@@ -206,7 +216,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     try:
         about = json.loads(read_text(folder / CERTIFICATE, "certificate", MOST, "name a folder of --export"))
         name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
-        tables, ranges = about["tables"], about.get("ranges")
+        tables, ranges, sources = about["tables"], about.get("ranges"), dict(about.get("range_sources", {}))
     except InputError:
         raise
     except (KeyError, TypeError, ValueError) as error:
@@ -217,7 +227,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     try:
         vehicle = parse_vehicle(text, folder=folder)
         driver = driver_of(vehicle, name)
-        law = exported_law(vehicle, driver, numbers, prefix, ranges)
+        law = exported_law(vehicle, driver, numbers, prefix, ranges, sources)
     except (InputError, KeyError, TypeError) as error:
         raise InputError(
             f"{folder / VEHICLE}: {error}; it is changed, or {CERTIFICATE} is: export the controller again"
@@ -226,6 +236,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
     exact = with_tables(law, tables)
     if exact is None:
         failures.append(f"{CERTIFICATE}: its tables are not those of the law in {VEHICLE}")
+    failures += _unproved(driver, law)
     wanted = files(vehicle, driver, exact or law)
     there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     for path in sorted({*wanted, *there}):
@@ -237,6 +248,18 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
             failures.append(f"{path}: is changed")
     failures += [one for one in _unlike_manifest(folder, there) if one not in failures]
     return ExportedFolder(folder, vehicle, driver, exact or law, tuple(failures))
+
+
+def _unproved(driver: Driver, law: ExportedLaw) -> list[str]:
+    """Returns the ranges that are said to be from a proved peak, and are not."""
+    if law.ranges is None:
+        return []
+    proved, wrong = proved_ranges(driver), list[str]()
+    for name, most, source in zip(law.inputs, law.ranges.tolist(), law.range_sources, strict=True):
+        range_, words = proved.get(name, (math.inf, ""))
+        if source != GIVEN and (source != words or abs(most - range_) > NEAR * range_):
+            wrong.append(f"{CERTIFICATE}: the range of {name} is from no peak that is proved")
+    return wrong
 
 
 def _unlike_manifest(folder: Path, there: set[str]) -> list[str]:

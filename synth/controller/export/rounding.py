@@ -22,11 +22,12 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.controller.export.c_law import NUMBERS, ExportedLaw
 from synth.controller.export.fixed_point import summed_responses
-from synth.controller.open_loop import LoopModel, with_lag
+from synth.controller.open_loop import LoopModel, readings_of_road, with_lag
 
 UNIT = {"double": 2.0**-53, "float": 2.0**-24}
 SHARE = 1 / (8 * math.log(2))  # mean square of a rounding error over (u v)^2
 SECOND = 1.001
+DOUBLINGS, STAYS = 60, 1e-15  # of a sum of covariances, and what no longer counts of it
 PARTS = 8  # of a sample period, over which a road's bounded velocity is held at its worst
 
 
@@ -113,18 +114,24 @@ class SteadyRounding:
 def steady_rounding(loop: LoopModel, law: ExportedLaw) -> SteadyRounding | None:
     """Returns what rounding does for ever, or None if the loop is not stable.
 
+    A reading that contains the road's velocity, by tyres that damp, contains its mean over the last period, as in
+    `synth.controller.implementation_norm`. These means are states of their own behind those of the loop.
+
     Args:
-        loop: with the sample period as its timestep; no reading has the road's velocity in it.
+        loop: with the sample period as its timestep.
         law: the exported law of its controller, linear and without adjustable dampers.
     """
     if loop.radius >= 1:
         return None
     cut, closed, (exact, held) = loop.open_loop, loop.closed_loop, rounded_law(law)
-    T, q, m, size = closed.transition, law.readings, len(law.outputs), len(closed.transition)
+    q, m, size, names = law.readings, len(law.outputs), len(closed.transition), loop.controller.measured
     model = with_lag(loop.vehicle)
-    C, D = model.rows(loop.controller.measured)
-    read = np.zeros((q + law.states, size))  # from the loop's state to [readings; states of the law]
-    read[:q, : C.shape[1]] = C
+    C, D = model.rows(names)
+    Dw, felt = model.Dw[[model.outputs.index(name) for name in names]], readings_of_road(cut, loop.controller)
+    r = len(model.Bw[0]) if np.any(Dw) else 0
+    Dw, felt = Dw[:, :r], felt[:, :r]
+    read = np.zeros((q + law.states, size + r))  # from the loop's state and mean velocities to [readings; states of the law]
+    read[:q, : C.shape[1]], read[:q, size:] = C, Dw
     read[q:, loop.open_loop.law_states] = np.eye(law.states)
     if np.any(D):
         read[:q, C.shape[1] + law.states :][:, : D.shape[1]] = D  # the previous forces
@@ -132,32 +139,53 @@ def steady_rounding(loop: LoopModel, law: ExportedLaw) -> SteadyRounding | None:
     into = entering(loop, law)
     added, direct = closed.added @ into, into[:m]
     change = held - exact
+    T = np.zeros((size + r, size + r))  # from sample to sample; a mean velocity is forgotten after one
+    T[:size] = np.hstack([closed.transition, closed.added @ felt])
 
     # White velocity: covariances of the loop, then of its error beside it.
-    A, Bw = cut.model.A, cut.model.Bw
-    n = len(A)
+    n = len(cut.model.A)
+    A, Bw = (
+        linalg.block_diag(cut.model.A, np.zeros((r, r))),
+        np.vstack([cut.model.Bw, np.eye(r, len(cut.model.Bw[0])) / loop.period]),
+    )
+    moving = np.r_[:n, size : size + r]
     of_period = linalg.expm(loop.period * np.block([[-A, Bw @ Bw.T], [np.zeros_like(A), A.T]]))
-    Q = np.zeros((size, size))
-    Q[:n, :n] = of_period[n:, n:].T @ of_period[:n, n:]
-    P = linalg.solve_discrete_lyapunov(T, Q)
+    Q = np.zeros_like(T)
+    Q[np.ix_(moving, moving)] = of_period[n + r :, n + r :].T @ of_period[: n + r, n + r :]
+    P = _covariance(T, Q)
     S = read @ P @ read.T
     V = np.diag(_mean_squares(law, held, S))
-    both = np.block([[T, np.zeros_like(T)], [added[:, q:] @ change @ read, T]])
-    driven = np.zeros((2 * size, 2 * size))
-    driven[:size, :size], driven[size:, size:] = Q, added @ V @ added.T
-    joint = linalg.solve_discrete_lyapunov(both, driven)
+    both = np.block([[T, np.zeros((size + r, size))], [added[:, q:] @ change @ read, closed.transition]])
+    driven = np.zeros_like(both)
+    driven[: size + r, : size + r], driven[size + r :, size + r :] = Q, added @ V @ added.T
+    joint = _covariance(both, driven)
     off = np.hstack([change[:m] @ read, asked])
     errors = np.diag(off @ joint @ off.T + direct @ V @ direct.T)
-    forces = np.diag(asked @ P @ asked.T)
+    wanted = np.hstack([asked, felt[:m]])
+    forces = np.diag(wanted @ P @ wanted.T)
     rms = float(np.sqrt(np.max(np.maximum(errors, 0.0) / np.where(forces > 0, forces, np.inf))))
 
     # Bounded velocity: peaks of what the law sees, then the sum of all responses to the largest errors.
     share = loop.period / PARTS
-    pushes = np.zeros((size, PARTS * Bw.shape[1]))
-    pushes[:n] = np.hstack([linalg.expm(A * share * (i + 0.5)) @ Bw * share for i in range(PARTS)])
+    pushes = np.zeros((size + r, PARTS * len(Bw[0])))
+    pushes[moving] = np.hstack([linalg.expm(A * share * (i + 0.5)) @ Bw * share for i in range(PARTS)])
     peaks = summed_responses(read, T, pushes)
     most = _most(law, held, change, peaks)
-    return SteadyRounding(rms, float(np.max(summed_responses(asked, T, added * most) + np.abs(direct) @ most)))
+    return SteadyRounding(rms, float(np.max(summed_responses(asked, closed.transition, added * most) + np.abs(direct) @ most)))
+
+
+def _covariance(T: Array, Q: Array) -> Array:
+    """Returns the covariance of a stable loop that noise of the covariance Q drives at every sample: P = T P T' + Q.
+
+    The sum of T^k Q T'^k is doubled until it stays. It has no units to mix, as a system of equations for all of P has.
+    """
+    P, power = Q, T
+    for _ in range(DOUBLINGS):
+        more = power @ P @ power.T
+        P, power = P + more, power @ power
+        if np.all(np.abs(np.diag(more)) <= STAYS * np.diag(P)):
+            break
+    return P
 
 
 def _steps(law: ExportedLaw) -> Array:
