@@ -39,7 +39,9 @@ def test_every_claim_holds(capsys):
 def test_a_report_says_which_analysis_agrees(tmp_path, capsys):
     """If dampers are switched, what MuJoCo agrees with is the analysis with them, and no linear one."""
     assert (
-        report(["--quick", "--vehicle", VEHICLE, "--controller", "I", "--timestep", "4e-3", "--out", str(tmp_path / "r.html")])
+        report(
+            ["-v", "--quick", "--vehicle", VEHICLE, "--controller", "I", "--timestep", "4e-3", "--out", str(tmp_path / "r.html")]
+        )
         == 0
     )
     said = " ".join(capsys.readouterr().out.split())

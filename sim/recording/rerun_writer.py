@@ -54,6 +54,7 @@ LABELS = 3  # number of labels needed to read a value
 FURTHEST = 1.6  # longest extended axis, over the range
 MARGIN = 0.04  # of the range, or of a step, so that no peak or label is on the border
 LOW_MARGIN = 0.2  # the same of the plot of differences, which is so low that its highest label would be cut
+LARGEST = float(np.finfo(float).max)
 
 
 def layout(runs: Sequence[RunLog]) -> rrb.Blueprint:
@@ -298,7 +299,7 @@ def labelled(low: float, high: float, margin: float = MARGIN) -> tuple[float, fl
         around = abs(low) or 1.0
         low, high = low - around, high + around
     around = margin * (high - low)
-    low, high = low - around, high + around
+    low, high = max(low - around, -LARGEST), min(high + around, LARGEST)
     step, tight = spacing(high - low), (low, high)
     if not 0 < step < math.inf:
         return tight
@@ -312,7 +313,9 @@ def labelled(low: float, high: float, margin: float = MARGIN) -> tuple[float, fl
 
 
 def spacing(span: float) -> float:
-    """Returns the distance between labels on an axis of this length, in its unit."""
+    """Returns the distance between labels on an axis of this length, in its unit; infinity for one without end."""
+    if not math.isfinite(span):
+        return math.inf
     return 10.0 ** math.ceil(math.log10(span) - math.log10(CLOSEST))
 
 
