@@ -280,6 +280,7 @@ def test_an_axis_of_no_numbers_is_left_to_rerun() -> None:
     """A signal that is nowhere finite has no range, and does not spoil that of others."""
     nothing = np.full(5, np.nan)
     assert value_axis([nothing]) is None
+    assert value_axis([np.array([-1e308, 7e307])]) is None  # the range is finite, but not with its margins
     (low, high) = _range(rrb.TimeSeriesView(axis_y=value_axis([nothing, np.array([0.0, 3.0, np.inf])])))
     assert low < 0 < 3 < high < 4
 

@@ -9,13 +9,19 @@ from sim.report.__main__ import main as report
 from synth.__main__ import main as synth
 
 VEHICLE = "quarter_car_semi_active"
-# eFMI's test case M06, QuarterVehiclePlant: m_b, m_w, c_b, c_w; dMin and dMax.
-SOURCE = {"sprung_mass": 250.0, "unsprung_mass": 30.0, "suspension_stiffness": 20e3, "tyre_stiffness": 250e3}
+# eFMI's test case M06, QuarterVehiclePlant: m_b, m_w, c_b, c_w, d_w; dMin and dMax.
+SOURCE = {
+    "sprung_mass": 250.0,
+    "unsprung_mass": 30.0,
+    "suspension_stiffness": 20e3,
+    "tyre_stiffness": 250e3,
+    "tyre_damping": 500.0,
+}
 LEAST, MOST = 200.0, 1000.0
 
 
 def test_numbers_of_the_source():
-    """Masses, stiffnesses and the damper's limits are the source's, and the nominal damper is midway between these."""
+    """Masses, stiffnesses, tyre damping and the damper's limits are the source's; the nominal damper is midway between these."""
     vehicle = read_vehicle(VEHICLE)
     assert {name: vehicle.parameters[name] for name in SOURCE} == SOURCE
     (damper,) = vehicle.dampers.values()
