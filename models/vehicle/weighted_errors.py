@@ -10,7 +10,7 @@ from typing import Any
 from models.common.errors import InputError, listing, number_range, quoted
 from models.kinds.kind import is_number
 from models.laws.goals import FORCE
-from models.vehicle.filter import Filter, read_filter
+from models.vehicle.filter import POLYNOMIALS, Filter, read_filter
 
 SMALLEST, LARGEST = 1e-6, 1e6  # of a weight that is the same at all frequencies
 
@@ -72,6 +72,11 @@ def read_weighted_errors(
 
 def _weight(where: str, given: Any) -> Filter:
     if isinstance(given, Mapping):
+        for key in given:
+            if key not in (*POLYNOMIALS, "filter"):
+                raise InputError(
+                    f"{where} weight has the key {quoted(key)}; give a numerator and a denominator, which hold all of the weight"
+                )
         return read_filter(where, given)
     if not is_number(given) or not SMALLEST <= given <= LARGEST:
         raise InputError(

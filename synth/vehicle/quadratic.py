@@ -10,6 +10,7 @@ from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, problem, road_twist_inputs
+from synth.design.full_order.by_name import AT_ONCE
 from synth.design.full_order.preview import PreviewDesign, preview_design
 from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, with_extra_disturbances
 
@@ -73,7 +74,7 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
     found = preview_optimum(vehicle, entry, posed)
     best = (
         f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {found.h2_norm:.7g}, and {found.without:.7g} "
-        "without, the rms of z where road velocity is white noise of intensity one"
+        f"without, the rms of z where road velocity is white noise of intensity one{AT_ONCE if np.any(posed.plant.Dw) else ''}"
     )
     made = Controller(entry.name, entry.measured, found.law, True, found.certificate, remarks=(best,), hardware=entry.hardware)
     return replace(made, preview=found.preview)

@@ -64,6 +64,11 @@ class ExportedMargins:
         return self.predicted.delay if self.predicted.delay < LATEST else math.inf
 
     @property
+    def _lost(self) -> float:
+        """The delay with which runs grow; where it is looked for in coarse steps, the middle of the step that has it."""
+        return self.delay.unstable if self.gain.width == GAIN_WIDTH else (self.delay.stable + self.delay.unstable) / 2
+
+    @property
     def digits(self) -> str:
         """Format of what is found."""
         return ".6g" if self.gain.width == GAIN_WIDTH else ".3g"
@@ -89,8 +94,8 @@ class ExportedMargins:
             mujoco = {
                 "gain": finite(self.gain.found),
                 "gain_lower": None if math.isinf(self.lower.found) else 1 / self.lower.found,
-                "phase": finite(self.delay.unstable * self.predicted.frequency),
-                "delay": finite(self.delay.unstable),
+                "phase": finite(self._lost * self.predicted.frequency),
+                "delay": finite(self._lost),
             }
         return {**self.about, "mujoco": mujoco, "agrees": self.agrees}
 
@@ -115,7 +120,9 @@ class ExportedMargins:
     def lines(self) -> list[str]:
         """Returns the table with its sentences."""
         head = ("with the exported code", *self.about["loops"], CHANGE, "MuJoCo")
-        return [*table([head, *self.rows]), *numbers_notes(self.about), f"  {self.verdict}"]
+        near = f"  MuJoCo: the middle of steps of {COARSE:.0%}, as readings have steps, too"
+        looked = [near] if self.gain.width != GAIN_WIDTH and not self.hidden else []
+        return [*table([head, *self.rows]), *numbers_notes(self.about), *looked, f"  {self.verdict}"]
 
 
 def _close(predicted: float, found: float, within: float) -> bool:

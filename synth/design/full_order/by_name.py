@@ -15,6 +15,8 @@ from synth.design.full_order.full_order import full_order_design
 from synth.design.full_order.quadratic import quadratic_design
 from synth.plant.generalized import GeneralizedPlant
 
+AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
+
 
 @dataclass(frozen=True, eq=False)
 class NamedDesign:
@@ -72,6 +74,6 @@ def named_design(
     beside = {"lqg": ", and what is measured has its noise", "h2": ", and the noise in what is measured as w counts it"}
     best = (
         f"the best in the mean: H2 norm {quadratic.h2_norm:.7g}, the rms of z where road velocity is white noise of intensity one"
-        f"{beside[name] if heard is not None and np.any(heard) else ''}"
+        f"{beside[name] if heard is not None and np.any(heard) else ''}{AT_ONCE if np.any(plant.Dw) else ''}"
     )
     return NamedDesign(quadratic.law, quadratic.certificate, (best, *([quadratic.remark] if quadratic.remark else [])))

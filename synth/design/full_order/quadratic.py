@@ -284,16 +284,28 @@ def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant
     return replace(plant, Bw=Bw, Dw=Dw)
 
 
+def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
+    """Returns X of the Riccati equation of a regulator. Of slow modes next to the axis SciPy's balancing may lose it.
+
+    Raises:
+        LinAlgError, ValueError: neither with its balancing nor without it there is one.
+    """
+    try:
+        return linalg.solve_continuous_are(A, B, Q, R, s=S)
+    except (np.linalg.LinAlgError, ValueError):
+        return linalg.solve_continuous_are(A, B, Q, R, s=S, balanced=False)
+
+
 def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str) -> Array:
     """Returns K of the u = K x that minimises the mean square of C x + D u and `more` u, shape (m, n)."""
     if not B.shape[1]:  # no force does anything
         return np.zeros((0, len(A)))
     weight = D.T @ D + more.T @ more
     try:
-        X = linalg.solve_continuous_are(A, B, C.T @ C, weight, s=C.T @ D)
+        X = _stabilising(A, B, C.T @ C, weight, C.T @ D)
         K = -np.linalg.solve(weight, B.T @ X + D.T @ C)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise DesignError(f"a Riccati equation has no stabilising solution ({error}): {advice}") from error
+        raise DesignError(f"a Riccati equation has no stabilising solution: {advice}") from error
     if not is_stable(A + B @ K):
         raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
     return K
