@@ -205,6 +205,12 @@ GOALS = '[controllers.g]\nmeasured = ["suspension_deflection"]\nnorms = [{ at_mo
         ([f"sprung_velocity = {INTEGRAL}"], "", "integral of sprung_velocity, which no constant force moves"),
         ([f"sprung_displacement = {INTEGRAL}"], "", "sprung_displacement is a height over the datum"),
         ([PI], '[controllers.p]\nmeasured = ["suspension_deflection"]\nstructure = "pi"\n', "has no further state"),
+        ([PI], '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\nstable = true\n', "not stable by itself"),
+        (
+            [PI],
+            '[controllers.e]\nmeasured = ["suspension_deflection"]\norder = "full"\ntolerance = { force = { weight = 0.1 } }\n',
+            "is weighted by frequency acts ahead of it",
+        ),
         ([PI], "[implementation]\nsample_period = 0.005\nsampled = true\n", "only that sum returns to zero"),
         (
             [PI],

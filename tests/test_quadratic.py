@@ -1,5 +1,6 @@
 """LQR, LQG, H2 and leaky integrators: the best in the mean, by two routes, and never better when anything is changed."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy import integrate, linalg
 
 from models.common.errors import InputError
 from models.laws.linear import LinearLaw, static_law
-from models.vehicle.vehicle import read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.analysis.norm import hinf_norm
 from synth.controller.problem import generalized_plant
 from synth.design.full_order.full_order import full_order_design
@@ -16,9 +17,12 @@ from synth.design.full_order.quadratic import ASSUMED, h2_design, h2_norm, lqg_d
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
+from synth.vehicle.designer import Designer
 from tests.commands import attacks
 from tests.test_noise import noisy
 from tests.test_units import Moved
+
+SLOW = "sprung_acceleration = 1.0\nsuspension_deflection = 0.1\ntyre_deflection = 0.2\n"
 
 
 def loop_of(plant: GeneralizedPlant, Cy: np.ndarray, law: LinearLaw, Dyw: np.ndarray | None = None) -> GeneralizedPlant:
@@ -128,6 +132,20 @@ def test_cars(kind):
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
     assert not noisier.remark
     assert noisier.h2_norm > lqr.h2_norm
+
+
+def test_a_slow_mode_and_no_weight_on_the_force():
+    """Where the acceleration alone prices the force, a mode of 0.2 rad/s is left: LQR is SciPy's of the plant in SI units."""
+    car = parse_vehicle(
+        re.sub(r"(?ms)^\[performance\].*?(?=^\[)", f"[performance]\n{SLOW}\n", read_vehicle("quarter_car").text)
+        + '[controllers.lqr]\ndesign = "lqr"\n'
+    )
+    plant = generalized_plant(car)
+    weight, cross = plant.D.T @ plant.D, plant.C.T @ plant.D
+    X = linalg.solve_continuous_are(plant.A, plant.B, plant.C.T @ plant.C, weight, s=cross)
+    K = -np.linalg.solve(weight, plant.B.T @ X + cross.T)
+    assert np.abs(np.linalg.eigvals(plant.A + plant.B @ K)).min() < 0.4
+    np.testing.assert_allclose(Designer(car).design("lqr").law.D, K, rtol=1e-6, atol=1e-6 * np.abs(K).max())
 
 
 def test_a_force_that_costs_nothing():

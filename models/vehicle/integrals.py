@@ -30,6 +30,12 @@ def check_integrals(
         raise InputError(f"{where} the design is for the sampled loop, and {SAMPLED}; leave sampled out")
     if entry.goals is not None:
         raise InputError(f"{where} goals are of static gains, which have no integral; give a design or an order instead")
+    if entry.errors is not None:
+        raise InputError(
+            f"{where} an error that is weighted by frequency acts ahead of it; give the error as a number, or no pole at 0"
+        )
+    if entry.stable:
+        raise InputError(f"{where} its law integrates, a pole at 0, which is not stable by itself; leave stable out")
     if entry.structure is not None and (entry.structure.kind or entry.structure.rows is not None):
         raise InputError(f"{where} a law with a structure has no further state; give order = 2 without structure, or a design")
     noisy = dict(zip(entry.measured, entry.hardware.noise, strict=bool(entry.hardware.noise)))

@@ -68,6 +68,9 @@ def _sampled_object(margin: GainMargin, timestep: float) -> list[dict[str, Any]]
     ]
 
 
+OF_FEEDBACK = "all of its feedback alone; the road ahead changes no margin"
+
+
 def margins_lines(
     vehicle: Vehicle,
     controller: Controller,
@@ -92,6 +95,7 @@ def margins_lines(
     headings = ("gain", "MuJoCo", "delay, ms", "MuJoCo")
     lines += ["", f"{'the others closed':{NAME + 2}}{''.join(f'{one:>{CELL}}' for one in headings)}", *brief] if brief else []
     lines += ["", *_fragile_lines(vehicle, controller, fragile, verbose), *_agreement(fragile.agrees, verbose)]
+    lines += [OF_FEEDBACK] if controller.preview is not None else []
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())

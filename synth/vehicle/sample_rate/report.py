@@ -37,7 +37,7 @@ def cost_lines(one: Cost, lag: str = "") -> list[str]:
         rows.append((f"{1e3 * at.period:g} ms", f"{1 / at.period:.4g} Hz", *cells))
     loop = f"in continuous time{', with ' if lag else ''}{lag}"
     first = wrapped(f"controller {one.controller.name}: {loop}{':' if lag else ''} {ideal}{bound}", hang=4)
-    return [*first, *table(rows), *_undesigned_lines(one)]
+    return [*first, *table(rows), *_undesigned_lines(one), *_previews([one])]
 
 
 def short_lines(costs: Sequence[Cost]) -> list[str]:
@@ -58,7 +58,13 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
         f"%: of the norm in continuous time; lost at: the highest rate at which the loop is unstable, -: none down to "
         f"{1 / LONGEST_PERIOD:g} Hz; -v: every rate"
     )
-    return [*table(rows), *wrapped(about, "  ", 2)]
+    return [*table(rows), *wrapped(about, "  ", 2), *_previews(costs)]
+
+
+def _previews(costs: Sequence[Cost]) -> list[str]:
+    """Returns a line that names the controllers of which the norms are without the road ahead; empty if there are none."""
+    names = [one.controller.name for one in costs if one.controller.preview is not None]
+    return [f"  {', '.join(names)}: of the feedback alone, without the road ahead"] if names else []
 
 
 def _has_designs(one: Cost) -> bool:
