@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")
         lines += ["", *standing_lines(standings, about)]
-        say([*lines, *comparison.log_lines(logs, options.brief), "", *summary_lines(runs)])
+        say([*lines, *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 

@@ -165,18 +165,19 @@ def recorded(
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
-def log_lines(logs: Mapping[str, str | None], brief: bool = False) -> list[str]:
+def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
     """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
 
     Args:
         brief: True for a line on a missing file alone.
+        runs: recorded runs; of more than `FEW` nothing is said but the files.
     """
     paths = {name: Path(path) for name, path in logs.items() if path}
     if not paths:
         return []
     from sim.recording.files import left_out_lines, opening_lines
 
-    return left_out_lines(paths) if brief else ["", LOGS, *opening_lines(paths)]
+    return left_out_lines(paths) if brief else ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths)]
 
 
 def check_view(options: argparse.Namespace) -> None:
