@@ -33,7 +33,7 @@ SCREEN = {  # what is asked of every vehicle file that ships, and those whose an
     f"sim.drive {ALL} --class E --logs logs": ("quarter_car",),
     "synth --rates 5 50": (),
     "synth --check FILE": ("quarter_car",),
-    "sim.sweep --timestep 8e-3": (),
+    "sim.sweep --timestep 4e-3": (),
     "sim.margins --controller CONTROLLER --timestep 8e-3": (),
     "sim.envelope --controller CONTROLLER --vary height:0.02:0.4:2 --vary speed:5:20:2 --timestep 4e-3": ("full_car",),
     "sim.report --quick": (),
@@ -43,6 +43,7 @@ SOME = {
     "--check": SHIPPED[:4],
     "--rates": ("quarter_car", "quarter_car_accelerometer", "quarter_car_semi_active"),
     "sim.margins": ("quarter_car", "half_car"),
+    "sim.sweep": ("quarter_car", "quarter_car_semi_active", "half_car"),
     "sim.report": ("quarter_car", "half_car"),
 }
 ONE = {"quarter_car_accelerometer": "accelerometer", "quarter_car_goals": "comfort"}  # of others it is I
