@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
         compared = standing_lines(result.compared, result.compared_on)
         page = result.page
-        said = page.answer if options.verbose else page.lead
+        said = page.answer if options.verbose else page.lead[:-1]  # what its percentages are of, the table says
         answer = [] if options.brief else ["", *said, *([""] if said else []), VERDICTS[page.state]]
         say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *compared, *answer])
     return 0
