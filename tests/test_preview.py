@@ -348,6 +348,21 @@ def test_what_holds_a_law_alone_refuses_it(tmp_path):
             holds()
 
 
+def test_a_file_of_many_leaves_it_out(tmp_path, capsys):
+    """A saved vehicle and a file for MATLAB hold the other controllers, and name the one with a preview as left out."""
+    (tmp_path / "car.toml").write_text(car().text, encoding="utf-8")
+    for option, name in (("--save", "saved.toml"), ("--export", "laws.mat")):
+        command = ["--vehicle", str(tmp_path / "car.toml"), option, str(tmp_path / name)]
+        assert (
+            main_of("synth")([*command, *(["--controller", "lqr", "--controller", "ahead"] if option == "--save" else [])]) == 0
+        )
+        assert "left out: ahead, with a preview" in capsys.readouterr().out
+    saved = read_vehicle(tmp_path / "saved.toml").controllers
+    assert "lqr_designed" in saved
+    assert "ahead_designed" not in saved
+    assert b"lqr" in (tmp_path / "laws.mat").read_bytes()
+
+
 CAMPAIGN = """
 vehicles = ["half_car.toml"]
 controllers = ["ahead"]

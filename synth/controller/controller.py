@@ -260,8 +260,8 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} answers the road ahead, and {what} holds a law of what is measured alone; name a "
-            "controller without preview"
+            f"controller {controller.name!r} answers the road ahead, and {what} has its feedback of measured signals alone; "
+            "name a controller without preview"
         )
 
 
