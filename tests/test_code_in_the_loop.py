@@ -34,6 +34,7 @@ from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
+from synth.controller.export.folder import is_law_of
 from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
@@ -281,6 +282,16 @@ def test_another_folder_is_refused(folders, vehicle, controller, said, tmp_path)
     (tmp_path / "car.toml").write_text(text)
     with pytest.raises(InputError, match=said):
         bump(["--vehicle", str(tmp_path / "car.toml"), "--controller", controller, "--as", str(folders / "double"), "--no-logs"])
+
+
+def test_a_law_that_cannot_be_exported_is_another():
+    """A law with a state and no sample period is another than the gain of a folder, and not refused for itself."""
+    section = '\n[controllers.law]\nmeasured = ["sprung_velocity"]\n'
+    state = "A = [[-1.0]]\nB = [[1.0]]\nC = [[2.0]]\nD = [[3.0]]\n"
+    gain, law = (parse_vehicle(read_vehicle("quarter_car").text + section + of) for of in ("gain = [[3.0]]\n", state))
+    exported = exported_law(gain, given(gain, "law"), "double", "law")
+    assert is_law_of(exported, gain, given(gain, "law"))
+    assert not is_law_of(exported, law, given(law, "law"))
 
 
 @pytest.mark.parametrize("file", ["law.c", "law_data.h", "README.md"])

@@ -128,7 +128,8 @@ class Controller(Checked, Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Measured signals, law and certificate."""
         title, proved = self.certificate.shown
-        law = f"{self.law.states} states" if self.law.states else self.text if self.measured else "no force"
+        states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
+        law = states if self.law.states else self.text if self.measured else "no force"
         return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
             "measures": ", ".join(self.measured) or "nothing",
             "law": law,
