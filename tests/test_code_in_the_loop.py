@@ -16,7 +16,7 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
-from sim.command.comparison import controllers_of
+from sim.command.comparison import controllers_of, exported_lines
 from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
@@ -207,7 +207,9 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / numbers), "--no-logs"]
     capsys.readouterr()
     assert bump(options) == 0
-    said = prose(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    said = prose(out)
+    assert len(out.splitlines()) <= 24
     assert f"compiled code in {numbers} drives it" in said
     assert "law agrees throughout" in said
     assert ("rounding is predicted" in said) == (numbers == "float")
@@ -216,8 +218,11 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     (run,), exported = printed["runs"], printed["exported"]
     assert run["controller"]["code"]["numbers"] == numbers
     assert [*exported["loops"]] == ["ideal", numbers]
-    assert f"{exported['loops'][numbers]['norm']:.7g}" in said
-    assert "delay margin, ms" in said
+    norm, same = f"{exported['loops'][numbers]['norm']:.7g}", f"in {numbers}: norm and margins are those of the law itself"
+    assert (same if numbers == "double" else f"in {numbers}: norm as implemented {norm}, not") in said
+    full = prose("\n".join(exported_lines(printed, full=True)))
+    assert norm in full
+    assert "delay margin, ms" in full
     if numbers == "float":
         force = run["rounding"]["control_force"]
         assert 0 < force["rms"] < force["most"] < 1
@@ -260,6 +265,8 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     for ours, code in zip(*found, strict=True):
         assert ours["controller"] == code["controller"]
         assert code["ride"]["rms"] == pytest.approx(ours["ride"]["rms"], rel=1e-9)  # orders of summation
+    assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
+    assert "compiled code drives law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
     with pytest.raises(InputError, match="the campaign began without this code"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])

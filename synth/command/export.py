@@ -67,7 +67,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
-            *([*numbers_lines(about), ""] if about is not None else []),
+            *([*numbers_lines(about, options.verbose), ""] if about is not None else []),
             f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )

@@ -64,8 +64,8 @@ def _mat(vehicle: Vehicle, options: Namespace) -> int:
         [
             f"{file}: a struct for each controller, and vehicle with the plant",
             *(
-                f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; norm "
-                f"{one.certificate.norm.value:.7g}"
+                f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
+                f"norm {one.certificate.norm.value:.7g}"
                 for one in controllers
             ),
             *left_out_lines(left_out),
