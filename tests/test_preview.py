@@ -329,6 +329,13 @@ def test_bad_sections(section, said):
         parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{section}\n")
 
 
+def test_a_filter_has_states_that_none_measures():
+    """A filtered weight, or road, is refused in a line about previews."""
+    text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
+    with refused("a preview is of the measured state", "give constant weights"):
+        Designer(parse_vehicle(text)).design("ahead")
+
+
 def test_dampers_cannot_push():
     """A vehicle of adjustable dampers has no such design, and says why."""
     with refused("pushes before the road does, and adjustable dampers only resist motion"):
