@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 lines += ["", *of_run]
         elif not options.brief:
             lines += comparison.short_lines(runs)
-        lines += comparison.exported_lines(exported) if not options.brief else []
+        lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         lines += ["", *standing_lines(standings, comparison.table_note(runs, options, "MuJoCo, all of the run"))]
         say([*lines, *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)

@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += comparison.short_lines(runs)
             lines += shared_lines([(run.controller.name, line) for run in runs for line in run_metrics.broken_lines(run)])
             lines += run_metrics.angle_lines(runs, measured)
-        lines += comparison.exported_lines(exported) if not options.brief else []
+        lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         if steps and not options.brief:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")

@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(f"{vehicle.kind.name} with controller {controller.name}; MuJoCo at {options.timestep:g} s", vehicle.source)
         lines += filter(None, [_which_loop(as_built)])
         lines += margins_lines(vehicle, controller, margins, fragile, box, options.verbose)
-        lines += ["", *exported.lines] if exported is not None else []
+        lines += ["", *exported.lines(options.verbose)] if exported is not None else []
         say(
             [
                 *lines,

@@ -16,7 +16,7 @@ from models.roads.road import RoadInput
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
-from sim.command.comparison import controllers_of
+from sim.command.comparison import controllers_of, exported_lines
 from sim.inspect.__main__ import main as inspect
 from sim.linear.rounding import rounding_effect
 from sim.linear.sampled_response import sampled_response
@@ -34,6 +34,7 @@ from synth.controller.controller import Controller, Driver, code_of
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
+from synth.controller.export.folder import is_law_of
 from synth.controller.export.rounding import steady_rounding
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
@@ -206,7 +207,9 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / numbers), "--no-logs"]
     capsys.readouterr()
     assert bump(options) == 0
-    said = prose(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    said = prose(out)
+    assert len(out.splitlines()) <= 24
     assert f"compiled code in {numbers} drives it" in said
     assert "law agrees throughout" in said
     assert ("rounding is predicted" in said) == (numbers == "float")
@@ -215,8 +218,11 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
     (run,), exported = printed["runs"], printed["exported"]
     assert run["controller"]["code"]["numbers"] == numbers
     assert [*exported["loops"]] == ["ideal", numbers]
-    assert f"{exported['loops'][numbers]['norm']:.7g}" in said
-    assert "delay margin, ms" in said
+    norm, same = f"{exported['loops'][numbers]['norm']:.7g}", f"in {numbers}: norm and margins are those of the law itself"
+    assert (same if numbers == "double" else f"in {numbers}: norm as implemented {norm}, not") in said
+    full = prose("\n".join(exported_lines(printed, full=True)))
+    assert norm in full
+    assert "delay margin, ms" in full
     if numbers == "float":
         force = run["rounding"]["control_force"]
         assert 0 < force["rms"] < force["most"] < 1
@@ -259,6 +265,8 @@ def test_a_campaign_is_driven_by_code(folders, capsys):
     for ours, code in zip(*found, strict=True):
         assert ours["controller"] == code["controller"]
         assert code["ride"]["rms"] == pytest.approx(ours["ride"]["rms"], rel=1e-9)  # orders of summation
+    assert campaign([command[0], "--brief", "--results", str(folders / "code")]) == 0
+    assert "compiled code drives law in double" in capsys.readouterr().out
     assert campaign(["--verify", str(folders / "code")]) == 0
     with pytest.raises(InputError, match="the campaign began without this code"):
         campaign([*command, str(folders / "code"), "--as", str(folders / "float")])
@@ -281,6 +289,16 @@ def test_another_folder_is_refused(folders, vehicle, controller, said, tmp_path)
     (tmp_path / "car.toml").write_text(text)
     with pytest.raises(InputError, match=said):
         bump(["--vehicle", str(tmp_path / "car.toml"), "--controller", controller, "--as", str(folders / "double"), "--no-logs"])
+
+
+def test_a_law_that_cannot_be_exported_is_another():
+    """A law with a state and no sample period is another than the gain of a folder, and not refused for itself."""
+    section = '\n[controllers.law]\nmeasured = ["sprung_velocity"]\n'
+    state = "A = [[-1.0]]\nB = [[1.0]]\nC = [[2.0]]\nD = [[3.0]]\n"
+    gain, law = (parse_vehicle(read_vehicle("quarter_car").text + section + of) for of in ("gain = [[3.0]]\n", state))
+    exported = exported_law(gain, given(gain, "law"), "double", "law")
+    assert is_law_of(exported, gain, given(gain, "law"))
+    assert not is_law_of(exported, law, given(law, "law"))
 
 
 @pytest.mark.parametrize("file", ["law.c", "law_data.h", "README.md"])

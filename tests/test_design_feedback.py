@@ -195,7 +195,7 @@ def test_words_that_need_others_or_are_none():
         ({"structure": "pid"}, "needs the time constant of the derivative's low-pass"),
         ({"pid": {"kp": 1.0}}, 'goes with structure = "pid", which is designed'),
         ({"family": [of_lists([[-1]], [[1]], [[1]], [[1]], [[0]])]}, "Cy has shape"),
-        ({"tolerance": {"y2": 0.1}}, "tolerance names 'y2'; give what is measured, a force or force: force, u1, y1"),
+        ({"tolerance": {"y2": 0.1}}, "tolerance names 'y2'; give force, u1, y1; force is all forces"),
     ):
         with pytest.raises(InputError, match=message) as refused:
             design_feedback(OSCILLATOR, CY, **words)

@@ -318,7 +318,7 @@ BAD = [
     ("unknown key", 'sprung_acceleration = { filter = "iso2631_wk", gain = 2 }', ["unknown key 'gain'", "weight"]),
     ("improper", "sprung_acceleration = { numerator = [1.0, 0.0], denominator = [2.0] }", ["degree 1", "differentiates"]),
     ("unstable", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, -1.0] }", ["not stable"]),
-    ("integrators", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }", ["two poles at 0"]),
+    ("integrators", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }", ["two roots at 0"]),
     ("undamped", "sprung_acceleration = { numerator = [1.0], denominator = [1.0, 0.0, 4.0] }", ["not stable"]),
     ("undamped, twice", "tyre_deflection = { numerator = [1.0], denominator = [1.0, 1.0, 4.0, 4.0] }", ["not stable"]),
     ("zero denominator", "sprung_acceleration = { numerator = [1.0], denominator = [0.0, 0.0] }", ["denominator is zero"]),

@@ -236,7 +236,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("bounds = [{ peak = 'suspension_deflection', road = 'mountain', at_most = 0.1 }]", "mountain"),
         ("bounds = [{ energy_peak = 'suspension_deflection' }]", "has no at_most"),
         ("bounds = [{ energy_peak = 'suspension_deflection', energy = -1, at_most = 1 }]", "energy = -1 is not allowed"),
-        ("tolerance = { tyre_deflection = 0.1 }", "give what is measured"),
+        ("tolerance = { tyre_deflection = 0.1 }", "force is all forces"),
         ("tolerance = { sprung_velocity = 1.5 }", "is not allowed"),
         ("tolerance = { force = 0.1, control_force = 0.1 }", "give one or the other"),
         ("family = []", "is no list of vehicles"),

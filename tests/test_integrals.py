@@ -179,6 +179,7 @@ def test_a_saved_law_is_proved(tmp_path, car):
     )
     assert done.code == 0
     assert "keep the integral as a state" in " ".join(done.out.split())
+    assert "x_c'" not in done.out  # of which controller it is, and its numbers, say the details
     saved = {"saved.toml": (done.folder / "saved.toml").read_text(encoding="utf-8")}
     again = printed("synth", "--check", "saved.toml", *DESIGNED, files=saved)
     assert again.code == 0
@@ -218,9 +219,13 @@ GOALS = '[controllers.g]\nmeasured = ["suspension_deflection"]\nnorms = [{ at_mo
             'measured = ["suspension_deflection"]\n',
             "integrates the noise of suspension_deflection",
         ),
-        (["suspension_deflection = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }"], "", "two poles at 0"),
+        (
+            ["suspension_deflection = { numerator = [1.0], denominator = [1.0, 0.0, 0.0] }"],
+            "",
+            "deflection: its denominator has two",
+        ),
         (["suspension_deflection = { numerator = [1.0, 0.0], denominator = [1.0, 0.0] }"], "", "is a zero, too"),
-        (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road its denominator has a root"),
+        (["road = { numerator = [1.0], denominator = [1.0, 0.0] }"], "", "road: its denominator has a root"),
         (["height = { sum = { sprung = 1.0 } }"], "", "sums the unknown signal 'sprung'"),
         (["height = { sum = {} }"], "", "sum = {} is not allowed; give factors"),
         (["height = { sum = { tyre_deflection = 0.0 } }"], "", "is not allowed; give factors"),

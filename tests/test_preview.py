@@ -329,6 +329,13 @@ def test_bad_sections(section, said):
         parse_vehicle(f"{read_vehicle('quarter_car').text}\n[controllers.mine]\n{section}\n")
 
 
+def test_a_filter_has_states_that_none_measures():
+    """A filtered weight, or road, is refused in a line about previews."""
+    text = car().text.replace("[performance]", "[performance]\nroad = { numerator = [1.0], denominator = [1.0, 5.0] }", 1)
+    with refused("a preview is of the measured state", "give constant weights"):
+        Designer(parse_vehicle(text)).design("ahead")
+
+
 def test_dampers_cannot_push():
     """A vehicle of adjustable dampers has no such design, and says why."""
     with refused("pushes before the road does, and adjustable dampers only resist motion"):
@@ -346,6 +353,21 @@ def test_what_holds_a_law_alone_refuses_it(tmp_path):
     ):
         with refused(said, "name a controller without preview"):
             holds()
+
+
+def test_a_file_of_many_leaves_it_out(tmp_path, capsys):
+    """A saved vehicle and a file for MATLAB hold the other controllers, and name the one with a preview as left out."""
+    (tmp_path / "car.toml").write_text(car().text, encoding="utf-8")
+    for option, name in (("--save", "saved.toml"), ("--export", "laws.mat")):
+        command = ["--vehicle", str(tmp_path / "car.toml"), option, str(tmp_path / name)]
+        assert (
+            main_of("synth")([*command, *(["--controller", "lqr", "--controller", "ahead"] if option == "--save" else [])]) == 0
+        )
+        assert "left out: ahead, with a preview" in capsys.readouterr().out
+    saved = read_vehicle(tmp_path / "saved.toml").controllers
+    assert "lqr_designed" in saved
+    assert "ahead_designed" not in saved
+    assert b"lqr" in (tmp_path / "laws.mat").read_bytes()
 
 
 CAMPAIGN = """

@@ -171,12 +171,14 @@ def test_campaign(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["sim", *(name for name, _, _ in COMMANDS)])
 def test_help_fits(name, monkeypatch, capsys):
-    """`--help` fits, its examples, too, which go on after a backslash."""
+    """`--help` fits, its examples, too, which go on after a backslash; its paragraphs are wrapped once."""
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main_of(name)(["--help"])
     printed = capsys.readouterr().out
     assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
+    for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
+        assert wrapped(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
     examples = re.findall(r"^  (python -m (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
     assert examples
     assert all(shlex.split(each.replace("\\\n", ""))[2].startswith(("sim.", "synth")) for each in examples)

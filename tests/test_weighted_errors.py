@@ -162,7 +162,7 @@ def test_z_weighs_the_requested_force():
 @pytest.mark.parametrize(
     ("tolerance", "said"),
     [
-        ("{ wheel = { weight = 0.1 } }", "give what is measured, a force or force"),
+        ("{ wheel = { weight = 0.1 } }", "force is all forces"),
         ("{ force = { weight = -0.1 } }", "is not allowed; give"),
         ("{ force = { weight = { numerator = [1.0, 0.0], denominator = [1.0] } } }", "it differentiates"),
         ("{ force = { weight = { weight = 2.0, numerator = [1.0], denominator = [1.0, 1.0] } } }", "has the key 'weight'"),

@@ -318,7 +318,8 @@ def _check_encoding(arguments: Sequence[str]) -> None:
 
 
 def _page(text: str) -> str:
-    """Returns a text of `--help` with its lines wrapped; an example, which is indented, goes on after a backslash."""
+    """Returns a text of `--help` with its paragraphs wrapped; an example, which is indented, goes on after a backslash."""
+    text = re.sub(r"(?<=\S)\n(?=\S)(?!exit code)", " ", text)  # lines of a paragraph
     lines = [_example(line) if line.startswith("  ") else wrapped(line, hang=0) for line in text.splitlines()]
     return "\n".join(part for line in lines for part in line)
 

@@ -340,10 +340,9 @@ def _tolerance(where: str, value: Any, measured: Sequence[str], forces: Sequence
     allowed = (*measured, *(force for force in forces if force not in measured), FORCE)
     for name, share in value.items():
         if name not in allowed:
-            raise InputError(
-                f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
-            )
-        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=", relative: 0.1 is 10 %")
+            raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
+        more = ", relative: 0.1 is 10 %, or a table, { weight = ... }, for one that grows with frequency"
+        _number(f"{where} tolerance of {name}", share, 0.0, LARGEST_TOLERANCE, more=more)
     if FORCE in value and any(force in value for force in forces if force not in measured):
         raise InputError(f"{where} tolerance names {FORCE}, which is all forces, and one of them; give one or the other")
     return {name: float(share) for name, share in value.items()}

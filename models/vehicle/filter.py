@@ -182,7 +182,7 @@ def read_filter(where: str, given: Mapping[str, Any], integrates: bool = False) 
     try:
         return Filter(((tuple(given["numerator"]), tuple(given["denominator"])),), integrates=integrates)
     except InputError as error:
-        raise InputError(f"{where} {error}") from error
+        raise InputError(f"{where}: {error}") from error
 
 
 def _known() -> str:
@@ -221,7 +221,7 @@ def _check(above: Sequence[float], below: Sequence[float], integrates: bool) -> 
             raise InputError("its pole at 0 is a zero, too; divide numerator and denominator by s")
         below = below[:-1]
         if not below[-1]:
-            raise InputError("it has two poles at 0, an integral of an integral; give one")
+            raise InputError("its denominator has two roots at 0, an integral of an integral; give one")
     if not _decays(below):
         advice = "; of poles on it a weight may have one at 0 rad/s, an integral" if integrates else ""
         raise InputError(f"its denominator has a root that is not left of the imaginary axis: the filter is not stable{advice}")

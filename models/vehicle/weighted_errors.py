@@ -55,9 +55,7 @@ def read_weighted_errors(
     weights = {}
     for name, table in given.items():
         if name not in allowed:
-            raise InputError(
-                f"{where} tolerance names {quoted(name)}; give what is measured, a force or {FORCE}: {listing(allowed)}"
-            )
+            raise InputError(f"{where} tolerance names {quoted(name)}; give {listing(allowed)}; {FORCE} is all forces")
         if set(table) != {"weight"}:
             raise InputError(
                 f"{where} tolerance of {name} = {quoted(dict(table))} is not allowed; give a largest error, 0.1 for 10 %, or "

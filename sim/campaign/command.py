@@ -8,7 +8,7 @@ from pathlib import Path
 
 from models.common import interrupt, memory
 from models.common.command import complain, versions
-from models.common.errors import InputError
+from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
@@ -104,6 +104,13 @@ def run_campaign(options: argparse.Namespace) -> int:
         else:
             now = f"{progress.done} of them now: {progress.rate:.3g} steps/s" if progress.done else "all of them there already"
             lines = [f"{plan.count} runs of {campaign.duration:g} s at {campaign.timestep:g} s, {now}"]
+            coded = {
+                f"{name} in {one['code']['numbers']}"
+                for some in manifest.controllers.values()
+                for name, one in some.items()
+                if "code" in one
+            }
+            lines += [f"compiled code drives {listing(coded)}"] if coded else []
             say(
                 [
                     *lines,

@@ -72,13 +72,13 @@ def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> d
     return {}
 
 
-def exported_lines(exported: Mapping[str, Any]) -> list[str]:
-    """Returns the same as lines of a table; empty without."""
+def exported_lines(exported: Mapping[str, Any], full: bool) -> list[str]:
+    """Returns the same as lines of a table, or as a sentence; empty without."""
     if not exported:
         return []
     from synth.vehicle.exported_numbers import numbers_lines
 
-    return ["", *numbers_lines(exported["exported"])]
+    return ["", *numbers_lines(exported["exported"], full)]
 
 
 def say_false_claims(controllers: Iterable[Driver]) -> None:

@@ -16,7 +16,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.physics import drivers
 from synth.controller.controller import Controller, code_of
 from synth.controller.export.compiled import BehindCode, CompiledLoop, ExportedCode
-from synth.controller.export.folder import differs, same_as
+from synth.controller.export.folder import is_law_of
 
 NEARLY = 1 - 1e-6  # of a limit: rounded to float it is a little less
 
@@ -148,7 +148,7 @@ def _checked(driver: "drivers.RunDriver", vehicle: Vehicle) -> ExportedCode:
     assert isinstance(driver, (Controller, SemiActive)), "and it is of such a law"
     if getattr(driver, "behind", None) is not None:  # its maker has checked it, and changed the law since
         return code
-    if differs(code.law, same_as(code.law, vehicle, driver)):
+    if not is_law_of(code.law, vehicle, driver):
         raise InputError(
             f"exported code drives controller {driver.name!r} as it was exported alone, and this run changes its law or its "
             "implementation; leave out --as"

@@ -76,10 +76,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
         compared = standing_lines(result.compared, result.compared_on)
-        page = result.page
+        page, coded = result.page, []
+        if options.exported is not None:
+            from sim.report.exported import TITLE
+
+            coded = [f"the code of {options.exported} is driven and judged in the section {TITLE!r}"]
         said = page.answer if options.verbose else page.lead[:-1]  # what its percentages are of, the table says
         answer = [] if options.brief else ["", *said, *([""] if said else []), VERDICTS[page.state]]
-        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), "", *compared, *answer])
+        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared, *answer])
     return 0
 
 

@@ -63,7 +63,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     if options.save:
         from synth.command.save import check_save
 
-        check_save(options.save, vehicle, [name for name in names if _designs(vehicle, name, options)])
+        asked = [name for name in names if _designs(vehicle, name, options)]
+        ahead = [name for name in asked if name in vehicle.controllers and vehicle.controllers[name].preview]
+        check_save(options.save, vehicle, [name for name in asked if name not in ahead] or asked)
     designer, parts = Designer(vehicle), Parts()
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:
@@ -144,7 +146,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 lines += table([(state, *_range(*values)) for state, values in moved.items()])
             lines += refine_lines(rows, options.vehicle, full)
             if saved:
-                lines += ["", "saved", Whole(f"  {options.save}")]
+                from synth.command.save import left_out_lines
+
+                ahead = [one.name for one in designs if one.preview is not None]
+                lines += ["", "saved", Whole(f"  {options.save}"), *left_out_lines(ahead)]
             if options.picture:
                 lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
             about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]

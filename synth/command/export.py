@@ -15,7 +15,7 @@ from models.common.files import made_folder
 from models.common.printed import say
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.command.save import SUFFIX, saved_text
-from synth.controller.controller import Controller, Driver
+from synth.controller.controller import Controller, Driver, check_feedback_alone
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.compiled import compiler
@@ -67,7 +67,7 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
             f"controller {own} as C99 in {options.numbers}, with the prefix {prefix}",
             *(f"  {path}" for path in texts),
             "",
-            *([*numbers_lines(about), ""] if about is not None else []),
+            *([*numbers_lines(about, options.verbose), ""] if about is not None else []),
             f"written to {folder}; its README.md says how to call it, and python -m synth --check {folder} if it is changed",
         ]
     )
@@ -82,6 +82,7 @@ def saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     controller = Designer(vehicle).design(name)
     if not isinstance(controller, Controller) or not controller.designed:
         return vehicle, name
+    check_feedback_alone(controller, "an export")
     folder = Path(vehicle.source).parent
     text = saved_text(folder / VEHICLE, vehicle, [controller])
     return parse_vehicle(text, folder=folder), name + SUFFIX

@@ -11,6 +11,7 @@ from models.common.printed import say
 from models.laws.python_law import sha256
 from models.vehicle.vehicle import Vehicle
 from synth.command.export import driver_of, saved_with_law
+from synth.command.save import left_out_lines
 from synth.controller.controller import Controller
 from synth.controller.export.c_law import c_name, exported_law
 from synth.controller.export.fmu_model import FmuModel, check_floating, law_model, linear_model
@@ -38,7 +39,9 @@ def _mat(vehicle: Vehicle, options: Namespace) -> int:
         raise InputError("--numbers is of code, and a file for MATLAB has double numbers; leave it out")
     linear = [name for name in vehicle.linear_names if name != "passive"]
     own = [name for name in linear if name in vehicle.controllers]
-    names = own if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, own)
+    left_out = [] if options.controller not in (None, [ALL]) else [one for one in own if vehicle.controllers[one].preview]
+    held = [name for name in own if name not in left_out] or own
+    names = held if options.controller in (None, [ALL]) else chosen(vehicle.controller_names, options.controller, held)
     other = [name for name in names if name not in linear]
     if other:
         raise InputError(f"controller {other[0]!r} has no matrices; a file for MATLAB takes linear ones: {listing(linear)}")
@@ -61,10 +64,11 @@ def _mat(vehicle: Vehicle, options: Namespace) -> int:
         [
             f"{file}: a struct for each controller, and vehicle with the plant",
             *(
-                f"  {structs[one.name]}: {one.states or 'no'} states, from {', '.join(one.measured)}; norm "
-                f"{one.certificate.norm.value:.7g}"
+                f"  {structs[one.name]}: {one.states or 'no'} state{'s' * (one.states != 1)}, from {', '.join(one.measured)}; "
+                f"norm {one.certificate.norm.value:.7g}"
                 for one in controllers
             ),
+            *left_out_lines(left_out),
             "",
             f"{beside} makes ss objects of them in MATLAB",
         ]

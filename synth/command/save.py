@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.errors import InputError
+from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.figures.outputs import CHECKED_BY
 from models.vehicle.vehicle import Vehicle, parse_vehicle
@@ -39,11 +39,13 @@ def save(
 ) -> None:
     """Writes the vehicle file with each designed gain added as NAME_designed, for every other command to read.
 
+    Controllers with a preview are left out if there is another.
+
     Args:
         sampled_bounds: lower bounds of sampled loops, by controller.
 
     Raises:
-        InputError: there is nothing to write, a name is taken, or the file cannot be written.
+        InputError: there is nothing to write, a name is taken, all have a preview, or the file cannot be written.
     """
     text = saved_text(path, vehicle, controllers, sampled_bounds)
     with whole_file(path, "save") as beside:
@@ -57,15 +59,21 @@ def saved_text(
     sampled_bounds: Mapping[str, SampledBound | None] | None = None,
 ) -> str:
     """Returns the text that `save` writes. Arguments and errors as for `save`."""
-    designed = [controller for controller in controllers if controller.designed and controller.measured]
+    given = [controller for controller in controllers if controller.designed and controller.measured]
+    designed = [controller for controller in given if controller.preview is None] or given
     for controller in designed:
-        check_feedback_alone(controller, "a section with a gain, or what is exported")
+        check_feedback_alone(controller, "a saved section")
     check_save(path, vehicle, [controller.name for controller in designed])
     text = vehicle.text_for(path).rstrip("\n") + "\n"
     for controller in designed:
         text += "\n" + "\n".join(_entry(vehicle, controller, (sampled_bounds or {}).get(controller.name))) + "\n"
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     return text
+
+
+def left_out_lines(names: Sequence[str]) -> list[str]:
+    """Returns a line that names controllers with a preview, which are not in a file; none without such controllers."""
+    return [f"  left out: {listing(names)}, with a preview of the road, which this file cannot hold"] if names else []
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:

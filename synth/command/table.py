@@ -20,10 +20,10 @@ from synth.controller.report import (
     NORM,
     PEAK,
     SLOWEST_POLE,
+    gain_lines,
     growth_lines,
     growth_object,
     heading_lines,
-    law_lines,
     norm_lines,
     norm_object,
     norm_record,
@@ -195,13 +195,14 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     """
     if row.controller is None:
         return [f"{row.name} NOT DESIGNED: {failure}" for failure in row.failures]
-    promises, gain = row.controller.specifications, law_lines(row.controller.law, f"{row.name}: gain ", "")
+    promises, law = row.controller.specifications, row.controller.law
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
         first = replace(promises[0], where="")  # at which frequency, and of which vehicle, is told by `-v`
         lines = wrapped(f"{first.text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
     else:
-        lines = gain if gains and row.controller.designed and len(gain) == 1 and len(gain[0]) <= WIDTH else []
+        gain = gain_lines(law.D, f"{row.name}: gain ") if gains and row.controller.designed and not law.states else []
+        lines = gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
     if row.controller.preview is not None:
         lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
     lines += [f"{row.name}: {row.notes[-1]}"] if checked and row.notes else []

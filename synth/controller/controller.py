@@ -128,7 +128,8 @@ class Controller(Checked, Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Measured signals, law and certificate."""
         title, proved = self.certificate.shown
-        law = f"{self.law.states} states" if self.law.states else self.text if self.measured else "no force"
+        states = f"{self.law.states} state{'s' * (self.law.states > 1)}"
+        law = states if self.law.states else self.text if self.measured else "no force"
         return f"controller {self.name}: {'designed' if self.designed else 'given'}, {title}", {
             "measures": ", ".join(self.measured) or "nothing",
             "law": law,
@@ -260,8 +261,8 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """
     if controller.preview is not None:
         raise InputError(
-            f"controller {controller.name!r} answers the road ahead, and {what} holds a law of what is measured alone; name a "
-            "controller without preview"
+            f"controller {controller.name!r} answers the road ahead, and {what} has its feedback of measured signals alone; "
+            "name a controller without preview"
         )
 
 

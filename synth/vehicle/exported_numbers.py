@@ -85,7 +85,7 @@ MARGINS = {
 }
 
 
-CHANGE = "change"
+CHANGE, ROUNDING = "change", "rounding"
 
 
 def numbers_rows(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -106,13 +106,25 @@ def numbers_rows(about: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         rows.append(("promises kept", kept[0], kept[1], ""))
     effect = about["rounding"]
     if effect is not None:
-        rows.append(("rounding, rms", "0", f"{effect['rms_share']:.1e}", ""))
-        rows.append(("rounding, at most, N", "0", f"{effect['most']:.2g}", ""))
+        rows.append((f"{ROUNDING}, rms", "0", f"{effect['rms_share']:.1e}", ""))
+        rows.append((f"{ROUNDING}, at most, N", "0", f"{effect['most']:.2g}", ""))
     return rows
 
 
 def _change(before: float | None, after: float | None) -> str:
     return f"{after / before - 1:+.1e}" if before and after else ""
+
+
+def _brief(about: Mapping[str, Any]) -> str:
+    """Returns the numbers of the code in a sentence: every row whose change shows, and rounding."""
+    (_, numbers), effect, changed = about["loops"], about["rounding"], list[str]()
+    for name, before, after, _ in numbers_rows(about):
+        what, _, unit = name.partition(", ")
+        if what != ROUNDING and before != after:
+            changed.append(f"{what} {after}{f' {unit}' if unit != 'factor' and unit else ''}, not {before}")
+    text = f"in {numbers}: {'; '.join(changed) or 'norm and margins are those of the law itself'}"
+    most = about["why"] if effect is None else f"rounding moves a force by {effect['most']:.2g} N at most, up to 1 m/s"
+    return f"{text}; {most}"
 
 
 def numbers_notes(about: Mapping[str, Any]) -> list[str]:
@@ -124,6 +136,8 @@ def numbers_notes(about: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def numbers_lines(about: Mapping[str, Any]) -> list[str]:
-    """Returns the same as a table, with its sentences."""
+def numbers_lines(about: Mapping[str, Any], full: bool) -> list[str]:
+    """Returns the same as a table with its sentences, or in one sentence what changes most."""
+    if not full:
+        return [_brief(about)]
     return [*table([("", *about["loops"], CHANGE), *numbers_rows(about)]), *numbers_notes(about)]

@@ -4,15 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.laws.preview import RoadPreview
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import Problem, plant_states, problem, road_twist_inputs
-from synth.design.full_order.by_name import AT_ONCE
 from synth.design.full_order.preview import PreviewDesign, preview_design
-from synth.design.full_order.quadratic import QuadraticDesign, h2_norm, quadratic_design, with_extra_disturbances
+from synth.design.full_order.quadratic import (
+    AT_ONCE,
+    QuadraticDesign,
+    h2_norm,
+    quadratic_design,
+    state_rows,
+    with_extra_disturbances,
+)
+from synth.plant.numerics import DesignError
 
 
 def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> list[float] | None:
@@ -53,9 +61,17 @@ def preview_optimum(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) ->
         posed: its problem.
 
     Raises:
-        InputError, DesignError: as `preview_design`.
+        InputError: the states of filters in [performance] are not measured; or as `preview_design`.
+        DesignError: as `preview_design`.
     """
     Cy, _ = posed.select_rows(posed.state_measurements)
+    try:
+        state_rows(posed.plant, Cy)
+    except DesignError:
+        raise InputError(
+            f"controller {entry.name!r}: a preview is of the measured state, and no sensor reads the states of filters in "
+            "[performance]; give constant weights, integrals of deflections, or another design"
+        ) from None
     found = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
     law, ahead, model = on_readings(found.law, posed), found.preview, vehicle.linear_model
     if ahead is None:

@@ -129,13 +129,23 @@ def failures(one: Sweep | DescribingFunction) -> list[str]:
     """The claims that do not hold of a sweep, in words; of a law in Python, of which none is made, that nothing is known."""
     if isinstance(one, DescribingFunction):
         return describing_failures(one)
+    why = f"; rounding to {_rounds(one)} is not in that: give a larger --amplitude" if _rounds(one) else ""
+    return [text + why for text in _failures(one)]
+
+
+def _rounds(one: Sweep) -> str:
+    """Returns the numbers of exported code that has fixed point; empty without such code."""
+    code = code_of(one.controller)
+    return code.law.numbers if code is not None and code.law.fixed is not None else ""
+
+
+def _failures(one: Sweep) -> list[str]:
+    """The claims that do not hold of a linear law, in words."""
     failed, lines, norm = [], one.lines, one.extremes.worst.gain
     # What turning makes of a line goes with the road's height.
     off, allowed, signal, coarse = _off(lines if one.small is None else one.small)
     if not off <= allowed:
-        why, code = "; the timestep is too coarse, give a smaller one" if coarse else "", code_of(one.controller)
-        if code is not None and code.law.fixed is not None:
-            why = f"; rounding to {code.law.numbers} is not in that: give a larger --amplitude"
+        why = "; the timestep is too coarse, give a smaller one" if coarse and not _rounds(one) else ""
         failed.append(f"a line of {signal} is {off:.2e} off the sampled response; {allowed:.2e} is allowed{why}")
     for invariant in one.extremes.invariants:
         if not invariant.error <= invariant.allowed:
@@ -241,7 +251,9 @@ def short_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
         rows.append((one.controller.name, *numbers))
     told = [(one, failures(one)) for one in sweeps if not (isinstance(one, Sweep) and one.ended)]
     failed = [f"  {one.controller.name} DOES NOT AGREE: {text}" for one, texts in told for text in texts]
-    return [*table(rows), *failed, "  -v adds every signal, invariants, other roads and EUSAMA's least load"]
+    ahead = [one.controller.name for one in sweeps if isinstance(one, Sweep) and one.controller.preview is not None]
+    alone = [f"  the continuous norm of {', '.join(ahead)} is of the feedback alone"] if ahead else []
+    return [*table(rows), *alone, *failed, "  -v adds every signal, invariants, other roads and EUSAMA's least load"]
 
 
 def summary_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:

@@ -25,7 +25,15 @@ from synth.controller.controller import Controller
 from synth.controller.export.compiled import BehindCode, CompiledController, ExportedCode, with_behind
 from synth.controller.open_loop import LoopModel
 from synth.controller.sampled_margins import SampledMargins, sampled_margins
-from synth.vehicle.exported_numbers import CHANGE, MARGINS, numbers_notes, numbers_object, numbers_rows, with_numbers
+from synth.vehicle.exported_numbers import (
+    CHANGE,
+    MARGINS,
+    numbers_lines,
+    numbers_notes,
+    numbers_object,
+    numbers_rows,
+    with_numbers,
+)
 
 AMPLE, LATEST = 32.0, 1.0  # the largest factor that is tried where any is predicted, and the longest delay [s]
 HIGHEST = 0.01  # m, of a bump that lifts no wheel
@@ -116,13 +124,15 @@ class ExportedMargins:
             return "not run: rounding in these numbers hides what decays and what grows"
         return "agrees" if self.agrees else "DOES NOT AGREE; where the timestep is too coarse, give a smaller one"
 
-    @property
-    def lines(self) -> list[str]:
-        """Returns the table with its sentences."""
+    def lines(self, full: bool) -> list[str]:
+        """Returns the table with its sentences; not in full, the rows that MuJoCo has."""
         head = ("with the exported code", *self.about["loops"], CHANGE, "MuJoCo")
         near = f"  MuJoCo: the middle of steps of {COARSE:.0%}, as readings have steps, too"
         looked = [near] if self.gain.width != GAIN_WIDTH and not self.hidden else []
-        return [*table([head, *self.rows]), *numbers_notes(self.about), *looked, f"  {self.verdict}"]
+        if full:
+            return [*table([head, *self.rows]), *numbers_notes(self.about), *looked, f"  {self.verdict}"]
+        rows = [row for row in self.rows if row[4]]
+        return [*(table([head, *rows]) if rows else numbers_lines(self.about, full)), *looked, f"  {self.verdict}"]
 
 
 def _close(predicted: float, found: float, within: float) -> bool:

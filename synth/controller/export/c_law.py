@@ -146,8 +146,8 @@ def exported_law(
     q, m, k = len(driver.measured), len(model.inputs), driver.states
     if k and how.sample_period is None:
         raise InputError(
-            f"controller {driver.name!r} has {k} states, and no sample period: give [implementation] sample_period, or a static "
-            "gain"
+            f"controller {driver.name!r} has {k} state{'s' * (k > 1)}, and no sample period: give [implementation] "
+            "sample_period, or a static gain"
         )
     velocities = [one.velocity for one in vehicle.kind.suspensions] if vehicle.dampers and isinstance(driver, Controller) else []
     read = [*map(vehicle.kind.signal, driver.measured), *velocities]

@@ -118,7 +118,7 @@ def _readme(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> str:
         "Its states follow the forces that are given where these are limited (anti-windup)."
         if law.anti_windup is not None
         else "",
-        f"It keeps {law.states} states, zero at the start." if law.states else "It keeps no states.",
+        f"It keeps {law.states} state{'s' * (law.states > 1)}, zero at the start." if law.states else "It keeps no states.",
     ]
     return f"""# Controller {driver.name} as C99
 
@@ -288,7 +288,7 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     driver = drivers[fits[0]]
     if why := _another(found.vehicle, vehicle):
         raise InputError(f"--as {folder}: is of a vehicle with {why}; export controller {driver.name!r} of this one")
-    if differs(law, same_as(law, vehicle, driver)):
+    if not is_law_of(law, vehicle, driver):
         raise InputError(f"--as {folder}: is of another law than that of controller {driver.name!r} now; export it again")
     texts = {name: (folder / name).read_text("utf-8") for name in (f"{law.name}.c", f"{law.name}.h", f"{law.name}_data.h")}
     code = ExportedCode(law, texts, sha256((folder / MANIFEST).read_text("utf-8")))
@@ -296,13 +296,16 @@ def as_exported(found: ExportedFolder, vehicle: Vehicle, drivers: list[Driver]) 
     return [*drivers[: fits[0]], driven_by(driver, code), *drivers[fits[0] + 1 :]]
 
 
-def same_as(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> ExportedLaw:
-    """Returns a controller of a vehicle as it would be exported with the name, numbers and ranges of a law."""
+def is_law_of(law: ExportedLaw, vehicle: Vehicle, driver: Driver) -> bool:
+    """Returns True if a controller of a vehicle, exported with the name, numbers and ranges of a law, is that law."""
     ranges = None if law.ranges is None else dict(zip(law.inputs, law.ranges.tolist(), strict=True))
-    return exported_law(vehicle, driver, law.numbers, law.name, ranges)
+    try:
+        return not _differs(law, exported_law(vehicle, driver, law.numbers, law.name, ranges))
+    except InputError:  # it cannot be exported so
+        return False
 
 
-def differs(law: ExportedLaw, other: ExportedLaw) -> bool:
+def _differs(law: ExportedLaw, other: ExportedLaw) -> bool:
     """Returns True if two laws compute something else, but for the rounding of their tables."""
     same = ("inputs", "outputs", "limit", "delay", "dampers", "semi_active", *["period"] * (law.states > 0))
     if any(getattr(law, name) != getattr(other, name) for name in same) or not np.array_equal(law.resolution, other.resolution):

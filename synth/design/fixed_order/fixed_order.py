@@ -142,7 +142,7 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
         return f"its gains: {gains_text(structure, law)}"
     asked = structure.order * (m if structure.rows is not None else 1)
     if law.states < asked:
-        return f"it has {law.states} states where it may have {asked}: with these it comes to what no controller beats"
+        return f"of at most {asked} states {law.states} are designed, beside any integral: it comes to what no controller beats"
     return ""
 
 

@@ -12,10 +12,8 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.full_order import full_order_design
-from synth.design.full_order.quadratic import quadratic_design
+from synth.design.full_order.quadratic import AT_ONCE, quadratic_design
 from synth.plant.generalized import GeneralizedPlant
-
-AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
 
 
 @dataclass(frozen=True, eq=False)

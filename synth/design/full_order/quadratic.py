@@ -31,6 +31,7 @@ from synth.plant.normalised import NormalisedPlant, missing
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
+AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
 NOTHING = 1e-6  # of the plant's own size: less is none; half the digits of a Riccati equation are then left
 
