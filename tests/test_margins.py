@@ -18,7 +18,7 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command import margins_options
 from sim.margins import _which_loop, main
-from sim.studies.stability import growth_test
+from sim.studies.stability import growth_test, stability_margins
 from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
@@ -27,6 +27,7 @@ from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
+from sim.studies.stability.report import _loop_lines
 from sim.studies.stability.robustness import robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
@@ -279,6 +280,18 @@ def test_two_actuators_in_physics(actuators):
     assert abs(one.delay.unstable - one.predicted.delay) <= timestep  # one sample
     assert abs(one.found_sample_period - one.predicted.sample_period) <= timestep
     assert one.gain.search.found == pytest.approx(one.gain.sampled[0], rel=5e-3)  # as above
+
+
+def test_a_sample_period_that_sees_nothing_of_the_bump_is_not_run(paper, designer, monkeypatch):
+    """From 13.8 time constants of the vehicle on, e^-13.8 being 1e-6, no sample sees the bump: 2 s is the longest run."""
+    slowest = -float(np.linalg.eigvals(paper.linear_model.A).real.max())
+    for times, longest in ((13.8, 13.8 / slowest), (13.9, 2.0)):
+        monkeypatch.setattr(stability_margins, "largest_sample_period", lambda loop, at=times / slowest: at)
+        one = searches(paper, designer.design("I"), [0], 1e-3)
+        tried = one.sample_period.next()
+        assert max(tried) == pytest.approx(longest, abs=1e-3)  # a sample
+        one.sample_period.tried |= dict.fromkeys(tried, Growth(grows=False))
+        assert ("a longer one sees nothing of the bump" in "\n".join(_loop_lines("the loop", one, None))) == (longest == 2.0)
 
 
 def test_infinite_margins_in_physics(paper):

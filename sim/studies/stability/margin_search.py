@@ -6,16 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.common.arrays import Array
 from models.common.checks import Positive
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
 from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import LONGEST, Trial, no_progress
+from sim.studies.stability.growth_test import GONE, LONGEST, Trial, no_progress
 from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
 from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
 from synth.controller.controller import Controller, check_fits
+from synth.controller.open_loop import with_lag
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
@@ -79,6 +81,7 @@ class LoopMargins:
         gain_lower: how much less, as the factor's inverse.
         delay, sample_period: the searches.
         timestep: of the physics [s].
+        unseen: sample period from which the first sample after a bump sees nothing of it [s]; MuJoCo confirms none so long.
     """
 
     predicted: Margins
@@ -87,6 +90,7 @@ class LoopMargins:
     delay: Bisection
     sample_period: Bisection
     timestep: float
+    unseen: float = math.inf
 
     @property
     def found_gain_lower(self) -> float:
@@ -99,6 +103,11 @@ class LoopMargins:
         return self.sample_period.unstable - self.timestep
 
     @property
+    def sees_sample_period(self) -> bool:
+        """Returns True if a run can confirm the predicted sample period: a sample sees what is left of the bump."""
+        return math.isinf(self.predicted.sample_period) or self.predicted.sample_period < self.unseen
+
+    @property
     def found_phase(self) -> float:
         """Returns the phase of the found delay at the crossover [rad]."""
         if math.isinf(self.delay.unstable):
@@ -107,12 +116,16 @@ class LoopMargins:
 
     @property
     def agrees(self) -> bool:
-        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep."""
+        """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep.
+
+        A sample period from `unseen` on agrees if no shorter one grows.
+        """
+        period = self.predicted.sample_period if self.sees_sample_period else math.inf
         return (
             self.gain.agrees
             and self.gain_lower.agrees
             and _close(self.predicted.delay, self.delay.unstable, self.timestep)
-            and _close(self.predicted.sample_period, self.found_sample_period, self.timestep)
+            and _close(period, self.found_sample_period, self.timestep)
         )
 
 
@@ -189,6 +202,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         for step in (timestep, timestep / 2)
     ]
     late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    unseen = _unseen(with_lag(vehicle).A if mine.all() else loop.A)
+    period = predicted.sample_period if predicted.sample_period < unseen else math.inf
     return LoopMargins(
         predicted=predicted,
         gain=gain_margin(with_gain, predicted.gain, 1),
@@ -196,8 +211,13 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
             lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
         ),
         delay=Bisection(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
-        sample_period=Bisection(
-            lambda amount: built(Implementation(sample_period=amount)), predicted.sample_period, most=SLOWEST, step=timestep
-        ),
+        sample_period=Bisection(lambda amount: built(Implementation(sample_period=amount)), period, most=SLOWEST, step=timestep),
         timestep=timestep,
+        unseen=unseen,
     )
+
+
+def _unseen(A: Array) -> float:
+    """Returns the time after which nothing is left of a bump without the controller [s]; infinite if its motion stays."""
+    rate = -float(np.linalg.eigvals(A).real.max())
+    return -math.log(GONE) / (2 * rate) if rate > 0 else math.inf

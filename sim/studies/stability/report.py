@@ -177,6 +177,9 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
     if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
         return [*_table(title, rows), f"  sample period: {own}"]
+    if not one.sees_sample_period and math.isinf(one.found_sample_period):
+        tried = f"none up to {1e3 * max(one.sample_period.tried):g} ms; a longer one sees nothing of the bump"
+        own = "; ".join(filter(None, (own, tried)))
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, own))
     return _table(title, rows)
 
