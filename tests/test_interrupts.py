@@ -117,6 +117,7 @@ def test_what_is_to_be_ignored_is(tmp_path):
         "raise KeyboardInterrupt",
         "exec('raise KeyboardInterrupt')",  # as in `dataclass`: Python remembers that, and would end by the signal
         "import turned",  # as in a compiled module
+        "import mistaken",  # as where `ssl` imports a name of its compiled module
         "import dropped",  # as where numpy imports `datetime`: of the interrupt nothing is left
     ],
 )
@@ -124,6 +125,7 @@ def test_wherever_it_is_heard(tmp_path, where):
     """Ctrl-C ends a command with one line and exit code 130, also where Python or a library makes something else of it."""
     (tmp_path / "turned.py").write_text(TURNED)
     (tmp_path / "dropped.py").write_text(DROPPED)
+    (tmp_path / "mistaken.py").write_text(DROPPED.replace("ImportError", "TypeError"))
     (tmp_path / "child.py").write_text(
         f"import sim\nfrom models.common.command import run_command\n\ndef main():\n    {where}\n\nrun_command(main)\n"
     )

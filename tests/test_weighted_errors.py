@@ -306,4 +306,4 @@ def test_beside_margins():
     said = prose(done.out)
     assert done.code == 0
     for promise in Designer(parse_vehicle(text)).design("soft").robustness:
-        assert said.index("errors of") < said.index(promise.text) < said.index("other vehicles")
+        assert said.index("bears errors up to") < said.index(promise.text) < said.index("other vehicles")

@@ -99,14 +99,22 @@ def enable_interrupts() -> None:
 def is_interrupt(error: BaseException | None) -> bool:
     """Returns True if an error is a KeyboardInterrupt, or was caused by one.
 
-    Compiled modules turn an interrupt during their import into an ImportError, some without a cause. So an import that fails
-    after a Ctrl-C counts as caused by it.
+    Compiled modules turn an interrupt during their import into an ImportError or a TypeError, some without a cause. So an import
+    that fails after a Ctrl-C counts as caused by it.
     """
-    if isinstance(error, ImportError) and _raised:
+    if _raised and (isinstance(error, ImportError) or _importing(error)):
         return True
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
+
+
+def _importing(error: BaseException | None) -> bool:
+    """Returns True if an error comes out of a module's body."""
+    frame = None if error is None else error.__traceback__
+    while frame is not None and frame.tb_frame.f_code.co_name != "<module>":
+        frame = frame.tb_next
+    return frame is not None
 
 
 class _Late:
