@@ -111,7 +111,7 @@ class Programmed:
 
     @property
     def kind(self) -> str:
-        """What it is, in words, with an article: a law in Python, or an FMU."""
+        """Kind of its law, in words, with an article: a law in Python, or an FMU."""
         return self.law.with_article
 
     @property

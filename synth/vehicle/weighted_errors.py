@@ -1,4 +1,4 @@
-"""What a controller bears of errors that are weighted by frequency: robust stability and robust performance, proved.
+"""Robust stability and robust performance of a controller whose errors are weighted by frequency, proved.
 
 Both are peaks over frequency of the structured singular value mu of its loop. The loop stays stable with all errors of size below
 1 / mu. With the performance, mu <= gamma says that for all errors of size 1 / gamma its norm is at most gamma.

@@ -190,7 +190,7 @@ def find_exported_margins(
 
 @dataclass(frozen=True)
 class _Blur:
-    """What rounding leaves of a bump.
+    """Bump, and how much of its motion rounding hides.
 
     Attributes:
         height: of the bump [m].

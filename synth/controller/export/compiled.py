@@ -251,7 +251,7 @@ class CompiledLoop:
 
 @dataclass(frozen=True)
 class BehindCode:
-    """What a margin is a margin of, between exported code and the actuators.
+    """Factor and delay between exported code and the actuators, whose margins are looked for.
 
     Attributes:
         factor: on every force.
