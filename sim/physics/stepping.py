@@ -198,7 +198,8 @@ def step_batch(
     # For controllers with states, the states lie there instead: in a batch the gains have to come from memory.
     beside = kept or commands
     known_beside = reading.memory if kept else np.broadcast_to(np.eye(commands), (count, commands, commands))
-    gain = np.concatenate([gain, known_beside], axis=-1)
+    # By columns in memory: a product with a few rows then takes half the time.
+    gain = np.concatenate([gain, known_beside], axis=-1).swapaxes(1, 2).copy().swapaxes(1, 2)
     states, asks = np.zeros((count, kept)), np.empty((count, known))
     # For a single run the product of a matrix and a vector has the same result at a third of the cost.
     alone = count == 1 and law is None and not kept and (damped is None or damped.flat)

@@ -10,8 +10,10 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from models.common.errors import InputError
@@ -20,10 +22,13 @@ from synth.controller.export.fixed_source import source_of
 
 PACKAGES = ("ziglang", "unicorn")
 TARGET = "-target thumb-freestanding-eabi -mcpu=cortex_m4+soft_float -fcompiler-rt -O ReleaseFast -fentry=entry"
-STACK, MEMORY, END = 0x2010_0000, 0x2000_0000, 0x0FFF_0000  # where the stack begins, where data lies, where a call returns to
+STATE, INPUTS, OUTPUTS = 0x2000_0000, 0x2001_0000, 0x2006_0000  # where data lies
+STACK, END = 0x2010_0000, 0x0FFF_0000  # where the stack begins, where a call returns to
 PAGE = 0x1000
 C_TYPES = {"double": ctypes.c_double, "float": ctypes.c_float, "int32": ctypes.c_int32, "int16": ctypes.c_int16}
-MOST = 10_000_000  # instructions of a step; more, and it does not end
+PATIENCE = 30_000_000  # microseconds of a call; more, and it does not end
+COUNTED = 20  # samples whose instructions are counted, which takes ten thousand times as long as running them
+BLOCK = 500  # samples of the others that run without a stop
 FUNCTION = 2  # type of a symbol in an ELF file
 
 
@@ -33,8 +38,8 @@ class ProcessorRun:
 
     Attributes:
         outputs: of every sample, in its order.
-        least, most: instructions of a step.
-        stack: bytes of stack of a step, at most.
+        least, most: instructions of a step, among the first `COUNTED` samples.
+        stack: bytes of stack of a step, at most, among the same.
         size: bytes of code and tables.
     """
 
@@ -62,56 +67,94 @@ def run(law: ExportedLaw, inputs: Sequence[Sequence[float]]) -> ProcessorRun:
     """
     if not is_available():
         raise InputError("a Cortex-M4 is simulated by the extra [export]; pip install 'roadproof[export]'")
-    import unicorn  # pyright: ignore[reportMissingImports] - an extra of few
-    from unicorn import arm_const as arm  # pyright: ignore[reportMissingImports]
-
     with tempfile.TemporaryDirectory() as folder:
-        program = _built(law, Path(folder)).read_bytes()
-    machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
-    machine.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
-    size = _loaded(machine, program)
-    machine.mem_map(MEMORY, STACK - MEMORY + PAGE)
-    machine.mem_map(END, PAGE)
-    number = C_TYPES[law.numbers]
-    width = ctypes.sizeof(number)
-    state, seen = MEMORY, MEMORY + (law.states + law.delay * len(law.outputs)) * width + 64
-    seen += -seen % 8
-    given = seen + 8 * len(law.inputs)
-    count, deepest = [0], [STACK]
+        machine = _Machine(law, _built(law, Path(folder)).read_bytes())
+    machine.called("init", [STATE])
+    outputs, counts = list[list[float]](), list[int]()
+    with machine.counting():
+        for row in inputs[:COUNTED]:
+            outputs += machine.outputs([row])
+            counts.append(machine.instructions)
+    for i in range(COUNTED, len(inputs), BLOCK):
+        outputs += machine.outputs(inputs[i : i + BLOCK])
+    return ProcessorRun(outputs, min(counts), max(counts), STACK - machine.deepest, machine.size)
 
-    def counted(machine, address, length, user) -> None:
-        count[0] += 1
-        deepest[0] = min(deepest[0], machine.reg_read(arm.UC_ARM_REG_SP))
 
-    machine.hook_add(unicorn.UC_HOOK_CODE, counted)
+class _Machine:
+    """Simulated processor with a law's program in its memory.
 
-    def called(name: str, *arguments: int) -> int:
-        count[0] = 0
-        for register, value in zip((arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2), arguments, strict=False):
-            machine.reg_write(register, value)
-        machine.reg_write(arm.UC_ARM_REG_SP, STACK)
-        machine.reg_write(arm.UC_ARM_REG_LR, END | 1)
-        machine.emu_start(_address(program, f"{law.name}_{name}"), END, count=MOST)
-        if count[0] >= MOST:
-            raise InputError(f"{law.name}_{name} does not end within {MOST} instructions")
-        return count[0]
+    Attributes:
+        size: bytes of code and tables.
+        instructions: of the last call, where they are counted.
+        deepest: lowest address of the stack so far, where instructions are counted.
+    """
 
-    called("init", state)
-    outputs, counts = [], []
-    deepest[0] = STACK
-    for row in inputs:
-        machine.mem_write(seen, bytes((number * len(row))(*row)))
-        counts.append(called("step", state, seen, given))
-        outputs.append(list((number * len(law.outputs)).from_buffer_copy(machine.mem_read(given, width * len(law.outputs)))))
-    return ProcessorRun(outputs, min(counts), max(counts), STACK - deepest[0], size)
+    def __init__(self, law: ExportedLaw, program: bytes) -> None:
+        import unicorn  # pyright: ignore[reportMissingImports] - an extra of few
+        from unicorn import arm_const as arm  # pyright: ignore[reportMissingImports]
+
+        self._law, self._program, self._number = law, program, C_TYPES[law.numbers]
+        self._core = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        self._core.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+        self._every_instruction = unicorn.UC_HOOK_CODE
+        self._arguments = arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3
+        self._sp, self._lr, self._pc = arm.UC_ARM_REG_SP, arm.UC_ARM_REG_LR, arm.UC_ARM_REG_PC
+        self.size, self.instructions, self.deepest = _loaded(self._core, program), 0, STACK
+        self._core.mem_map(STATE, STACK - STATE + PAGE)
+        self._core.mem_map(END, PAGE)
+
+    def outputs(self, rows: Sequence[Sequence[float]]) -> list[list[float]]:
+        """Returns the outputs of the next samples."""
+        number, many = self._number, len(self._law.outputs)
+        self._core.mem_write(INPUTS, bytes((number * (len(rows) * len(rows[0])))(*chain.from_iterable(rows))))
+        if len(rows) == 1:
+            self.called("step", [STATE, INPUTS, OUTPUTS])
+        else:
+            self.called("steps", [STATE, INPUTS, OUTPUTS, len(rows)])
+        values = number * (len(rows) * many)
+        found = list(values.from_buffer_copy(self._core.mem_read(OUTPUTS, ctypes.sizeof(values))))
+        return [found[i : i + many] for i in range(0, len(found), many)]
+
+    def called(self, name: str, arguments: Sequence[int]) -> None:
+        """Calls a function of the law.
+
+        Raises:
+            InputError: it does not end.
+        """
+        for register, value in zip(self._arguments, arguments, strict=False):
+            self._core.reg_write(register, value)
+        self._core.reg_write(self._sp, STACK)
+        self._core.reg_write(self._lr, END | 1)
+        self.instructions = 0
+        self._core.emu_start(_address(self._program, f"{self._law.name}_{name}"), END, timeout=PATIENCE)
+        if self._core.reg_read(self._pc) != END:
+            raise InputError(f"{self._law.name}_{name} does not end within {PATIENCE / 1e6:g} s")
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        """Counts instructions, and measures the stack, of all calls inside."""
+
+        def counted(core, address, length, user) -> None:
+            self.instructions += 1
+            self.deepest = min(self.deepest, core.reg_read(self._sp))
+
+        hook = self._core.hook_add(self._every_instruction, counted)
+        yield
+        self._core.hook_del(hook)
+        self._core.ctl_flush_tb()  # translated code would go on to call it
 
 
 def _built(law: ExportedLaw, folder: Path) -> Path:
-    """Returns the program: both functions of a law, kept by a table that an endless loop reads."""
+    """Returns the program: both functions of a law, and one that takes many steps, kept by a table that an endless loop reads."""
     source, p = source_of(law, "0" * 64), law.name
     entry = (
-        f'#include "{p}.h"\ntypedef void (*function)(void);\nvolatile const function kept[2] = '
-        f"{{(function){p}_init, (function){p}_step}};\nvoid entry(void);\nvoid entry(void) {{ for (;;) {{ (void)kept[0]; }} }}\n"
+        f'#include "{p}.h"\n'
+        f"void {p}_steps({p}_state *state, const {p}_in *in, {p}_out *out, int count);\n"
+        f"void {p}_steps({p}_state *state, const {p}_in *in, {p}_out *out, int count)\n"
+        f"{{\n    for (int i = 0; i < count; i++) {p}_step(state, in + i, out + i);\n}}\n"
+        "typedef void (*function)(void);\nvolatile const function kept[3] = "
+        f"{{(function){p}_init, (function){p}_step, (function){p}_steps}};\n"
+        "void entry(void);\nvoid entry(void) { for (;;) { (void)kept[0]; } }\n"
     )
     texts = {f"{p}.h": source.header(), f"{p}.c": source.source(), f"{p}_data.h": source.data(), "entry.c": entry}
     for name, text in texts.items():
