@@ -19,7 +19,7 @@ from synth.controller.export.c_law import ExportedLaw, PythonStep, random_inputs
 from synth.controller.export.compiled import CompiledController
 from synth.vehicle.exported_numbers import CHANGE, numbers_notes, numbers_object, numbers_rows
 
-FEW, SEED = 50, 1  # samples on a simulated processor
+FEW, SEED = 1000, 1  # samples on a simulated processor
 TITLE, TERM = "What was exported?", "code, its rounding, and the loop with its numbers"
 
 

@@ -23,7 +23,7 @@ from synth.controller.export.folder import SEED, VEHICLE, files, read_folder
 from synth.vehicle.designer import Designer
 from synth.vehicle.exported_numbers import numbers_lines, numbers_object
 
-FEW = 50  # samples on a simulated processor
+FEW = 1000  # samples on a simulated processor
 RANGES = (1e-9, 1e9)  # largest magnitudes of readings, SI
 
 
