@@ -125,6 +125,7 @@ def test_what_is_under_the_pointer_is_named(report, tmp_path):
     assert all(re.fullmatch(r"\w+(, MuJoCo)?\n0 m/s² at 0 s", tip) for tip in points.values())
 
 
+@pytest.mark.attack
 @in_browser
 def test_browser_reports_a_request(report, tmp_path):
     """The test above would notice: a page that asks for a picture on a network is complained of."""
