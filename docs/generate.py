@@ -7,6 +7,7 @@ roads and metrics come from the models, public names from `__all__`, and picture
 import argparse
 import ast
 import contextlib
+import functools
 import importlib
 import inspect
 import io
@@ -124,10 +125,16 @@ def cell(text: str) -> str:
 # Vehicle files, from the tables of their readers
 
 
+@functools.cache
+def how_to() -> list[tuple[Path, str]]:
+    """Returns the pages on what one can do, each with its text."""
+    return [(path, path.read_text(encoding="utf-8")) for path in sorted((HERE / "how-to").glob("*.md"))]
+
+
 def shown_in(key: str) -> str:
     """Returns links to the pages on which a key of a vehicle file stands as code."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
-    found = [path for path in sorted((HERE / "how-to").glob("*.md")) if there.search(path.read_text(encoding="utf-8"))]
+    found = [path for path, text in how_to() if there.search(text)]
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
 
 
@@ -279,15 +286,21 @@ def told(node: ast.expr) -> str:
 def raised(path: Path) -> list[tuple[str, str]]:
     """Returns the function and the text of every message that a file raises as an InputError, in its order."""
     found: list[tuple[int, str, str]] = []
+    source = path.read_text(encoding="utf-8")
+    lines = [number for number, line in enumerate(source.splitlines(), start=1) if "InputError(" in line]
+    if not lines:
+        return []
 
     def search(node: ast.AST, function: str) -> None:
         for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.stmt) and not any(child.lineno <= line <= (child.end_lineno or 0) for line in lines):
+                continue
             inside = child.name if isinstance(child, ast.FunctionDef | ast.ClassDef) else ""
             if isinstance(child, ast.Call) and isinstance(child.func, ast.Name) and child.func.id == "InputError" and child.args:
                 found.append((child.lineno, function, " ".join(told(child.args[0]).split())))
             search(child, ".".join(filter(None, (function, inside))))
 
-    search(ast.parse(path.read_text(encoding="utf-8")), "")
+    search(ast.parse(source), "")
     return [(function, text) for _, function, text in sorted(found) if len(re.findall("[a-z]{2,}", text)) > 2]
 
 

@@ -12,8 +12,8 @@ EVERY_DRIVE = pytest.mark.parametrize(
         (bump.main, ["--no-logs", "--duration", "0.2"]),
         (drive.main, ["--no-logs", "--duration", "0.3"]),
         (envelope.main, MAP),
-        (sweep.main, ["--timestep", "0.004"]),
-        (margins.main, ["--timestep", "0.008"]),
+        pytest.param(sweep.main, ["--timestep", "0.004"], marks=pytest.mark.attack),
+        pytest.param(margins.main, ["--timestep", "0.008"], marks=pytest.mark.attack),
     ],
     ids=["bump", "drive", "envelope", "sweep", "margins"],
 )

@@ -41,7 +41,7 @@ import pytest
 from filelock import FileLock
 
 from models.common.errors import InputError
-from models.kinds.kind import HERE
+from models.kinds.kind import HERE, VehicleKind
 from models.roads.road import Bump, Road
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run, run_controllers, sample_times
@@ -53,6 +53,7 @@ T = TypeVar("T")
 _folders: list[Path] = []  # the session's, once it has begun
 _patching: set[int] = set()  # patches of the product that are in force
 _originals: dict[str, Callable] = {}  # of `DESIGNS`
+_kinds: dict[int, tuple[VehicleKind, str]] = {}  # of this process: each kept alive, so that its number is of no other
 _designers: dict[Path, Designer] = {}  # of this process: the designs of one vehicle share steps
 
 
@@ -215,6 +216,8 @@ class _Content(cloudpickle.Pickler):
     """Writes what things are, not how they came to be: dataclasses by fields, not by what they cache, and functions by code."""
 
     def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, VehicleKind):
+            return VehicleKind, (_of_kind(obj),)
         if is_dataclass(obj) and not isinstance(obj, type):
             return type(obj), tuple(getattr(obj, one.name) for one in fields(obj))
         if isinstance(obj, FunctionType):
@@ -223,10 +226,21 @@ class _Content(cloudpickle.Pickler):
         return super().reducer_override(obj)
 
 
-def _place(make: Callable, *arguments: Any) -> Path:
-    """Returns where something is kept: the content of its function and arguments, under the session's folder."""
+def _of_kind(kind: VehicleKind) -> str:
+    """Returns a digest of the content of a kind of vehicle, which is most of a vehicle's; it is frozen, and written once."""
+    if id(kind) not in _kinds:
+        _kinds[id(kind)] = kind, _digest(tuple(getattr(kind, one.name) for one in fields(kind)))
+    return _kinds[id(kind)][1]
+
+
+def _digest(thing: Any) -> str:
     content = io.BytesIO()
     pickler = _Content(content, protocol=5)
     pickler.fast = True  # equal strings are written alike, one object or two
-    pickler.dump((make, arguments))
-    return _folders[0] / hashlib.sha256(content.getvalue()).hexdigest()
+    pickler.dump(thing)
+    return hashlib.sha256(content.getvalue()).hexdigest()
+
+
+def _place(make: Callable, *arguments: Any) -> Path:
+    """Returns where something is kept: the content of its function and arguments, under the session's folder."""
+    return _folders[0] / _digest((make, arguments))

@@ -247,7 +247,7 @@ def test_a_rate_is_a_number_above_zero(value):
 def test_it_is_recorded_saved_and_proved(tmp_path, capsys):
     """A log has it and proves itself, not with another rate; a saved controller has it, and so has `--json`."""
     files, car = {"car.toml": SEMI_ACTIVE}, ("--vehicle", "car.toml", "--controller", "kept")
-    bumped = printed("sim.bump", *car, "--height", "0.02", "--duration", "1", "--json", files=files)
+    bumped = printed("sim.bump", *car, "--height", "0.02", "--duration", "0.5", "--json", files=files)
     assert bumped.code == 0
     assert bumped.json["runs"][0]["controller"]["anti_windup"] == RATE
     (log,) = (bumped.folder / "logs").glob("*.mcap")

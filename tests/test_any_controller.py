@@ -6,7 +6,7 @@ import pytest
 
 from models.kinds.kind import HERE
 from sim.__main__ import COMMANDS
-from tests.commands import attacks, main_of, refused
+from tests.commands import attacks, in_the_suite, main_of, refused
 from tests.drives import MAP
 
 CAR = """
@@ -95,8 +95,11 @@ SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
 LONG = {"sim.sweep": [], "sim.margins": [], "sim.report": ["--quick"]}  # at their own timestep, so that all of them agree
 CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
+ALIKE_SLOW = ("sim.margins", "pi")  # a law with a slow pole as `slow` has, and as long as it
 FED_BACK = ("sim.margins", "ahead")  # the margins of a gain: what is known ahead is taken out
 ALIKE = ("lqg", "told_its_force", "goals", "noisy")  # to commands that take long: states, or a gain, as others have
+DRIVEN_ALIKE = ("sim.bump", "sim.envelope")  # they drive it as `sim.drive` does, which takes every controller
+ALIKE_DRIVEN = (*ALIKE, "pid", "sampled", "discrete", "sampled_full")
 NO_CLAIM = {"synth", "sim.envelope", "sim.margins"}  # which have nothing to say of laws in Python and semi-active ones
 
 
@@ -131,9 +134,15 @@ def test_no_command_is_forgotten():
 @pytest.mark.parametrize(
     ("command", "vehicle", "name"),
     [
-        *((each, *one) for each in QUICK for one in CONTROLLERS),
+        *((each, *one) for each in QUICK for one in CONTROLLERS if each not in DRIVEN_ALIKE or one[1] not in ALIKE_DRIVEN),
+        *attacks((each, *one) for each in DRIVEN_ALIKE for one in CONTROLLERS if one[1] in ALIKE_DRIVEN),
         *(("synth", *one) for one in DESIGNED),
-        *(pytest.param(each, *one, marks=pytest.mark.attack) for each in (*QUICK, *LONG) for one in DESIGNED if each != "synth"),
+        *(
+            pytest.param(each, *one, marks=pytest.mark.attack)
+            for each in (*QUICK, *LONG)
+            for one in DESIGNED
+            if each != "synth" and (each, one[1]) != ALIKE_SLOW
+        ),
         *(
             pytest.param(each, *one, marks=pytest.mark.attack)
             for each in LONG
@@ -149,7 +158,10 @@ def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicl
     takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command]])
 
 
-@pytest.mark.parametrize(("vehicle", "name"), [*CONTROLLERS, *attacks(DESIGNED)])
+@pytest.mark.parametrize(
+    ("vehicle", "name"),
+    in_the_suite([one for one in CONTROLLERS if one[1] not in ALIKE_DRIVEN], [*CONTROLLERS, *DESIGNED]),
+)
 def test_a_campaign_takes_it(vehicles, tmp_path, vehicle, name):
     """So does a campaign, whose folder holds when it is verified."""
     pytest.importorskip("pyarrow", reason="needs the extra [campaign]")

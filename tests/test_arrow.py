@@ -21,6 +21,7 @@ assert "_NoPandas" not in finders
 """
 
 
+@pytest.mark.attack
 def test_a_log_does_not_load_pandas(tmp_path):
     """A command that records leaves pandas out, where Arrow would import it unasked; what asks for it afterwards has it."""
     pytest.importorskip("pandas", reason="needs the extra [report]")

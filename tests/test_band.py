@@ -93,7 +93,7 @@ def dense_maximum(plant: GeneralizedPlant, low: float, high: float) -> float:
     return float(np.linalg.norm(plant.frequency_response(grid), 2, axis=(1, 2)).max())
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_frequency_of_the_band_is_higher(seed):
     """On random loops and bands no gain of a dense grid exceeds the value, and one comes close; none exceeds the level."""
     plant, rng = random_system(seed), np.random.default_rng(seed + 100)

@@ -92,6 +92,7 @@ def test_what_a_process_leaves_undone_is_done_here():
     assert first not in (os.getpid(), 0)
 
 
+@pytest.mark.attack
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="a signal that is handled needs POSIX")
 def test_an_interrupt_leaves_no_process(tmp_path):
     """Being told to end while another process works ends both, with one word and the signal's exit code."""

@@ -154,7 +154,10 @@ def test_the_best_is_the_best_of_the_table(campaign, capsys, best, metric, limit
             *(CAR, "hybrid", "sky_damping = { uniform = [0.0, 4000.0] }\nmix = { uniform = [0.2, 0.8] }"),
             marks=pytest.mark.attack,
         ),
-        (read_vehicle("quarter_car").text, "I_printed", '"gain[0][1]" = { uniform = [0.5, 1.5], relative = true }'),
+        pytest.param(
+            *(read_vehicle("quarter_car").text, "I_printed", '"gain[0][1]" = { uniform = [0.5, 1.5], relative = true }'),
+            marks=pytest.mark.attack,
+        ),
         (STATES, "states", '"A[0][0]" = { uniform = [-6.0, -2.0] }\nanti_windup = { uniform = [1.0, 400.0] }'),
     ],
     ids=["semi-active", "linear", "with states"],

@@ -247,7 +247,7 @@ def hostile(rng: np.random.Generator, good: DualCertificate) -> DualCertificate:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers beyond floats are what is asked for
 @pytest.mark.parametrize(
-    "seeds", [range(4), pytest.param(range(100, 130), marks=pytest.mark.attack)], ids=["some", "by the hundred"]
+    "seeds", [range(2), pytest.param(range(100, 130), marks=pytest.mark.attack)], ids=["some", "by the hundred"]
 )
 def test_no_witness_proves_what_is_not_true(seeds):
     """Witnesses that are nearly singular, huge, or beyond the optimum prove no bound above what state feedback reaches."""

@@ -71,6 +71,7 @@ def flip(path, at):
     path.write_bytes(content)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     "arguments", [pytest.param(("--batch", "1"), marks=pytest.mark.attack), ("--batch", "7", "--workers", "1")], ids=" ".join
 )

@@ -90,7 +90,7 @@ def random_loop(seed: int) -> LoopModel:
 
 
 @needs_cc
-@pytest.mark.parametrize("samples", [2000, *attacks([100_000])])
+@pytest.mark.parametrize("samples", [2000, *attacks([30_000])])
 def test_the_loop_has_the_bits_of_the_law(samples):
     """What the harness sets in a run is, to the last bit and held between samples, what the exported law gives in Python."""
     vehicle = parse_vehicle(read_vehicle("quarter_car").text + LAW + BUILT + "delay = 1\n" + WIDE)
@@ -113,7 +113,7 @@ def test_the_loop_has_the_bits_of_the_law(samples):
         ("law", LAW + BUILT + WIDE),
         ("law", LAW + BUILT + LIMITED),
         ("I", ""),
-        ("skyhook_linear", None),
+        *attacks([("skyhook_linear", None)]),
         ("sky", None),
     ],
 )
@@ -164,7 +164,7 @@ def effects(numbers: str, seeds: range) -> tuple[list[float], list[float]]:
 
 @needs_cc
 @pytest.mark.parametrize("numbers", ["float", "int32", "int16"])
-@pytest.mark.parametrize("seeds", [range(2), *attacks([range(2, 12)])])
+@pytest.mark.parametrize("seeds", [range(2), *attacks([range(2, 7)])])
 def test_rounding_is_predicted(numbers, seeds):
     """Rounding moves a signal by less than its bound, always, and in the median by a fifth to five times the predicted rms.
 
@@ -205,6 +205,7 @@ def folders(tmp_path_factory):
 def test_the_command_says_what_drives(folders, numbers, capsys):
     """sim.bump with --as agrees throughout, says which numbers drive, and in float what rounding is predicted to do."""
     options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / numbers), "--no-logs"]
+    options += ["--duration", "0.5"]
     capsys.readouterr()
     assert bump(options) == 0
     out = capsys.readouterr().out
@@ -231,7 +232,7 @@ def test_the_command_says_what_drives(folders, numbers, capsys):
 @needs_cc
 def test_a_log_proves_such_a_run(folders, tmp_path, capsys):
     """From the log of a run in float its code is made again, and MuJoCo makes the same run with it, to the last bit."""
-    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / "float"), "--duration", "1"]
+    options = ["--vehicle", str(folders / "car.toml"), "--controller", "law", "--as", str(folders / "float"), "--duration", "0.5"]
     assert bump([*options, "--logs", str(tmp_path)]) == 0
     capsys.readouterr()
     (log,) = tmp_path.glob("*.mcap")

@@ -90,7 +90,8 @@ def test_a_straight_curve_beside_is_none():
                 assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
 
 
-@pytest.mark.parametrize("name", [pytest.param("sky", marks=pytest.mark.attack), "skyhook"])
+@pytest.mark.parametrize("name", ["sky", "skyhook"])
+@pytest.mark.attack
 def test_a_car(name):
     """On a half-car whose axles differ, one with a lag, all but geometry is exact: over 1 mm within 1e-5 of a peak."""
     rear = "{ deflection = [-0.1, -0.001, 0.0, 0.001, 0.1], force = [-4000, -22, 0, 22, 2600] }"
@@ -139,6 +140,7 @@ def test_limits_move_with_the_nominal_damper():
     assert (of.low.item(), of.high.item()) == (-700.0, 3000.0)
 
 
+@pytest.mark.attack
 def test_a_log_is_proved_again(tmp_path, capsys):
     """A log of a law on a vehicle with friction and a spring's curve holds as it was written."""
     from sim.bump import main as bump

@@ -159,7 +159,7 @@ def test_what_is_proved_of_a_gain(seed):
     assert not prove_bound(replace(plant, dt=None), G, proof.X, proof.eta).holds
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_state_feedback_by_another_solver(seed):
     """The path of the bordered LMI ends where Clarabel ends or lower, is proved, and not below the bound for all that know x."""
     plant, _ = random_plant(seed, radius=1.3)

@@ -145,6 +145,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("seed", [BENT[1], *attacks(BENT[:1])])
 def test_geometry_where_curves_do_not_bend(seed):
     """At a hundredth of the road a car has the geometry of its lines at rest. Half of that height tells how much that is."""

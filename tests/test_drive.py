@@ -93,7 +93,7 @@ def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
 
 def test_full_car_in_words(capsys, tmp_path):
     """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
-    arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "3", "--logs", str(tmp_path)]
+    arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "1", "--logs", str(tmp_path)]
     assert main([*arguments, "-v"]) == 0
     out = capsys.readouterr().out
     vehicle = read_vehicle("full_car")
@@ -101,7 +101,7 @@ def test_full_car_in_words(capsys, tmp_path):
     assert set(rows) == {metric.name for metric in metrics_of(vehicle)}
     assert all(len(row) >= 4 for row in rows.values())  # unit, and three numbers: no name has pushed them to another line
     assert "agrees to first order" in out
-    assert out.startswith("full_car over a road: random, class B, seed 0, speed 20 m/s; 3 s at 0.001 s\n")
+    assert out.startswith("full_car over a road: random, class B, seed 0, speed 20 m/s; 1 s at 0.001 s\n")
     assert f"  rerun {next(tmp_path.glob('*.rrd'))}" in out.splitlines()
     assert out.splitlines()[-1].startswith("passive  agrees to first order")
 

@@ -155,6 +155,7 @@ def test_off_where_absent(paper, designer):
     assert {END_NAMES[i] for i in found.first if i >= 0} <= {"lift-off", "flat tyre"}
 
 
+@pytest.mark.attack
 def test_car(designer):
     """A half-car, which turns for real, breaks as predicted too, but for the boundary."""
     vehicle = dataclasses.replace(read_vehicle("half_car"), limits=LIMITS)
@@ -191,7 +192,7 @@ def test_holes_break_as_predicted(limited, designer):
     assert len(set(found.first.tolist())) >= 3
 
 
-@pytest.mark.parametrize("timestep", [1e-3, 2e-3])
+@pytest.mark.parametrize("timestep", [2e-3, pytest.param(1e-3, marks=pytest.mark.attack)])
 def test_a_tyre_is_flat_when_it_is(paper, designer, timestep):
     """While nothing else has ended the regime the linear response is exact, and MuJoCo's tyres are flat at its very sample.
 

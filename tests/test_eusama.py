@@ -91,6 +91,7 @@ def test_as_built(extra, controller):
     assert load_failures([dataclasses.replace(load, measured=math.nan)])
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("name", ["full_car"])
 def test_every_wheel(name):
     """Every wheel of a car has its own plate, and left and right the same load."""
@@ -137,6 +138,7 @@ def test_curve():
     assert load_object([curved])["tyres"]["tyre_deflection"]["allowed"] is None
 
 
+@pytest.mark.attack
 def test_printed(capsys, monkeypatch, tmp_path):
     """The table has what JSON has, per wheel, and both say that it is disputed; the paper's car lifts off its plate."""
     path = tmp_path / "car.toml"

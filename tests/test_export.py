@@ -109,18 +109,18 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
 
 
 @needs_cc
-@pytest.mark.parametrize("seed", [0, 1, *attacks(range(2, 10))])
+@pytest.mark.parametrize("seed", [0, *attacks(range(1, 6))])
 def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
     """For a random law every output of the compiled code is that of Python to the last bit, in floating and in fixed point."""
     for numbers in NUMBERS:
         law = random_law(np.random.default_rng(seed), read_vehicle("half_car"), numbers)
         folder = tmp_path / numbers
         folder.mkdir()
-        assert differing(law, folder, 1000 if seed < 2 else 5_000) == 0
+        assert differing(law, folder, 1000 if seed < 1 else 5_000) == 0
 
 
 @needs_cc
-@pytest.mark.parametrize("numbers", ["double", "float"])
+@pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
 def test_semi_active_laws_have_their_bits(tmp_path, numbers):
     """So has every semi-active law, and a linear one on an adjustable damper, whose coefficients stay within its range."""
     vehicle = read_vehicle("quarter_car_semi_active")

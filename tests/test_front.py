@@ -138,6 +138,7 @@ def test_no_gain_of_a_grid_beats_the_front(few):
         assert not any(np.all(np.array(norms) < np.array(point.values) * (1 - 1e-6)) for point in few.points)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("axes", "random"),
     [
@@ -288,7 +289,8 @@ LATER = {  # where Ctrl-C comes, at which call, and what it cuts short
 }
 
 
-@pytest.mark.parametrize("where", ["norm_on", "_limits", *attacks(("certify_tightly", "peak_over_road"))])
+@pytest.mark.attack
+@pytest.mark.parametrize("where", ["norm_on", *attacks(("_limits", "certify_tightly", "peak_over_road"))])
 def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
     """Wherever it comes after the search, what is certified by then is printed and written, and what is missing is said."""
     path, (at, cut) = tmp_path / "front.csv", LATER[where]
@@ -334,6 +336,7 @@ def test_a_first_ctrl_c_lets_certifying_go_on(quick, capsys, monkeypatch, tmp_pa
     assert "is not whole" not in printed
 
 
+@pytest.mark.attack
 def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp_path):
     """Then all of it is written and printed first."""
     path, true = tmp_path / "front.csv", synth.command.trade_off.front_figure

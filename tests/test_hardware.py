@@ -172,7 +172,24 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert "noise = true\nlag = true" in saved.read_text().partition("one_designed")[2]
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 0
     assert "norm and bounds count noise, too" in " ".join(capsys.readouterr().out.split())
-    assert bump(["--vehicle", str(saved), "--controller", "one_designed", "--height", "0.01", "--logs", str(logs), "-v"]) == 0
+    assert (
+        bump(
+            [
+                "--vehicle",
+                str(saved),
+                "--controller",
+                "one_designed",
+                "--height",
+                "0.01",
+                "--duration",
+                "0.5",
+                "--logs",
+                str(logs),
+                "-v",
+            ]
+        )
+        == 0
+    )
     said = " ".join(capsys.readouterr().out.split())
     assert "norm and bounds count noise, too" in said
     assert inspect([str(next(logs.glob("*.mcap")))]) == 0

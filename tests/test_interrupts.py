@@ -28,6 +28,7 @@ def heard():
     signal.signal(signal.SIGHUP, before)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(("name", "code", "word"), ENDINGS[1:2])
 def test_an_interrupted_map_is_kept(tmp_path, name, code, word):
     """A signal in the middle of a map ends it at once, with its exit code; what is done is printed and written."""

@@ -35,7 +35,7 @@ COMMANDS = {  # the shortest run of each that writes all that it can
 ENOUGH = 120.0  # s that a command may take on a busy machine
 AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle one
 EARLY = 6.0  # s; what comes later in a long command is more of the same
-SHARES, INTERRUPTS = 2, 18  # for the workers; in each, twice every command
+SHARES, INTERRUPTS = 2, 9  # for the workers; in each, every command once
 BARE = 1.0  # s; Python may take as long, on a busy machine, until our first line
 
 
@@ -152,7 +152,7 @@ def interrupted(command: str, folder: Path, after: float, by: signal.Signals) ->
 @pytest.mark.attack
 @pytest.mark.parametrize("share", range(SHARES))
 def test_interrupts_at_random_times(share, template, tmp_path):
-    """Some forty over all commands, from their start to their end."""
+    """Some twenty over all commands, from their start to their end."""
     whole, took = template
     rng, faults, heard = np.random.default_rng([20261121, share]), [], 0
     for number in range(INTERRUPTS):

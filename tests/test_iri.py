@@ -219,6 +219,7 @@ def test_no_iri():
     assert roughness_of(coarse, QUARTER, 31.0) == ()
 
 
+@pytest.mark.attack
 def test_printed_and_logged(capsys, monkeypatch, tmp_path):
     """The table has every IRI beside its expectation, as JSON and log have it; a log with another one proves it no more."""
     arguments = [

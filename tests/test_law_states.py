@@ -22,7 +22,7 @@ from sim.recording.run_records import run_log
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
-from tests.commands import in_the_suite
+from tests.commands import attacks, in_the_suite
 from tests.rewriting import contents, written
 from tests.test_inspect import scaled
 from tests.test_laws import REALITIES, controller
@@ -127,7 +127,11 @@ def test_inspection_proves_and_exports_them(log, tmp_path, capsys):
 # By topic, the part that says so. A state is the ninth field of the message, or the tenth.
 @pytest.mark.parametrize(
     ("topic", "part", "column"),
-    [("mujoco", "states", 8), ("mujoco", "states", 9), ("linear", "linear response", 8), ("continuous", "linear response", 9)],
+    [
+        ("mujoco", "states", 9),
+        ("linear", "linear response", 8),
+        *attacks((("mujoco", "states", 8), ("continuous", "linear response", 9))),
+    ],
 )
 def test_another_state_is_found(topic, part, column, log, tmp_path, capsys):
     """A state that is a hundred-thousandth off in one of the responses is found, and named as what it is."""

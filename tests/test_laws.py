@@ -141,6 +141,7 @@ def test_sampled_law_is_exact_for_ramps():
     np.testing.assert_allclose(forces, exact, atol=1e-12 * np.abs(exact).max())
 
 
+@pytest.mark.attack
 def test_margins_of_a_loop_with_an_accelerometer():
     """Gain, delay and sample period at which it is unstable are where a pole of the loop that bears them is on the verge."""
     vehicle = read_vehicle("quarter_car")
@@ -245,6 +246,7 @@ def test_what_is_printed_of_a_law_with_states(period):
     )
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("period", [0.002, *attacks([None])])
 def test_a_campaign_drives_laws_with_states(tmp_path, capsys, period):
     """Over a campaign their linear errors are RK4's own; its folder holds their laws, confirms them, and goes on with them."""
@@ -300,7 +302,7 @@ def test_no_crossover_is_missed(bandwidth, unit):
         np.testing.assert_allclose(found, crossings, rtol=1e-8)  # both refined further
 
 
-@pytest.mark.parametrize("share", [0.9, 1.1, 5.0])
+@pytest.mark.parametrize("share", [0.9, 1.1])
 def test_a_force_that_comes_back_larger_bears_no_delay(share, tmp_path):
     """From once its own size on, a force in its own measurement has a delay margin of zero, as the sampled loop shows."""
     vehicle = read_vehicle("quarter_car")

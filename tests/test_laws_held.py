@@ -18,6 +18,7 @@ from sim.response.response import Response
 from sim.runs.agreement import SLACK
 from sim.runs.report import verdict, verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
+from tests.commands import attacks
 from tests.test_dampers import DAMPER
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -112,7 +113,7 @@ def check(kind: str, road: Road, duration: float = DURATION) -> None:
             assert exact[1] < 2.5 * EXACT, run.controller.name
 
 
-@pytest.mark.parametrize("kind", ["half_car", *(pytest.param(kind, marks=pytest.mark.attack) for kind in KINDS[::2])])
+@pytest.mark.parametrize("kind", attacks(KINDS))
 def test_over_a_bump(kind):
     """Over a bump every law is within 2e-6 of a peak of its exact response at 1 ms, and 1e-6 at 0.5 ms; cars over 1 mm."""
     steps = ((1e-3, 2 * EXACT), (5e-4, EXACT))

@@ -35,7 +35,7 @@ from sim.runs.report import LOST, NO_STATE, verdict, verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import PITCH, ROLL, Meter, measure, static_angles
 from tests.analysed import continuous_response, energy, sampled_response, simulate
-from tests.commands import once, prose, refused
+from tests.commands import attacks, once, prose, refused
 from tests.curved import DIGRESSIVE, PROGRESSIVE, with_curves
 from tests.rewriting import contents, written
 from tests.shared import designed
@@ -420,7 +420,7 @@ def drive(folder, capsys, *arguments):
     return prose(capsys.readouterr().out), log
 
 
-@pytest.mark.parametrize("way", [pytest.param("alone", marks=pytest.mark.attack), "with a road", "from a file"])
+@pytest.mark.parametrize("way", ["with a road", *attacks(("alone", "from a file"))])
 def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
     """Driven alone, over a road or from a file, a log proves its loads again, from itself alone; of others it says so."""
     (tmp_path / "pull.csv").write_text(HISTORY)
@@ -496,6 +496,7 @@ def test_static_angles_are_the_closed_form(kind, name):
     np.testing.assert_allclose(list(found.values()), expected, rtol=1e-9)  # rounding of a stiff loop's inverse
 
 
+@pytest.mark.attack
 def test_angles_are_measured_and_printed(monkeypatch, capsys):
     """Dive, squat and roll stand in the table as in `--json`, of MuJoCo and sampled; static angles are their ends."""
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--load", "brake:g=0.1:hold=2", "--load", "corner:g=-0.1"]
@@ -573,6 +574,7 @@ def test_campaigns_know_loads(tmp_path):
     assert row["linear_suspension_deflection_peak"] == pytest.approx(float(response.peak("suspension_deflection")), rel=1e-12)
 
 
+@pytest.mark.attack
 def test_campaigns_know_loads_of_files(tmp_path):
     """A road has loads of files, too; another content is another campaign, the same road without them another road."""
     (tmp_path / "push.csv").write_text("time [s],heave [N]\n0,0\n0.2,500\n1,500\n")

@@ -73,6 +73,7 @@ def test_cyrillic(tmp_path, locale):
     assert ran.stderr.decode().startswith("roadproof: unknown controller 'Щ'")
 
 
+@pytest.mark.attack
 @some_locales("ASCII", "C")
 def test_what_the_terminal_lacks(tmp_path, locale):
     """If only ASCII was typed, what the terminal's encoding lacks is escaped, and files have their names all the same."""

@@ -81,6 +81,7 @@ def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
     assert "sampled norm 8.32" in text
 
 
+@pytest.mark.attack
 def test_rates_of_it(held, capsys):
     """Rates say from where its loop is stable again."""
     assert synth(["--vehicle", str(held), "--controller", "I", "--rates", "50"]) == 0

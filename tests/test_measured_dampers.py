@@ -191,6 +191,7 @@ def test_the_nominal_setting_is_where_the_parameter_says():
     np.testing.assert_allclose(other.adjustable[0].ramp(v, 0.0), (1 - share) * table(0, v) + share * table(1, v), atol=1e-9)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("name", ["skyhook_modal", *attacks(("sky", "skyhook"))])
 def test_a_car(name):
     """Axle by axle, one with curves and one with numbers and a lag, all but geometry is exact: over 1 mm within 3e-5 of a peak.

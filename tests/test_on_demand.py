@@ -151,6 +151,7 @@ def test_margins_are_where_a_pole_crosses(hub):
     check_verges(vehicle, Designer(vehicle).design("hub"))
 
 
+@pytest.mark.attack
 def test_commands_take_it_as_any_other(hub, tmp_path, monkeypatch, capsys):
     """The signal is designed for, driven, recorded, proved from the log, and swept."""
     monkeypatch.chdir(tmp_path)

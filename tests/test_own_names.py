@@ -64,7 +64,7 @@ def test_it_says_so(vehicles):
 @pytest.mark.parametrize(
     ("main", "options"),
     [
-        (bump.main, ["--controller", "I", "--height", "0.12", "--length", "1.5", "--no-logs"]),
+        (bump.main, ["--controller", "I", "--height", "0.12", "--length", "1.5", "--duration", "1", "--no-logs"]),
         (drive.main, ["--controller", "I", "--class", "F", "--duration", "1", "--no-logs"]),
         pytest.param(sweep.main, ["--controller", "I", "--timestep", "4e-3"], marks=pytest.mark.attack),
     ],

@@ -206,6 +206,7 @@ def test_names_from_right_to_left_keep_to_themselves():
     assert "\u2068" not in render(everything(("passive", "n" * 60, "Ω" * 40, "中" * 20)))
 
 
+@pytest.mark.attack
 def test_nothing_leaves_a_picture(tmp_path, monkeypatch):
     """With long names, and many, everything that a picture says is inside it, and no number beside a bar lies over a name."""
     from matplotlib.figure import Figure as Canvas

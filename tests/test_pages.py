@@ -11,6 +11,8 @@ SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
 SLOW = (
     *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
     *("synth --vehicle quarter_car_goals", "synth --front"),
+    *("synth --vehicle models/gallery/mathworks/robust.toml", "sim.campaign campaign.toml", "sim.campaign --verify"),
+    *("sim.drive --controller I --class C", "sim.bump --controller all --serve", "synth --part loop"),
 )
 
 

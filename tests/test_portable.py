@@ -114,33 +114,37 @@ print(json.dumps(found))
 MAP = ["--vary", "height:0.1:0.2:2", "--vary", "speed:5:9:2"]
 EXTRAS = [  # a package, its extra, and a command that needs it
     ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
-    ("matplotlib", "report", ["sim.envelope", "--controller", "passive", *MAP, "--picture", "x.png"]),
-    ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
-    ("jinja2", "report", ["sim.report"]),
     ("contourpy", "report", ["sim.report"]),
     ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
     ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
 ]
+MORE_EXTRAS = [  # asked for in the same way
+    ("matplotlib", "report", ["sim.envelope", "--controller", "passive", *MAP, "--picture", "x.png"]),
+    ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
+    ("jinja2", "report", ["sim.report"]),
+]
 
 
-def test_an_extra_is_asked_for_by_name(tmp_path):
+@pytest.mark.parametrize("extras", [EXTRAS, pytest.param(MORE_EXTRAS, marks=pytest.mark.attack)], ids=["some", "others"])
+def test_an_extra_is_asked_for_by_name(tmp_path, extras):
     """Without an extra's packages a command that needs them says in one line how to install them, before any work."""
     (tmp_path / "road.crg").touch()
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 1.0\nsettle = 0.0\n'
     )
-    cases = json.dumps([[package, *arguments] for package, _, arguments in EXTRAS])
+    cases = json.dumps([[package, *arguments] for package, _, arguments in extras])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", WITHOUT, cases]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)
-    assert len(found) == len(EXTRAS)
-    for (code, out, err), (package, extra, arguments) in zip(found, EXTRAS, strict=True):
+    assert len(found) == len(extras)
+    for (code, out, err), (package, extra, arguments) in zip(found, extras, strict=True):
         assert (code, out) == (2, ""), (package, arguments, err)
         assert err.count("\n") == 1, (package, arguments, err)
         assert f"[{extra}]" in err, (package, arguments)
 
 
+@pytest.mark.attack
 def test_no_graphics_are_needed(tmp_path):
     """Whatever the environment says of MuJoCo's graphics, a command runs: it draws nothing by them."""
     arguments = [sys.executable, "-m", "sim.bump", "--controller", "passive", "--duration", "0.1", "--no-logs"]
@@ -157,7 +161,7 @@ print({{one["num_threads"] for one in threadpoolctl.threadpool_info() if one["us
 """
 
 
-@pytest.mark.parametrize("package", ["sim", "synth"])
+@pytest.mark.parametrize("package", ["sim", pytest.param("synth", marks=pytest.mark.attack)])
 def test_a_command_has_one_thread_of_blas(package):
     """All its libraries have, whichever is loaded when: more only wait for each other."""
     environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}

@@ -86,20 +86,20 @@ def cars(tmp_path_factory):
 @pytest.mark.parametrize(
     ("car", "line"),
     [
-        *(
-            (car, line)
-            for car in ("full_car", "built")
-            for line in ("synth", "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs")
-        ),
+        ("built", "synth"),
+        ("built", "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs"),
         ("built", ENVELOPE),
         ("full_car", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --no-logs"),
         ("built", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --logs logs"),
         ("built", "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs"),
-        ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
-        ("built", "sim.margins --controller II --timestep 8e-3 --logs logs"),
         *attacks(
-            ("full_car", line)
-            for line in (ENVELOPE, "sim.sweep --controller all --timestep 8e-3", "sim.margins --controller II --timestep 8e-3")
+            (
+                ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
+                ("built", "sim.margins --controller II --timestep 8e-3 --logs logs"),
+                ("full_car", "synth"),
+                ("full_car", ENVELOPE),
+                ("full_car", "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs"),
+            )
         ),
     ],
 )

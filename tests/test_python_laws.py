@@ -207,7 +207,9 @@ def log_of(folder: Path, law: str = SWITCHED, command: str = "sim.bump", *option
     return log
 
 
-@pytest.mark.parametrize("options", [("sim.bump", "--height", "0.02"), ("sim.drive", "--class", "B")])
+@pytest.mark.parametrize(
+    "options", [("sim.bump", "--height", "0.02"), pytest.param(("sim.drive", "--class", "B"), marks=pytest.mark.attack)]
+)
 def test_log_proves_without_running_the_law(tmp_path, monkeypatch, capsys, options):
     """A log proves its physics, metrics and result from the forces that it has; the law, gone or hostile by now, is not run."""
     log = log_of(tmp_path, SWITCHED, *options)

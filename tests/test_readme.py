@@ -76,7 +76,9 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
     assert {"sprung acceleration weighted", "control force rms"} <= {row[2] for row in rows}
 
 
-@pytest.mark.parametrize("options", [["--quick", "--timestep", "4e-3"], pytest.param(["--timestep", "4e-3"], marks=pytest.mark.attack)])
+@pytest.mark.parametrize(
+    "options", [["--quick", "--timestep", "4e-3"], pytest.param(["--timestep", "4e-3"], marks=pytest.mark.attack)]
+)
 def test_own_kind_is_reported(options, hopper):
     """A report of it is written, also the whole one, with every section."""
     page = hopper.with_name("r.html")

@@ -48,6 +48,7 @@ def rows_of(found: dict, table: str, name: str = "mine") -> list[dict]:
     return [row for row in found["tables"][table] if row["controller"] == name]
 
 
+@pytest.mark.attack
 def test_a_law_stands_beside_the_others(tmp_path, capsys):
     """A quick report has a law's bump and agreement as physics makes them, and dashes, with a reason, for what nobody proves."""
     found, page, path = report_of(tmp_path, capsys, "--quick", "--controller", "passive", "--controller", "mine")

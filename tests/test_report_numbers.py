@@ -209,7 +209,7 @@ def test_bump_table(which, request, real_file, capsys):
     assert rows == len(read.tables["bump"]) == 16
 
 
-@pytest.mark.parametrize("which", ["plain", *attacks(["real"])])
+@pytest.mark.parametrize("which", attacks(["plain", "real"]))
 def test_frequency_responses(which, request, real_file, capsys):
     """The errors of the lines, and the headline's bound on them, are what `sim.sweep` says."""
     read = request.getfixturevalue(which)
@@ -330,6 +330,7 @@ def test_no_sentence_stands_above_noise(plain, real):
     assert "Lines: linear analysis of the loop as it runs, a sample every 5 ms, forces that act 1 sample late" in bumps
 
 
+@pytest.mark.attack
 def test_what_blurs_is_left_out_in_words_only(real, tmp_path, capsys):
     """Wherever runs are made without noise and quantisation, that is said, with the names of what the file has of them."""
     assert "of the loop as built, without its noise and quantisation." in " ".join(real.answer)

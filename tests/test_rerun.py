@@ -97,7 +97,7 @@ def test_strut_and_force(lifting: RunLog, log: Path) -> None:
         ("quarter_car", Iso8608("C", speed=20.0), 1),
         *attacks([("half_car", Bump(speed=8.0), 1)]),
         *attacks([("full_car", Bump(track="left"), 2)]),
-        ("full_car", Iso8608("C", speed=20.0, track_width=1.51), 2),
+        *attacks([("full_car", Iso8608("C", speed=20.0, track_width=1.51), 2)]),
     ],
 )
 def test_the_road_is_drawn_under_the_wheels(kind: str, road: Road, tracks: int, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_the_second_step_by_another_solver(paper, name):
     np.testing.assert_allclose(gain, K, rtol=0.02)
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", in_the_suite(("II",), ROWS))
 def test_no_unit_decides(paper, name):
     """In other units of states, force and time the gain of the two steps is the same, and so is the norm of the design."""
     plant, Cy, rate = Designer(paper).plant, ROWS[name], 10.0
@@ -115,7 +115,7 @@ def test_no_unit_decides(paper, name):
     assert np.abs(force * scaled_gain - gain).max() < 1e-3 * np.abs(gain).max()
 
 
-@pytest.mark.parametrize(("name", "period"), [("I", 0.02), *attacks([("state", 0.05), ("II", 0.05)])])
+@pytest.mark.parametrize(("name", "period"), attacks([("I", 0.02), ("state", 0.05), ("II", 0.05)]))
 def test_better_than_the_continuous_design(paper, name, period):
     """As it runs, what is designed for the sampled loop gains less than what is designed for the ideal one."""
     vehicle = asked(period=period)
@@ -137,6 +137,7 @@ LAG = "[limits]\nactuator_bandwidth = 200.0\n"
 FELT = '[controllers.felt]\nmeasured = ["suspension_deflection", "sprung_acceleration"]\n'
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("name", "delay", "more", "controllers"),
     [
@@ -269,7 +270,7 @@ CARS = [("quarter_car", name, *built) for name, every in (("I", 1), ("II", 2)) f
 CARS += [("quarter_car", "state", 0.5, 1)]
 CARS += [("half_car", name, period, 0) for name in ROWS for period in (0.001, 0.2)]
 # By two steps and by descent, at once and late.
-SOME = [("quarter_car", "I", 0.5, 0), ("quarter_car", "II", 0.001, 1)]
+SOME = [("quarter_car", "I", 0.5, 0)]
 
 
 def never_worse(name: str, controller: str, period: float, delay: float) -> None:

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from models.laws.semi_active import LAWS
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
@@ -42,6 +44,7 @@ def test_every_claim_holds(capsys):
     assert all(run["agrees"] for run in runs)
 
 
+@pytest.mark.attack
 def test_a_report_says_which_analysis_agrees(tmp_path, capsys):
     """If dampers are switched, what MuJoCo agrees with is the analysis with them, and no linear one."""
     assert (

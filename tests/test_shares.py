@@ -32,7 +32,7 @@ def times(timestep: float, duration: float) -> np.ndarray:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "full_car"])
+@pytest.mark.parametrize("kind", ["quarter_car", pytest.param("full_car", marks=pytest.mark.attack)])
 def test_no_bit_depends_on_threads_or_on_runs_of_a_controller_beside(kind):
     """Whatever computers, delays and noise the runs have: one that has none rounds as it does beside one that has, and alone."""
     vehicle, time = read_vehicle(kind), times(1e-3, 0.3)

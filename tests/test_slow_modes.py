@@ -91,7 +91,7 @@ def test_many_slow_discrete_plants(first):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("digits", [1, 6, 15, *attacks((3, 12))])
+@pytest.mark.parametrize("digits", [1, 15, *attacks((3, 6, 12))])
 def test_one_slow_discrete_mode(digits, sign):
     """For a scalar plant the optimum has a formula, and the gain meets it, to the last pole that is not 1, in odd units."""
     pole = 1 - sign * 10.0**-digits

@@ -45,6 +45,7 @@ def _designed(name):
     return Designer(parse_vehicle(TEXT)).design(name)
 
 
+@pytest.mark.attack
 def test_it_is_saved_and_read_again():
     """`--json` says of which law it is that it grows, and the stable one is saved, checked and handed on as it is."""
     names = [part for name in ("free", "calm") for part in ("--controller", name)]
@@ -57,6 +58,7 @@ def test_it_is_saved_and_read_again():
     assert np.all(np.real(law_system(vehicle, controller).poles()) < 0)
 
 
+@pytest.mark.attack
 def test_without_a_descent_it_says_so(monkeypatch):
     """A law of too many numbers is the best of the central ones: the remark has its price, and that there was no descent."""
     vehicle, free, reached = parse_vehicle(TEXT), *(made(_designed, name) for name in ("free", "calm"))

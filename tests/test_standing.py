@@ -18,7 +18,7 @@ RUN = ["--controller", "I", "--controller", "II_printed", "--no-logs"]
 @pytest.mark.parametrize(
     ("command", "options", "window"),
     [
-        (drive, ["--road", "step:height=0.02", "--duration", "2"], "MuJoCo, from 0 s on"),
+        (drive, ["--road", "step:height=0.02", "--duration", "1"], "MuJoCo, from 0 s on"),
         (bump, ["--duration", "1"], "MuJoCo, all of the run"),
     ],
 )

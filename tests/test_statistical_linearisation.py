@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
+import sim.command.comparison
 from models.roads.iso8608 import Iso8608
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import read_vehicle
@@ -23,7 +24,7 @@ from sim.studies.ride.metrics import Meter, measure
 from sim.studies.ride.statistical_linearisation import DEGREES, averages, coefficients, equivalent, line_object, line_words
 from synth.vehicle.designer import design
 from tests.analysed import simulate
-from tests.commands import prose
+from tests.commands import once, prose
 from tests.curved import AXLES, DIGRESSIVE, PROGRESSIVE, curved_text, with_curves
 
 
@@ -187,8 +188,9 @@ def test_without_curves_nothing_changes(paper):
     assert line.vehicle.parameters == pytest.approx(paper.parameters, rel=1e-12)
 
 
-def test_it_says_so(tmp_path, capsys):
+def test_it_says_so(tmp_path, capsys, monkeypatch):
     """The text names slopes and mean deflections, as JSON has them."""
+    monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))
     (tmp_path / "mine.toml").write_text(curved_text("half_car", **AXLES))
     asked = ["--vehicle", str(tmp_path / "mine.toml"), "--controller", "passive", "--class", "C", "--duration", "0.5"]
     assert main([*asked, "--no-logs", "-v"]) == 0

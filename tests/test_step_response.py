@@ -1,5 +1,6 @@
 """Step metrics are located between samples: against closed forms, and an own solution by matrix exponentials and Brent."""
 
+import functools
 import itertools
 import json
 import math
@@ -138,6 +139,7 @@ def own(vehicle, gain, signal):
     start = np.eye(7)[6]
     edge = linalg.expm(moves * until) @ start
 
+    @functools.cache
     def state(t):
         return linalg.expm(moves * t) @ start if t <= until else linalg.expm(level * (t - until)) @ edge
 

@@ -105,6 +105,7 @@ def sound(tmp_path_factory):
     return rows_of(campaign_of(tmp_path_factory.mktemp("sound"), "    pass\n", text=ONE), "--workers", "1")
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     "arguments", [pytest.param(("--batch", "1", "--workers", "1"), marks=pytest.mark.attack), ("--workers", "2")], ids=" ".join
 )
@@ -177,6 +178,7 @@ def test_only_an_answer_is_one():
         assert answer_to(line + b"\n", 4, 6) == {}
 
 
+@pytest.mark.attack
 def test_what_answers_another_question_is_begun_anew(tmp_path):
     """A law that writes into the pipe of the answers fails its own runs, with a reason; no row is of another."""
     law = """import os, stat

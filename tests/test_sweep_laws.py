@@ -75,6 +75,12 @@ def gain(tmp_path_factory):
     return found_of(tmp_path_factory.mktemp("gain"), GAIN)
 
 
+@pytest.fixture(scope="module")
+def coarse_gain(tmp_path_factory):
+    """Returns the same at a step at which no number is held against an exact one."""
+    return found_of(tmp_path_factory.mktemp("gain"), GAIN, step=COARSE)
+
+
 @pytest.mark.attack
 @pytest.mark.parametrize("how", [None, Implementation(sample_period=4e-3, delay=1)], ids=["prompt", "slow"])
 def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
@@ -147,7 +153,7 @@ step.vectorised = True
 """
 
 
-@pytest.mark.parametrize("limit", [8e-6, -1.0])
+@pytest.mark.parametrize("limit", [8e-6, pytest.param(-1.0, marks=pytest.mark.attack)])
 def test_runs_that_diverge_are_said_once(tmp_path, recwarn, limit):
     """If runs diverge nothing is measured, which one line says; the others have their numbers, or there are none at all."""
     found, _ = found_of(tmp_path, WILD.format(limit=limit), more=f"preview = {COARSE}", step=COARSE)
@@ -179,9 +185,9 @@ def test_a_law_of_which_nothing_is_measured_is_no_success(tmp_path, capsys):
     assert found["failures"] == ["every run diverged, and nothing is measured"]
 
 
-def test_shares_read_as_percent(gain):
+def test_shares_read_as_percent(coarse_gain):
     """Shares of one and more are printed as percent, without a power of ten."""
-    found, _ = gain
+    found, _ = coarse_gain
     large = replace(found, outside=np.full_like(found.outside, 0.9996), drift=14.2)
     text = prose(" ".join(describing_lines(large)))
     assert " 100 % " in text
@@ -189,12 +195,12 @@ def test_shares_read_as_percent(gain):
     assert "in the worst signal 100 % of the energy" in describing_verdict(large)
 
 
-def test_a_picture_has_points_and_no_line(gain):
+def test_a_picture_has_points_and_no_line(coarse_gain):
     """If analysis has no response none is drawn: a law's points stand alone."""
     from models.figures.figure import styles
     from sim.studies.frequency.figure import sweep_figure
 
-    found, vehicle = gain
+    found, vehicle = coarse_gain
     assert isinstance(found, DescribingFunction)
     figure = sweep_figure(vehicle, [], AMPLITUDE, STEP, SPEED, styles(("mine",)), [found])
     curves = [curve for panel in figure.panels for curve in panel.curves if len(curve.x)]

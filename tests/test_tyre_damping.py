@@ -34,6 +34,7 @@ from synth.controller.implementation_norm import norm_as_implemented
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import WEIGHTED, expected_ride
+from tests.commands import in_the_suite
 from tests.faults import built_with
 
 KINDS = ("quarter_car", "half_car", "full_car")
@@ -304,6 +305,7 @@ def test_the_sampled_norm_counts_the_road_in_a_reading():
     assert norm_as_implemented(vehicle, controller, 1e-5).value == pytest.approx(peak, rel=1e-3)
 
 
+@pytest.mark.attack
 def test_rounding_is_predicted_of_a_reading_of_the_road():
     """Rounding for ever, where a reading has the road's mean velocity in it, is that of a run, from its own response.
 
@@ -330,7 +332,7 @@ def test_a_sampled_design_refuses_a_reading_of_the_road():
         Designer(vehicle).design("felt")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", in_the_suite(("quarter_car", "half_car"), KINDS))
 def test_an_exported_vehicle_reads_the_road_as_its_wheels_do(kind):
     """The system of FMUs and MATLAB files has the response of the linear analysis, in accelerations of wheels too."""
     weighed = "".join(f"unsprung_acceleration{end} = 0.1\n" for end in CORNERS[kind])

@@ -38,6 +38,7 @@ def listeners(port: int) -> list[str]:
     return re.findall(rf"([0-9A-F]+):{port:04X} [0-9A-F]+:0000 0A", tables)
 
 
+@pytest.mark.attack
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 @pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.attack)])

@@ -80,6 +80,7 @@ def test_filters_are_in_it():
     assert norm * (1 - REACHED) <= found.gain <= norm * (1 + DRIVEN)
 
 
+@pytest.mark.attack
 def test_nothing_exceeds_it(monkeypatch):
     """For the same sinusoids no other combination gains as much in MuJoCo, one under each wheel of a half-car."""
     vehicle = replace(read_vehicle("half_car"), implementation=Implementation(1e-2))
@@ -145,6 +146,7 @@ def sweep(capsys, car, *arguments: str, timestep: str = "2e-3") -> tuple[int, di
     return code, found[0], prose(capsys.readouterr().out)
 
 
+@pytest.mark.attack
 def test_it_is_printed(capsys, car, of_one_sweep):
     """A sweep of a slower computer says gain and norm on a line of its own, and no gain is above the norm."""
     code, found, printed = sweep(capsys, car, "--controller", "I")

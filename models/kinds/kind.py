@@ -332,10 +332,11 @@ class VehicleKind(Checked):
         loads = tuple(dict.fromkeys((*self.loads, *self.wheel_loads(parameters))))
         return self if loads == self.loads else replace(self, loads=loads)
 
-    @property
+    @cached_property
     def unnamed(self) -> tuple[str, ...]:
         """The signals on demand that its vehicles do not have."""
-        return tuple(signal.name for signal in self.on_demand if signal not in self.signals)
+        known = set(self.signals)  # to compare signals one by one took longer than to compile a model
+        return tuple(signal.name for signal in self.on_demand if signal not in known)
 
     def model(self, parameters: Parameters) -> LinearModel:
         """Returns the linear model with the signals of this kind's vehicles, which the last few vehicles keep."""
@@ -362,7 +363,7 @@ class VehicleKind(Checked):
         rates = {part.velocity.name: part.deflection for part in self.suspensions}
         return model.with_rates({name: of for name, of in rates.items() if name in names and name not in model.outputs})
 
-    @property
+    @cached_property
     def suspensions(self) -> tuple[Suspension, ...]:
         """The suspensions, from `suspended` or from the usual names."""
         if self.suspended is not None:

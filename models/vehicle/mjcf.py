@@ -9,6 +9,7 @@ import functools
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,7 +18,7 @@ from models.common import memory
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.common.files import MIB, TEXT, open_plain
-from models.kinds.kind import GRAVITY, LOWEST_HUB
+from models.kinds.kind import GRAVITY, HERE, LOWEST_HUB
 from models.kinds.strut_and_tyre import actuator_of
 from models.vehicle.limits_and_implementation import Limits
 from models.vehicle.vehicle import Vehicle
@@ -63,9 +64,6 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     spec = _drawn(vehicle)
     if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")
-    for sensor in spec.sensors:
-        if sensor.name in vehicle.kind.unnamed:
-            spec.delete(sensor)
     spec.option.timestep = timestep
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     vehicle.kind.write_mjcf(spec, vehicle.parameters)
@@ -80,12 +78,26 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
 
 
 def _drawn(vehicle: Vehicle) -> mujoco.MjSpec:
-    """Reads the MJCF of a kind."""
+    """Reads the MJCF of a kind, and drops the sensors of signals that its vehicles do not have."""
+    kind, unnamed = vehicle.kind, frozenset(vehicle.kind.unnamed)
+    if kind.folder == HERE:
+        return _shipped(kind.mjcf, unnamed).copy()
     try:
-        with quiet():
-            return mujoco.MjSpec.from_file(str(vehicle.kind.mjcf))
+        return _read(kind.mjcf, unnamed)
     except MUJOCO_SAYS as error:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: MuJoCo does not take it ({_said(error)}); mend that") from error
+        raise InputError(f"MJCF {kind.mjcf}: MuJoCo does not take it ({_said(error)}); mend that") from error
+
+
+def _read(path: Path, unnamed: frozenset[str]) -> mujoco.MjSpec:
+    with quiet():
+        spec = mujoco.MjSpec.from_file(str(path))
+    for sensor in spec.sensors:
+        if sensor.name in unnamed:
+            spec.delete(sensor)
+    return spec
+
+
+_shipped = functools.lru_cache(maxsize=16)(_read)  # nobody rewrites what ships
 
 
 def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -35,10 +35,10 @@ def sampled_design(
         InputError: the vehicle has no sample period.
         DesignError: no gain was found.
     """
-    known = []
+    held, known = held_problem(vehicle, entry), []
     with contextlib.suppress(DesignError):
         known = [ideal().law.D]
-    designed = held_design(held_problem(vehicle, entry), lower_bound.gamma or 1.0, known)
+    designed = held_design(held, lower_bound.gamma or 1.0, known)
     level = f", whose norm the LMI promises to be at most {designed.level:.7g}" if designed.level is not None else ""
     reads = ", of which forces on their way are not measured" if vehicle.implementation.delay else ""
     controller = _controller(entry, posed, lower_bound, static_law(designed.gain), f"designed for the sampled loop{reads}{level}")
