@@ -355,7 +355,8 @@ def test_summary(begun, small, capsys):
     for car in ("quarter_car", "half_car"):
         of = {name: [row for row in small[0] if (row["vehicle"], row["controller"]) == (car, name)] for name in ("passive", "I")}
         left = {name: sum(row["ended_by"] is not None for row in some) for name, some in of.items()}
-        told = ", ".join(f"{name} {left[name]} of {len(some)}" for name, some in of.items() if left[name])
+        order = sorted(of, key=lambda name: left[name] / len(of[name]))
+        told = ", ".join(f"{left[name]} of {len(of[name])} of {name}" for name in order if left[name])
         assert f"{car}: runs that left the linear regime: {told or 'none'}" in prose(short)
 
 

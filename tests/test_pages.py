@@ -10,7 +10,7 @@ SECTIONS = [each for name in PAGES for each in sections(name) if each.commands]
 # Each some seconds or more: in test_slow_pages.py, after the suite.
 SLOW = (
     *("sim.sweep", "sim.margins", "sim.envelope", "sim.report", "sim.gallery"),
-    *("synth --vehicle quarter_car_goals", "synth --front"),
+    *("synth --vehicle quarter_car_goals", "synth --front", "sim.campaign campaign.toml --picture"),
 )
 
 
@@ -29,8 +29,12 @@ def check(one: Section, folder, monkeypatch, capsys) -> None:
     printed = capsys.readouterr().out
     for text in one.blocks("text"):
         assert missing(text, printed) is None
-    for name in re.findall(r"--picture (\S+)", "\n".join(one.commands)):
+    lines = "\n".join(one.commands)
+    for name in re.findall(r"--picture (\S+)", lines):
         assert same_picture(folder / name, PICTURES / name)
+    for figures in re.findall(r"--figures (\S+)", lines):
+        for name in re.findall(r"!\[.*/pictures/(\S+)\)", one.text):
+            assert same_picture(folder / figures / name, PICTURES / name)
 
 
 @pytest.mark.parametrize("one", [each for each in SECTIONS if not slow(each)], ids=str)

@@ -197,6 +197,7 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
+FEW = 3  # controllers whose runs are counted one by one
 SEEN = 6  # roads and speeds that a short table has
 
 
@@ -208,17 +209,22 @@ def short_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     for some in groups:
         of = f"{some[0]['vehicle']}: " if len(groups) > 1 else ""
         whole = [_all_roads([entry for entry in some if entry["controller"] == name]) for name in _controllers(some)]
-        left = ", ".join(f"{one['controller']} {one['left']} of {one['runs']}" for one in whole if one["left"])
-        lines += wrapped(f"{of}runs that left the linear regime: {left or 'none'}", "  ", 4)
+        left = [f"{one['left']} of {one['runs']} of {one['controller']}" for one in sorted(whole, key=_share_left) if one["left"]]
+        told = f"{left[0]} to {left[-1]}" if len(left) > FEW and len(left) == len(whole) else ", ".join(left) or "none"
+        lines += wrapped(f"{of}runs that left the linear regime: {told}", "  ", 4)
         kept = [entry["ride"] for entry in some if not entry["left"] and entry["ride"]["predicted"]]
         if kept and left:
             of += "where none has, "
         if kept:
             off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
-            said = f"{of}the ride is within {percent(off)} of its prediction; of a random road that is of all such roads"
+            said = f"{of}the ride is within {percent(off)} of its prediction, over random roads a mean"
             lines += wrapped(said, "  ", 4)
         lines += [*_broken_lines(whole), *_law_lines(whole)]
     return [*lines, "  -v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
+
+
+def _share_left(one: Mapping[str, Any]) -> float:
+    return one["left"] / one["runs"]
 
 
 def _controllers(entries: Sequence[Mapping[str, Any]]) -> list[str]:
