@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,14 @@ def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
     for name, alt, line, _ in drawn:
         assert (PICTURES / name).exists()
         assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
+
+
+def test_every_command_of_the_questions_is_one():
+    """Each command within the sentences of the questions is taken by its parser."""
+    commands = re.findall(r"`python -m ([^`]+)`", page("docs/questions.md").replace("\n", " "))
+    assert len(commands) > 12
+    for name, *arguments in map(shlex.split, commands):
+        generate.parser_of(name).parse_args(arguments)
 
 
 def test_the_notebook_runs(tmp_path, monkeypatch, made):
