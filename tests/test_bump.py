@@ -414,6 +414,7 @@ def test_a_picture_is_of_the_signals():
     weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
     for panel, name in zip(figure.panels, weighed, strict=True):
+        assert panel.ylim is not None
         for run in runs:
             own = [curve for curve in panel.curves if curve.label == run.controller.name]
             for curve in own:
