@@ -391,7 +391,9 @@ def drawn() -> list[tuple[str, str, str, Path]]:
         for line in re.findall(r"^python -m .*--picture \S+.*$", text, re.M):
             (name,) = re.findall(r"--picture (\S+)", line)
             if name in shown:
-                found.append((name, shown[name], line, path))
+                found.append((name, shown.pop(name), line, path))
+        for line in re.findall(r"^python -m .*--figures \S+.*$", text, re.M):  # draws whatever else the page shows
+            found += [(name, alt, line, path) for name, alt in shown.items()]
     return found
 
 

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     from models.common.printed import say
-    from models.figures.outputs import check_outputs
+    from models.figures.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
     from sim.command import comparison
     from sim.runs.report import half_step_object, run_object, summary_lines
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
     comparison.check_view(options)
-    check_outputs({"logs": options.logs}, vehicle.files)
+    check_outputs({"picture": options.picture, "logs": options.logs}, vehicle.files)
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
@@ -44,11 +44,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "timestep": options.timestep,
     }
     logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    outputs = comparison.write_histories(options, runs, _where(road))
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive)
     exported = comparison.exported_object(vehicle, runs, options.timestep)
     if options.json:
-        print(json.dumps({**result, **exported, "compared": standings_object(standings), "logs": logs}, allow_nan=False))
+        print(
+            json.dumps(
+                {**result, **exported, "compared": standings_object(standings), **written(outputs), "logs": logs}, allow_nan=False
+            )
+        )
     else:
         lines = _titled(vehicle, road, options)
         if options.verbose:
@@ -58,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += comparison.short_lines(runs)
         lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         lines += ["", *standing_lines(standings, comparison.table_note(runs, options, "MuJoCo, all of the run"))]
-        say([*lines, *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
+        say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 
@@ -67,10 +72,14 @@ def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:
     from models.common.printed import titled
 
     return titled(
-        f"{vehicle.kind.name} over a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s"
-        f"{'' if road.track == 'both' else f', {road.track} wheels only'}; {options.duration:g} s at {options.timestep:g} s",
+        f"{vehicle.kind.name} over {_where(road)}; {options.duration:g} s at {options.timestep:g} s",
         vehicle.source,
     )
+
+
+def _where(road: "Bump") -> str:
+    wheels = "" if road.track == "both" else f", {road.track} wheels only"
+    return f"a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s{wheels}"
 
 
 if __name__ == "__main__":

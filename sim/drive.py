@@ -15,7 +15,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(arguments)
     from models.common.printed import say, titled
-    from models.figures.outputs import check_outputs
+    from models.figures.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
     from sim.command import comparison
     from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     road = requested_road(vehicle, options, time)
     check_band(road, options.band, "band" in options.given)
     comparison.check_view(options)
-    check_outputs({"logs": options.logs}, vehicle.files)
+    check_outputs({"picture": options.picture, "logs": options.logs}, vehicle.files)
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
@@ -52,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     steps = [measure_step(run, options.band) for run in runs] if step_of(road) else []
     logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    outputs = comparison.write_histories(options, runs, road.words)
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive, first, measured)
     exported = comparison.exported_object(vehicle, runs, options.timestep)
@@ -59,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         step = {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
         print(
             json.dumps(
-                {**result, "step": step, **exported, "compared": standings_object(standings), "logs": logs}, allow_nan=False
+                {**result, "step": step, **exported, "compared": standings_object(standings), **written(outputs), "logs": logs},
+                allow_nan=False,
             )
         )
     else:
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")
         lines += ["", *standing_lines(standings, about)]
-        say([*lines, *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
+        say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1
 

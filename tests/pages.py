@@ -34,7 +34,7 @@ LIGHTER = {
     "sim.margins --controller I --vehicle half_car": "--timestep 0.002",  # fewer steps of the same bisections
     "sim.envelope --controller II": "--timestep 0.004",  # fewer steps of the same cells
     "sim.campaign --verify": "--runs 4",
-    "sim.report --out": "--quick --timestep 0.004",  # test_report_numbers.py has whole reports
+    "sim.report --out report": "--quick --timestep 0.004",  # test_report_numbers.py has whole reports
     "sim.report --quick": "--controller I --timestep 0.004",
 }
 # In a campaign file, and on its command's line.

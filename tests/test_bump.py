@@ -14,14 +14,15 @@ from mcap.reader import make_reader
 
 from models.common.errors import InputError
 from models.roads.road import Bump
-from models.vehicle.vehicle import read_vehicle
+from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.runs.agreement import ROUNDING, compare
 from sim.runs.run import run_controllers, sample_times
+from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
 from tests.analysed import predict, simulate
 from tests.commands import prose
-from tests.shared import printed
+from tests.shared import printed, ran
 
 ROOT = Path(__file__).parent.parent
 VEHICLE = (ROOT / "models" / "quarter_car.toml").read_text()
@@ -396,3 +397,32 @@ def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path, b
     assert f"how good the physics is after lift-off is not said: at half the step its {blur} would be another" in out
     assert f"MuJoCo stays within the spread that is predicted of its measurements' {blur} (" in out
     assert f"the linear comparison does not apply from {run['until']:.4g} s on" in out
+
+
+def test_a_picture_is_of_the_signals():
+    """Every weighed signal has a panel: lines are the sampled response, markers MuJoCo, full ones after the lift-off.
+
+    The axis holds both, and an unstable loop's line ends with the linear regime.
+    """
+    vehicle = read_vehicle("quarter_car")
+    wild = f'{VEHICLE}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
+    wild_vehicle = parse_vehicle(wild)
+    runs = ran(wild_vehicle, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
+    figure = history_figure(runs, "a bump")
+    assert figure is not None
+    assert figure.finding.startswith("I_printed shakes the body least, with a peak of ")
+    weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
+    assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
+    for panel, name in zip(figure.panels, weighed, strict=True):
+        assert panel.ylim is not None
+        for run in runs:
+            own = [curve for curve in panel.curves if curve.label == run.controller.name]
+            for curve in own:
+                response = run.sampled if not curve.marker else run.physics
+                np.testing.assert_array_equal(curve.y, response[name][np.searchsorted(response.time, curve.x)])
+                assert panel.xlim == (0.0, 0.6)
+                if run.controller.name != "wild":
+                    assert panel.ylim[0] <= curve.y.min() <= curve.y.max() <= panel.ylim[1]
+                after = curve.x >= run.agreement.until
+                assert after.all() == curve.filled if curve.marker else run.controller.name != "wild" or not after.any()
+            assert {curve.filled for curve in own if curve.marker} == {False, True} or run.controller.name == "wild"

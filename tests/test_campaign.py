@@ -30,6 +30,7 @@ from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
+from tests.commands import prose
 from tests.curved import DIGRESSIVE, curved_text
 from tests.test_dampers import BOTH
 
@@ -340,14 +341,24 @@ def test_summary(begun, small, capsys):
         prefix = "expected" if entry["road"].startswith("iso") else "linear"
         predicted = root_mean_square(row[f"{prefix}_{entry['load']['column']}"] for row in some)
         assert entry["load"]["predicted"] == pytest.approx(predicted)
-    main([str(folder / "campaign.toml"), "--results", str(folder / "results")])
-    out = capsys.readouterr().out
+    texts = []
+    for more in ([], ["-v"]):
+        main([str(folder / "campaign.toml"), "--results", str(folder / "results"), *more])
+        texts.append(capsys.readouterr().out)
+    short, out = texts
     assert "all of them there already" in out
     assert out.count("quarter_car over iso8608:class=E at 25 m/s") == 1
     main([str(folder / "campaign.toml"), "--results", str(folder / "results"), "--brief"])
     brief = capsys.readouterr().out
     assert "quarter_car over" not in brief
-    assert out.endswith(brief[brief.index("\n\nquarter_car\n") :])
+    assert "quarter_car over" not in short
+    assert all(text.endswith(brief[brief.index("\n\nquarter_car\n") :]) for text in texts)
+    for car in ("quarter_car", "half_car"):
+        of = {name: [row for row in small[0] if (row["vehicle"], row["controller"]) == (car, name)] for name in ("passive", "I")}
+        left = {name: sum(row["ended_by"] is not None for row in some) for name, some in of.items()}
+        order = sorted(of, key=lambda name: left[name] / len(of[name]))
+        told = ", ".join(f"{left[name]} of {len(of[name])} of {name}" for name in order if left[name])
+        assert f"{car}: runs that left the linear regime: {told or 'none'}" in prose(short)
 
 
 def test_who_is_best_over_all_runs(begun, small):
@@ -401,7 +412,7 @@ def test_a_flat_tyre_is_a_row(tmp_path, capsys):
     broken, _, whole = json.loads(capsys.readouterr().out)["summary"]
     assert (broken["broke_off"], whole["broke_off"]) == (1, 0)
     assert broken["ride"] == {"column": None, "rms": None, "standard_error": None, "p95": None, "predicted": None}
-    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results")]) == 0
+    assert main([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "results"), "-v"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert sum(line.endswith("  broke off") for line in printed) == 2  # of the roads where a run did
     heading = next(i for i, line in enumerate(printed) if line.endswith("  broke off"))

@@ -231,6 +231,7 @@ def test_the_command_prints_what_its_json_has(capsys):
     assert main([*arguments, "--json"]) == 0
     passive, one = json.loads(capsys.readouterr().out)["controllers"]
     assert "fragility" not in passive
+    assert "-v adds" in printed
     assert printed.count("fragile:") == 1
     found = one["fragility"]
     stable = found["stable"]

@@ -381,7 +381,7 @@ def test_one_cause_is_one_line(change, said, parts, tmp_path, capsys):
 
 
 def test_several(brief, parts, tmp_path, capsys, monkeypatch):
-    """Several logs are inspected in turn, each as by itself, in text and JSON; the exit code is the worst."""
+    """Several logs are inspected in turn, a line each, with `-v` each as by itself, in JSON too; the exit code is the worst."""
     for name, function in (("log.read_log", read_log), ("proof.prove", prove)):
         monkeypatch.setattr(f"sim.inspect.{name}", functools.cache(function))  # each log is proved once
     forged, stub = tmp_path / "forged.mcap", tmp_path / "stub.mcap"
@@ -390,7 +390,7 @@ def test_several(brief, parts, tmp_path, capsys, monkeypatch):
     capsys.readouterr()
     alone, texts = {}, {}
     for path in (brief, forged):
-        main([str(path)])
+        main([str(path), "-v"])
         texts[path] = capsys.readouterr().out
         alone[path] = inspected(path, capsys)[1]
         assert "logs" not in alone[path]
@@ -401,6 +401,11 @@ def test_several(brief, parts, tmp_path, capsys, monkeypatch):
         ([stub, forged, brief], 2, "1 of 3 logs still proves what it claims\n"),
     ):
         assert main([str(path) for path in some]) == code
+        short = capsys.readouterr().out.splitlines()
+        assert short.count(f"still proves    {brief}") == some.count(brief)
+        assert short.count(f"DOES NOT PROVE  {forged}") == some.count(forged)
+        assert f"{short[-1]}\n" == ends
+        assert main([*map(str, some), "-v"]) == code
         printed = capsys.readouterr()
         assert printed.out == "".join(f"{texts[path]}\n" for path in some if path != stub) + ends
         assert printed.err.splitlines() == [f"roadproof: log {stub}: no MCAP file; {GIVE}"] * (stub in some)

@@ -25,8 +25,8 @@ COMMANDS = {  # with the least that each needs
     "synth": (),
 }
 OUTPUTS = {
-    "sim.bump": ("--logs",),
-    "sim.drive": ("--logs",),
+    "sim.bump": ("--picture", "--logs"),
+    "sim.drive": ("--picture", "--logs"),
     "sim.sweep": ("--picture", "--logs"),
     "sim.envelope": ("--csv", "--picture", "--logs"),
     "sim.margins": ("--picture", "--logs"),

@@ -31,8 +31,12 @@ def check(one: Section, folder, monkeypatch, capsys) -> None:
     printed = capsys.readouterr().out
     for text in one.blocks("text"):
         assert missing(text, printed) is None
-    for name in re.findall(r"--picture (\S+)", "\n".join(one.commands)):
+    lines = "\n".join(one.commands)
+    for name in re.findall(r"--picture (\S+)", lines):
         assert same_picture(folder / name, PICTURES / name)
+    for figures in re.findall(r"--figures (\S+)", lines):
+        for name in re.findall(r"!\[.*/pictures/(\S+)\)", one.text):
+            assert same_picture(folder / figures / name, PICTURES / name)
 
 
 @pytest.mark.parametrize("one", [each for each in SECTIONS if not slow(each)], ids=str)

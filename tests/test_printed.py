@@ -1,5 +1,6 @@
 """The commands' output fits a terminal, whatever the vehicle, and ends with the answer."""
 
+import functools
 import random
 import re
 import shlex
@@ -7,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from models.common.printed import WIDTH, Whole, command, fitted, matrix, percent, table, wrapped
+from models.common.printed import LINES, WIDTH, Whole, command, fitted, matrix, percent, some_sentences, table, wrapped
 from models.vehicle.vehicle import read_vehicle
 from sim.__main__ import COMMANDS
+from sim.inspect.log import read_log
+from sim.inspect.proof import prove
 from tests.commands import attacks, in_the_suite, main_of, prose, refused
 
 ROOT = Path(__file__).parent.parent
-LINES = 24  # of a terminal
 LONG = "a_controller_whose_name_is_as_long_as_a_name_may_be_60_signs"
 BUILT = "\n[limits]\nsuspension_stroke = 0.08\nstop_stiffness = 1e5\nactuator_force = 2e3\nactuator_bandwidth = 300.0\n"
 BUILT += "[implementation]\nsample_period = 4e-3\nnoise = { sprung_velocity = 1e-3 }\n"
@@ -32,6 +34,11 @@ SCREEN = {  # what is asked of every vehicle file that ships, and those whose an
     f"sim.bump {ALL} --logs logs": ("quarter_car_semi_active",),
     f"sim.drive {ALL} --class E --logs logs": ("quarter_car",),
     "synth --rates 5 50": (),
+    "synth --fragility": (),
+    "synth --refine": ("quarter_car_semi_active",),
+    "synth --prove": ("quarter_car",),
+    "synth --cross-check": ("quarter_car",),
+    "synth --front ride:travel --picture front.svg --csv front.csv": (),
     "synth --check FILE": ("quarter_car",),
     "sim.sweep --timestep 4e-3": (),
     "sim.margins --controller CONTROLLER --timestep 8e-3": (),
@@ -40,6 +47,11 @@ SCREEN = {  # what is asked of every vehicle file that ships, and those whose an
 }
 SHIPPED = ("quarter_car", "quarter_car_accelerometer", "quarter_car_goals", "quarter_car_semi_active", "half_car", "full_car")
 SOME = {
+    "--fragility": SHIPPED[:1],
+    "--refine": ("quarter_car", "quarter_car_semi_active", "half_car"),
+    "--prove": SHIPPED[:2],
+    "--cross-check": ("quarter_car", "quarter_car_semi_active", "half_car"),
+    "--front": SHIPPED[:1],
     "--check": SHIPPED[:4],
     "--rates": ("quarter_car", "quarter_car_accelerometer", "quarter_car_semi_active"),
     "sim.margins": ("quarter_car", "half_car"),
@@ -49,14 +61,14 @@ SOME = {
 ONE = {"quarter_car_accelerometer": "accelerometer", "quarter_car_goals": "comfort"}  # of others it is I
 RUN = r"agrees|DOES NOT AGREE|outside the linear regime"
 ANSWERS = {  # how the last line, or the sentence that is the last, begins
-    "synth": r"every claim holds|not every claim holds",
+    "synth": r"every claim holds|not every claim holds|\d+ certified designs",
     "sim.bump": RUN,
     "sim.drive": RUN,
     "sim.sweep": RUN,
     "sim.margins": RUN,
     "sim.envelope": RUN,
     "sim.report": "MuJoCo agrees with the analysis|nothing is refuted|something FAILS",
-    "sim.inspect": r"(the log still proves|the log DOES NOT PROVE)",
+    "sim.inspect": r"(the log still proves|the log DOES NOT PROVE|12 of 12 logs still prove)",
 }
 
 ENVELOPE = "sim.envelope --controller I --vary height:0.02:0.4:3 --vary speed:5:20:3 --csv map.csv --timestep 4e-3"
@@ -127,6 +139,7 @@ def test_the_answer_fits_a_screen(car, line, tmp_path, monkeypatch, capsys):
     """Without `-v` every command answers within 24 lines, of every vehicle that ships, and its last words are the verdict."""
     monkeypatch.chdir(tmp_path)
     line = line.replace("CONTROLLER", ONE.get(car, "I")).replace("FILE", str(ROOT / "models" / f"{car}.toml"))
+    monkeypatch.setattr("synth.command.trade_off.DESIGNS", 12)  # a front of a few designs has the same lines
     name, *arguments = shlex.split(line)
     main_of(name)([*arguments, *([] if "--check" in arguments else ["--vehicle", car])])
     out = capsys.readouterr().out
@@ -145,24 +158,33 @@ def test_report_and_log(tmp_path, monkeypatch, capsys):
     assert re.match(ANSWERS["sim.report"], out.splitlines()[-1])
     assert main_of("sim.bump")(["--vehicle", "full_car", "--controller", "I", "--duration", "0.2", "-v"]) == 0
     capsys.readouterr()
-    (log,) = tmp_path.glob("logs/*.mcap")
-    assert main_of("sim.inspect")([str(log), "--csv", "signals.csv"]) == 0
-    out = capsys.readouterr().out
-    assert too_wide(out) == []
-    assert re.fullmatch(ANSWERS["sim.inspect"] + ".*", out.splitlines()[-1])
+    (log,) = Path("logs").glob("*.mcap")
+    for name, function in (("log.read_log", read_log), ("proof.prove", prove)):
+        monkeypatch.setattr(f"sim.inspect.{name}", functools.cache(function))  # proved once
+    for more, short in (["--csv", "signals.csv"], True), (["-v"], False), ([str(log)] * 11, True):
+        assert main_of("sim.inspect")([str(log), *more]) == 0
+        out = capsys.readouterr().out
+        assert too_wide(out) == []
+        assert (len(out.splitlines()) <= LINES) == short
+        assert re.fullmatch(ANSWERS["sim.inspect"] + ".*", out.splitlines()[-1])
 
 
 def test_campaign(tmp_path, monkeypatch, capsys):
-    """A campaign names its results and then shows its tables; --verify ends with its verdict."""
+    """A campaign names its results and says who is best, `-v` shows its tables; --verify ends with its verdict."""
     pytest.importorskip("pyarrow", reason="needs the extra [campaign]")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    assert main_of("sim.campaign")(["campaign.toml", "--workers", "1"]) == 0
+    assert main_of("sim.campaign")(["campaign.toml", "--workers", "1", "-v"]) == 0
     out = capsys.readouterr().out
     assert too_wide(out) == []
     assert out.index("results.parquet") < out.index("full_car over bump at 10 m/s")
     assert re.search(r"^    I( +[\d.]+){5}$", out, re.MULTILINE)
     assert out.splitlines()[-1].startswith("  *: the best; %: against passive")
+    assert main_of("sim.campaign")(["campaign.toml"]) == 0
+    short = capsys.readouterr().out
+    assert too_wide(short) == []
+    assert len(short.splitlines()) <= LINES < len(out.splitlines())
+    assert short[short.index("\n\nfull_car\n") :] == out[out.index("\n\nfull_car\n") :]
     assert main_of("sim.campaign")(["--verify", "campaign-results", "--runs", "1"]) == 0
     out = capsys.readouterr().out
     assert too_wide(out) == []
@@ -197,6 +219,19 @@ def test_sentences_keep_their_words():
         assert not any(line.endswith((" 7.5", "+-")) for line in lines)
         assert lines[0].startswith(indent)
         assert all(line.startswith(f"{indent}  ") for line in lines[1:])
+
+
+def test_sentences_fill_a_terminal():
+    """A terminal shows as many sentences as it has room for, the first always, and the number of those that it leaves out."""
+    sentences = ["one " * 30, "two", "three"]  # the first takes two lines
+    for others, kept in ((0, 3), (20, 3), (21, 1), (23, 1), (30, 1)):
+        lines = some_sentences(sentences, ["other"] * others)
+        assert lines[0].startswith("one one")
+        assert sum(line in ("two", "three") for line in lines) == kept - 1
+        assert (lines[-1] == "-v has 2 more sentences") == (kept == 1)
+        assert others > 22 or len(lines) + others <= LINES
+    assert some_sentences(["one", "two", "three"], ["other"] * 22) == ["one", "-v has 2 more sentences"]
+    assert some_sentences([], ["other"]) == []
 
 
 def test_what_is_copied_is_not_cut():

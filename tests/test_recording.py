@@ -1,6 +1,7 @@
 """Recordings: what was written is read back by the formats' own readers, and an unfinished one leaves no trace."""
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -193,13 +194,19 @@ def test_rerun_file_is_valid(paths: dict[str, Path], tmp_path: Path) -> None:
 
 
 def test_rerun_gives_back_every_number(run: RunLog, paths: dict[str, Path]) -> None:
-    """Every signal of every response is at `/<run>/signals/<signal>/<response>`, to the bit."""
+    """Every signal of every response is at `/<run>/signals/<signal>/<response>`, to the bit.
+
+    The shown one has a NaN after its end, by the width of a label.
+    """
     for name, response in run.responses.items():
         for signal in response.names:
             columns = rerun_columns(paths["rerun"], f"/I/signals/{signal}/{name}")
-            assert columns["time"] == nanoseconds(response.time)
+            count = len(response.time)
+            assert columns["time"][:count] == nanoseconds(response.time)
             # No tolerance: Rerun keeps scalars as doubles.
-            assert np.array(columns["Scalars:scalars"]).tobytes() == response[signal].tobytes()
+            assert np.array(columns["Scalars:scalars"][:count]).tobytes() == response[signal].tobytes()
+            assert columns["time"][count:] == nanoseconds(1.04 * response.time[-1:]) * (name == "mujoco")
+            assert all(map(math.isnan, columns["Scalars:scalars"][count:]))
 
 
 def test_rerun_file_moves_the_car(run: RunLog, paths: dict[str, Path]) -> None:

@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS
 from models.vehicle.vehicle import SECTIONS
 from sim.__main__ import COMMANDS
 from tests.commands import main_of
-from tests.pages import GENERATED, PICTURES, ROOT, SITE, page
+from tests.pages import GENERATED, PAGES, PICTURES, ROOT, SITE, page
 
 DOCS = ROOT / "docs"
 NOTEBOOK = DOCS / "tutorials" / "notebook.ipynb"
@@ -91,12 +92,25 @@ def test_tables_have_whole_rows(made):
 
 
 def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
-    """Each picture that a command on a page draws stands in the gallery, above that command."""
+    """Each picture that a command on a page draws stands in the gallery, above that command, and pages show no other.
+
+    `test_pages.py` and `test_slow_pages.py` run the command, and hold what it draws against the picture.
+    """
     drawn = generate.drawn()
-    assert len(drawn) >= 5
+    assert {name for name, *_ in drawn} == {path.name for path in PICTURES.iterdir()}
+    shown = {name for each in PAGES for name in re.findall(r"!\[[^\]]*\]\([^)]*/([^/)]+)\)", page(each))}
+    assert shown == {name for name, *_ in drawn}
     for name, alt, line, _ in drawn:
         assert (PICTURES / name).exists()
         assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
+
+
+def test_every_command_of_the_questions_is_one():
+    """Each command within the sentences of the questions is taken by its parser."""
+    commands = re.findall(r"`python -m ([^`]+)`", page("docs/questions.md").replace("\n", " "))
+    assert len(commands) > 12
+    for name, *arguments in map(shlex.split, commands):
+        generate.parser_of(name).parse_args(arguments)
 
 
 def test_the_notebook_runs(tmp_path, monkeypatch, made):

@@ -150,6 +150,20 @@ def fitted(lines: Iterable[str]) -> list[str]:
     return [part for line in lines for part in (wrapped(line) if len(line) > WIDTH else [line])]
 
 
+LINES = 24  # of a terminal
+
+
+def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]:
+    """Returns the sentences that a terminal has room for beside other lines, the first in any case, and how many are left."""
+    room, lines = LINES - len(fitted(others)), list[str]()
+    for i, sentence in enumerate(sentences):
+        more = len(sentences) - i - 1
+        if i and len(lines) + len(fitted([sentence])) + bool(more) > room:
+            return [*lines, f"-v has {more + 1} more sentence{'s' * bool(more)}"]
+        lines += fitted([sentence])
+    return lines
+
+
 def titled(title: str, source: str) -> list[str]:
     """Returns a title, and below it the path of its source."""
     return [title, Whole(f"{GAP}{source}")]

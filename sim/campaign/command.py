@@ -22,7 +22,7 @@ from sim.campaign.file import Campaign, parse_campaign, read_campaign
 from sim.campaign.manifest import FaultError, Gains, Manifest, check_same, digest, gains_of, locked, read_manifest
 from sim.campaign.plan import Plan, Progress
 from sim.campaign.store import Store
-from sim.campaign.summary import compare, compared_lines, compared_object, summarise, summary_lines, trade_off
+from sim.campaign.summary import compare, compared_lines, compared_object, short_lines, summarise, summary_lines, trade_off
 from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
@@ -117,7 +117,7 @@ def run_campaign(options: argparse.Namespace) -> int:
                     "",
                     "results",
                     Whole(f"  {store.results}"),
-                    *([] if options.brief else summary_lines(entries)),
+                    *([] if options.brief else (summary_lines if options.verbose else short_lines)(entries)),
                     *written_lines(outputs),
                     *compared_lines(standings, {choice.vehicle: choice.candidate for choice in choices}),
                     *(["", *(choice.line for choice in choices)] if choices else []),
@@ -133,7 +133,7 @@ def check_results(options: argparse.Namespace) -> int:
     Raises:
         InputError: an option that does not go with it; there is no finished campaign, or it cannot be read here.
     """
-    for name in ("results", "workers", "batch", "ray", "picture", "brief", "best", "subject_to", "save"):
+    for name in ("results", "workers", "batch", "ray", "picture", "verbose", "brief", "best", "subject_to", "save"):
         if name in options.given or (name == "subject_to" and options.subject_to):
             raise InputError(f"--verify runs no campaign, so --{name.replace('_', '-')} does not go with it; leave it out")
     folder = options.verify

@@ -14,7 +14,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.printed import cell, table
+from models.common.printed import WIDTH, cell, percent, table, wrapped
 from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed, PythonLaw
 from models.roads.spectrum import Spectrum
@@ -195,6 +195,62 @@ def summary_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
                 rows.append((f"  {entry['controller']}", *numbers, *(str(entry.get(key, 0)) for key in counted)))
         lines += ["", f"{vehicle} over {road} at {speed:g} m/s", *table(rows), *_broken_lines(every), *_law_lines(every)]
     return lines
+
+
+FEW = 3  # controllers whose runs are counted one by one
+SEEN = 6  # roads and speeds that a short table has
+
+
+def short_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Returns the ride by road where there are few, what left the linear regime, and how far the ride is from its prediction."""
+    lines, groups = [""], [list(some) for _, some in itertools.groupby(entries, lambda entry: entry["vehicle"])]
+    if len(groups) == 1:
+        lines += _ride_table(entries)
+    for some in groups:
+        of = f"{some[0]['vehicle']}: " if len(groups) > 1 else ""
+        whole = [_all_roads([entry for entry in some if entry["controller"] == name]) for name in _controllers(some)]
+        left = [f"{one['left']} of {one['runs']} of {one['controller']}" for one in sorted(whole, key=_share_left) if one["left"]]
+        told = f"{left[0]} to {left[-1]}" if len(left) > FEW and len(left) == len(whole) else ", ".join(left) or "none"
+        lines += wrapped(f"{of}runs that left the linear regime: {told}", "  ", 4)
+        kept = [entry["ride"] for entry in some if not entry["left"] and entry["ride"]["predicted"]]
+        if kept and left:
+            of += "where none has, "
+        if kept:
+            off = max(abs(ride["rms"] / ride["predicted"] - 1) for ride in kept)
+            said = f"{of}the ride is within {percent(off)} of its prediction, over random roads a mean"
+            lines += wrapped(said, "  ", 4)
+        lines += [*_broken_lines(whole), *_law_lines(whole)]
+    return [*lines, "  -v: rms, 95 %, prediction of ride, travel and load, by road and speed"]
+
+
+def _share_left(one: Mapping[str, Any]) -> float:
+    return one["left"] / one["runs"]
+
+
+def _controllers(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(entry["controller"] for entry in entries))
+
+
+def _ride_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Returns the ride of every controller on every road of a vehicle; empty for a single road, or what does not fit."""
+    by_place: dict[str, dict[str, str]] = {}
+    for entry in entries:
+        place = by_place.setdefault(f"{entry['road']} at {entry['speed']:g} m/s", {})
+        place[entry["controller"]] = cell(entry["ride"]["rms"], ".3g")
+    names = _controllers(entries)
+    rows = [(place, *(here.get(name, "-") for name in names)) for place, here in by_place.items()]
+    lines = table([("ride, rms [m/s2]", *names), *rows])
+    return lines if 1 < len(rows) <= SEEN and len(lines) == len(rows) + 1 and max(map(len, lines)) <= WIDTH else []
+
+
+def _all_roads(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns the counts of a controller's entries, summed, with the first reasons."""
+    whole: dict[str, Any] = dict(entries[0])
+    for key in ("runs", "left", "broke_off", *(["failed"] if "failed" in whole else [])):
+        whole[key] = sum(entry[key] for entry in entries)
+    for key in ("first_reason", "first_failure"):
+        whole[key] = next((entry[key] for entry in entries if entry.get(key)), None)
+    return whole
 
 
 def _broken_lines(entries: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -165,6 +165,24 @@ def recorded(
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
+def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
+    """Draws what `--picture` asks for; returns the output that was written, by name.
+
+    Args:
+        where: the road in words, after "over".
+    """
+    if options.picture is None:
+        return {}
+    from models.figures.picture import write_picture
+    from sim.runs.time_histories import history_figure
+
+    figure = history_figure(runs, where)
+    if figure is None:
+        return {"picture": None}
+    write_picture(figure, options.picture)
+    return {"picture": options.picture}
+
+
 def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
     """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
 

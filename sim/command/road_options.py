@@ -66,6 +66,12 @@ def add_run_options(parser: Parser, duration: float) -> None:
     add_exported(parser)
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="draw MuJoCo over the analysis, a panel for each weighed signal (.png or .svg)",
+    )
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")

@@ -7,7 +7,9 @@ from typing import Any
 
 from models.common.command import Parser, complain, run_command
 from models.common.errors import InputError
-from models.common.printed import Whole, say
+from models.common.printed import Whole, say, wrapped
+
+LISTED = 16  # logs; of more only those are listed that do not prove what they claim
 
 EPILOG = """
 exit code: 0 the log still proves what it claims, 1 it does not, and the text says where, 2 bad input; of several logs the worst
@@ -42,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise InputError(
                 f"--csv writes the signals of one log, and {len(options.logs)} were named; give one, or leave it out"
             )
-        return _several(options.logs, options.kinds, options.json)
+        return _several(options.logs, options.kinds, options.verbose, options.json)
     (path,) = options.logs
     kinds = [file for ending in ("py", "xml") for file in options.kinds.glob(f"*.{ending}")] if options.kinds is not None else []
     check_outputs({"csv": options.csv}, [path, *kinds], options.json)
@@ -56,19 +58,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(proof_object(proof) | {"csv": str(options.csv) if options.csv else None}, allow_nan=False))
     else:
         csv = ["csv", Whole(f"  {options.csv}"), ""] if options.csv is not None else []
-        say([*csv, *proof_lines(proof)])
+        say([*csv, *proof_lines(proof, options.verbose)])
     return 0 if proof.holds else 1
 
 
-def _several(paths: Sequence[Path], kinds: Path | None, as_json: bool) -> int:
+def _several(paths: Sequence[Path], kinds: Path | None, full: bool, as_json: bool) -> int:
     """Inspects logs in turn, and keeps none; a file that is no log is said, and the others are inspected all the same.
+
+    Args:
+        full: True for all findings, else a line for each log.
 
     Returns:
         The worst exit code.
     """
     from sim.inspect.log import read_log
     from sim.inspect.proof import prove
-    from sim.inspect.report import proof_lines, proof_object
+    from sim.inspect.report import broken_text, proof_lines, proof_object
 
     objects: list[dict[str, Any]] = []
     code = 0
@@ -82,13 +87,20 @@ def _several(paths: Sequence[Path], kinds: Path | None, as_json: bool) -> int:
             continue
         code = max(code, 0 if proof.holds else 1)
         objects.append(proof_object(proof))
-        if not as_json:
+        if as_json:
+            continue
+        if full:
             say([*proof_lines(proof), ""])
+        elif not proof.holds:
+            say([Whole(f"DOES NOT PROVE  {path}"), *wrapped(broken_text(proof), "  ", 4)])
+        elif len(paths) <= LISTED:
+            say([Whole(f"still proves    {path}")])
     hold = sum(one["proves"] for one in objects)
     if as_json:
         print(json.dumps({"logs": objects, "proves": hold == len(paths)}, allow_nan=False))
     else:
-        print(f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}")
+        said = f"{hold} of {len(paths)} logs still prove{'s' * (hold == 1)} what {'it claims' if hold == 1 else 'they claim'}"
+        say([said] if full else ["-v has every finding", "", said])
     return code
 
 
@@ -105,7 +117,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--kinds", type=Path, metavar="DIR", help="folder of a kind of vehicle of your own; its Python is run (default: none)"
     )
-    parser.add_argument(
+    printed = parser.add_mutually_exclusive_group()
+    printed.add_argument("-v", "--verbose", action="store_true", help="print every finding, also of several logs")
+    printed.add_argument(
         "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
     )
     return parser

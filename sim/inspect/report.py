@@ -13,6 +13,7 @@ from sim.runs.report import controller_object, run_object
 from synth.controller.controller import Controller
 from synth.controller.report import law_lines, preview_lines
 
+FEW = 2  # runs that are told with road and law where not every finding is
 LONGEST = 400  # characters of a text from a log on the terminal
 
 
@@ -44,8 +45,12 @@ def _run_object(one: Inspected) -> dict[str, Any]:
     }
 
 
-def proof_lines(proof: Proof) -> list[str]:
-    """Returns the result in lines for the terminal."""
+def proof_lines(proof: Proof, full: bool = True) -> list[str]:
+    """Returns the result in lines for the terminal.
+
+    Args:
+        full: True for every finding in words, and versions and gains; else what holds is named in a line.
+    """
     log, vehicle = proof.log, proof.vehicle
     about = {
         "command": log.metadata.get("command_line"),
@@ -53,11 +58,16 @@ def proof_lines(proof: Proof) -> list[str]:
         "from": log.metadata.get("vehicle", "a file of no name"),
         "versions": ", ".join(f"{name} {version}" for name, version in _versions(log).items()),
     }
+    about = about if full else {key: about[key] for key in ("command", "vehicle")}
     lines = [Whole(log.path)]
     for key, text in about.items():
         lines += wrapped(_shown(text), f"  {key:10}", 12) if text else []
-    lines += _lines(proof.findings)
+    lines += _lines(proof.findings, full)
+    brief = not full and len(proof.runs) > FEW
     for one in proof.runs:
+        if brief:
+            lines += [f"run {one.recorded.name}", *_lines(one.findings, full)]
+            continue
         end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
         lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]
         if one.again:
@@ -66,20 +76,28 @@ def proof_lines(proof: Proof) -> list[str]:
             lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
             if not isinstance(controller, Controller):
                 lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
-            elif controller.measured:
+            elif controller.measured and full:
                 lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
                 lines += preview_lines(controller, f"  {'':10}")
-        lines += _lines(one.findings)
-    broken = [f"the {name}" for name in _broken(proof.findings)]
-    broken += [f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings)]
-    fails = f"the log DOES NOT PROVE what it claims: {', '.join(broken)}"
+        lines += _lines(one.findings, full)
+    fails = f"the log DOES NOT PROVE what it claims: {broken_text(proof)}"
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
     holds = f"the log still proves what it claims{', and of goals it claims nothing' if goals else ''}"
-    return [*lines, "", holds if proof.holds else fails]
+    return [*lines, *([] if full else ["-v has every finding in words"]), "", holds if proof.holds else fails]
 
 
-def _lines(findings: Sequence[Finding]) -> list[str]:
-    """Findings in columns."""
+def broken_text(proof: Proof) -> str:
+    """Returns the parts of a log of which something is not proved; empty without any."""
+    broken = [f"the {name}" for name in _broken(proof.findings)]
+    return ", ".join([*broken, *(f"{name} of {one.recorded.name}" for one in proof.runs for name in _broken(one.findings))])
+
+
+def _lines(findings: Sequence[Finding], full: bool) -> list[str]:
+    """Findings in columns, or the names of those that hold in a line and the others in columns."""
+    if not full:
+        held = ", ".join(dict.fromkeys(one.part for one in findings if one.verdict == HOLDS))
+        others = _lines([one for one in findings if one.verdict != HOLDS], full=True)
+        return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *others]
     return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
 
 

@@ -65,8 +65,17 @@ def line(label: str, color: str, width: float) -> rr.SeriesLines:
     return rr.SeriesLines(names=label, colors=rgb(color), widths=width, aggregation_policy="MinMax")
 
 
+AFTER_END = 0.04  # of a run's duration: a plot over time ends with its data, and would cut its last label
+
+
+def _log_end(recording: rr.RecordingStream, path: str, time: Array, width: int = 1) -> None:
+    """Logs numbers that are none a little after the end of a series of some width, so that its plot goes on until there."""
+    after = time_index(time[-1:] + AFTER_END * time[-1:])
+    recording.send_columns(path, after, rr.Scalars.columns(scalars=np.full(width, np.nan)).partition([width]))
+
+
 def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
-    """Logs every response of a run at `signals/<signal>/<response>`, in tints of its colour."""
+    """Logs every response of a run at `signals/<signal>/<response>`, in tints of its colour, and the end of the shown one."""
     for name, response in run.responses.items():
         index = time_index(response.time)
         label, white, width = RESPONSES.get(name, (name, *ANY_RESPONSE))
@@ -76,6 +85,8 @@ def log_signals(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
             path = entity(run.name, "signals", signal.name, name)
             recording.log(path, looks[signal.unit], static=True)
             recording.send_columns(path, index, rr.Scalars.columns(scalars=response[signal.name]))
+            if name == shown(run):
+                _log_end(recording, path, response.time)
 
 
 def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
@@ -98,6 +109,7 @@ def log_difference(recording: rr.RecordingStream, run: RunLog) -> None:
         values = np.stack([gap[name] for name in names], axis=-1)
         columns = rr.Scalars.columns(scalars=values.ravel()).partition([len(names)] * len(values))
         recording.send_columns(path, time_index(gap.time), columns)
+        _log_end(recording, path, gap.time, len(names))
 
 
 def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
@@ -108,6 +120,7 @@ def log_acting(recording: rr.RecordingStream, run: RunLog, color: str) -> None:
             path = entity(run.name, "acting", LOADS, signal.name)
             recording.log(path, line(f"{signal.name.replace('_', ' ')} [{signal.unit}]", color, 1.5), static=True)
             recording.send_columns(path, time_index(loads.time), rr.Scalars.columns(scalars=loads[signal.name]))
+            _log_end(recording, path, loads.time)
     if DAMPERS not in run.acting:
         return
     pulled = run.acting[DAMPERS]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen, run_command
-from models.common.printed import Stages, Whole, say
+from models.common.printed import Stages, Whole, say, some_sentences
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
@@ -81,9 +81,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from sim.report.exported import TITLE
 
             coded = [f"the code of {options.exported} is driven and judged in the section {TITLE!r}"]
-        said = page.answer if options.verbose else page.lead[:-1]  # what its percentages are of, the table says
-        answer = [] if options.brief else ["", *said, *([""] if said else []), VERDICTS[page.state]]
-        say([*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared, *answer])
+        lines = [*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared]
+        if not options.brief:
+            verdict = VERDICTS[page.state]
+            # What percentages are of, the table says.
+            said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", verdict])
+            lines += ["", *said, *([""] if said else []), verdict]
+        say(lines)
     return 0
 
 

@@ -2,15 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
 
-from models.common.arrays import Array
 from models.common.printed import Column
-from models.figures.axis import axis_of
-from models.figures.figure import Curve, Figure, Panel, thinned
+from models.figures.figure import Curve, Figure, Panel
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
 from models.roads.road import Bump
@@ -20,11 +17,11 @@ from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
+from sim.runs.time_histories import OF_LINE, history_panels
 from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
 ROOM = 1.15  # times what was reached, on both axes
-OF_LINE = 600  # points of a curve
 
 
 def suspension_figure(scope: Scope, runs: Sequence[Run], where: str) -> Figure | None:
@@ -61,26 +58,13 @@ def _panel(scope: Scope, diagram: Diagram, runs: Sequence[Run]) -> Panel:
     return Panel(diagram.title, diagram.over, "force [N]", (*points, *lines), None, xlim=limits[0], ylim=limits[1])
 
 
-POINTS = 24  # of MuJoCo in a time history
-
-
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; what is infinite is -
 def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     """The paper's Fig. 4, and the peaks in it."""
     vehicle = scope.vehicle
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
-    panels = []
-    for name in signals:
-        drawn = [one for run in runs if (one := _drawn(scope, run, name)) is not None]
-        curves = [curve for one in drawn for curve in one.curves]
-        if not curves:
-            continue
-        signal = vehicle.kind.signal(name)
-        words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
-        title = f"{words}, {signal.symbol}"
-        seen = axis_of(_seen(drawn), None, log=False)
-        limits = (0.0, BUMP_DURATION), (seen.low, seen.high)
-        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=limits[0], ylim=limits[1]))
+    simple = scope.prompt and not scope.is_nonlinear
+    panels = history_panels(runs, scope.styles, lambda run: _bounded(scope, run), continuous=simple)
     early = "; where a loop is unstable or a run breaks off, until the linear regime ends"
     early = "" if all(_bounded(scope, run) for run in runs) else early
     lines = f"linear analysis of the continuous loop{scope.lag}"
@@ -94,7 +78,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"Lines: {lines}{early}. "
         f"Markers: MuJoCo at {1e3 * scope.timestep:g} ms{ended}"
     )
-    figure = Figure("bump", title, tuple(panels), columns=2 if len(signals) <= 4 else 3, finding=_least_peak(scope, runs))
+    figure = Figure("bump", title, tuple(panels), columns=2 if len(panels) <= 4 else 3, finding=_least_peak(scope, runs))
     columns: tuple[Column[tuple[str, Run]], ...] = (
         Column("signal", lambda of: of[0].replace("_", " ")),
         Column("unit", lambda of: vehicle.kind.signal(of[0]).unit),
@@ -140,63 +124,9 @@ def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
     return f"{least} shakes the body least over the bump: a peak of {peaks[least]:.3g} {unit}{against}."
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """Curves of one run in a panel.
-
-    Attributes:
-        curves: its line and its points.
-        values: values that the axis should hold.
-        bounded: True if they have a bound.
-    """
-
-    curves: tuple[Curve, ...]
-    values: Array
-    bounded: bool
-
-
 def _bounded(scope: Scope, run: Run) -> bool:
     """Returns True if the motion after the linear regime is still a vehicle's, so that its line has a bound."""
     return not scope.unstable(run.controller) and run.broke_off is None
-
-
-def _drawn(scope: Scope, run: Run, name: str) -> _Drawn | None:
-    """Draws one signal of one run, or returns None if the signal is silent: no control force, or no roll on a symmetric road.
-
-    An unstable loop, or a run that broke off, has no bound. Its line ends with its linear regime, its points where it breaks off,
-    and the axis holds at most the values within the regime.
-    """
-    if float(run.physics.peak(name)) < run.physics.scale(name):
-        return None
-    style, until = scope.styles[run.controller.name], run.agreement.until
-    bounded = _bounded(scope, run)
-    end = run.broke_off[1] if run.broke_off is not None else math.inf
-    every = max(1, len(run.physics.time) // POINTS)
-    curves, seen = [], [np.zeros(0)]
-    line = (run.continuous if scope.prompt and not scope.is_nonlinear else run.sampled).until(math.inf if bounded else until)
-    if len(line.time):
-        thin = thinned(line[name], max(1, len(line.time) // OF_LINE))
-        curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, style.color, style.dash))
-        seen.append(line[name])
-    time, values = run.physics.time[::every], run.physics[name][::every]
-    for filled, some in ((False, time < until), (True, (until <= time) & (time < end))):
-        if some.any():
-            seen_as = f"{run.controller.name}, MuJoCo"
-            points = time[some], values[some], run.controller.name
-            curves.append(Curve(*points, style.color, "none", style.marker, name=seen_as, filled=filled))
-        if bounded or not filled:
-            seen.append(values[some])
-    return _Drawn(tuple(curves), np.concatenate(seen), bounded)
-
-
-def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
-    """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far."""
-    within = [one.values for one in drawn if one.bounded]
-    if not within:
-        return [one.values for one in drawn]
-    low, high = (float(end(np.concatenate(within))) for end in (np.min, np.max))
-    size = high - low
-    return [one.values if one.bounded else np.clip(one.values, low - size, high + size) for one in drawn]
 
 
 def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -> Section:

@@ -78,11 +78,13 @@ def lead(standings: Sequence[Standing], dive: Mapping[str, float], norms: Mappin
     if passive is None or len(rows) < 2:
         return []
     merits: dict[str, dict[str, str]] = {}
-    for key, names in {**best(standings), NORM: _least(norms)}.items():
+    leaders = {**best(standings), NORM: _least(norms)}
+    alone = {names[0] for key, names in leaders.items() if key in VERBS and len(names) == 1}
+    for key, names in leaders.items():
         for name in names if key in VERBS else ():
             merits.setdefault(name, {})[key] = f"{VERBS[key]} ({_size(rows, norms, name, key)})"
     sentences = []
-    for name, won in sorted(merits.items(), key=lambda one: list(VERBS).index(next(iter(one[1])))):
+    for name, won in sorted(merits.items(), key=lambda one: (one[0] not in alone, list(VERBS).index(next(iter(one[1]))))):
         if name == PASSIVE:
             sentences.append(f"{PASSIVE}, without any force, {joined(list(won.values()))}.")
             continue

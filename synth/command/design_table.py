@@ -45,8 +45,8 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
-DETAILED = frozenset(("cross_check", "fragility", "prove", "refine", "zero_l"))  # options that ask for details
 MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
+ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer stands in place of gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
 
@@ -129,14 +129,18 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             print(json.dumps(result, allow_nan=False))
         else:
             lines = titled(vehicle.kind.name, vehicle.source)
-            full = options.verbose or bool(options.given & DETAILED)
+            full, asked = options.verbose, bool(options.given & ASKED)
             promised = any(row.controller is not None and row.controller.specifications for row in rows)
             for row in rows:
                 lines += (
                     ["", *detail_lines(row, vehicle)]
                     if full
-                    else short_lines(row, gains=not promised, checked=bool(options.check))
+                    else short_lines(row, gains=not promised and not (asked and len(rows) > 1), checked=bool(options.check))
                 )
+            if options.fragility and not full:
+                from synth.command.fragility import short_lines as fragile_lines
+
+                lines += fragile_lines({row.name: row.fragile for row in rows if row.fragile is not None})
             at_pole = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
             lines += [*([""] if full else []), _limit(limit, at_pole)]
             if moved and full:
@@ -144,7 +148,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 share = f"{100 * FLAT:g} % more of {of}"
                 lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
                 lines += table([(state, *_range(*values)) for state, values in moved.items()])
-            lines += refine_lines(rows, options.vehicle, full)
+            lines += refine_lines(rows, options.vehicle, full) if full or not asked else []
             if saved:
                 from synth.command.save import left_out_lines
 
@@ -154,7 +158,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
             about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
             given = ", every force given" if vehicle.dampers else ""
-            rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given)
+            rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given) if full or not asked else []
             unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
             more = [] if full else [MORE]
             say([*lines, "", *table_lines(rows), *about, *rides, *unnamed, *more, "", *verdict_lines(rows)])
@@ -200,7 +204,8 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
             witness = cross_check(designer, controller, options.zero_l)
             failures += witness.failures if witness is not None else ()
-        return Row(name, controller, (*notes(controller), *said), failures, designer.worth_refining(controller), witness)
+        worth = designer.worth_refining(controller)
+        return Row(name, controller, (*notes(controller), *said), failures, worth, witness, answers=said)
     except KeyboardInterrupt as error:
         raise InterruptedDesign(controller, "interrupted: designed, and not all that was asked about it is known") from error
 
@@ -228,12 +233,12 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
             controller = designer.design(name, zero_l)
         except DesignError:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
-        return Row(name, controller, (*notes(controller), f"not refined: {error}"), ())
+        not_refined = f"not refined: {error}"
+        return Row(name, controller, (*notes(controller), not_refined), (), answers=(not_refined,))
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
     judged = designer.judged(refined.controller)
-    return Row(
-        name, judged, (*said, *judged.remarks, refined.traded), (*judged.certificate.failures, *judged.unmet_specifications)
-    )
+    failures = (*judged.certificate.failures, *judged.unmet_specifications)
+    return Row(name, judged, (*said, *judged.remarks, refined.traded), failures, answers=(refined.traded.partition(";")[0],))
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:

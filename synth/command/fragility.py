@@ -1,8 +1,10 @@
 """`python -m synth --fragility`: how large errors of its readings and forces a controller bears, and what rounding it costs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from models.common.printed import finite, percent, table, wrapped
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.controller.controller import Controller
@@ -45,3 +47,23 @@ def fragility_report(vehicle: Vehicle, controller: Controller | None) -> Fragili
     borne = fragility(scaled_gain(posed.plant, posed.Cy, controller.law.continuous(), posed.Dyw, posed.feedthrough))
     forces = tuple(vehicle.linear_model.inputs)
     return FragilityReport(borne, rounding(controller.law, posed.closed_loop, posed.plant), controller.measured, forces)
+
+
+def short_lines(reports: Mapping[str, FragilityReport]) -> list[str]:
+    """Returns one controller's fragility in words, that of several as a table; empty without any."""
+    if len(reports) < 2:
+        return [line for one in reports.values() for line in one.lines]
+    shares = [share for one in reports.values() for share in one.found.within]
+    found = [f"norm + {percent(share)}" for share in dict.fromkeys(shares)]
+    rows: list[tuple[str, ...]] = [("errors [%]: proved, found", "unstable", *found, *next(iter(reports.values())).rounding)]
+    for name, one in reports.items():
+        margins = (one.found.stable, *one.found.within.values())
+        norms = (f"{each.norm.value:.5g}" if each.stable else "UNSTABLE" for each in one.rounding.values())
+        rows.append((name, *(_between(each.proved_margin, each.smallest_violation) for each in margins), *norms))
+    note = "each reading and force may be off by what is proved, not by what is found; "
+    note += "int16, float16: the norm with numbers so rounded"
+    return [*table(rows, indent=""), *wrapped(note, "  ", 2)]
+
+
+def _between(proved: float, found: float) -> str:
+    return f"{100 * proved:.3g}, {f'{100 * found:.3g}' if finite(found) is not None else '-'}"

@@ -52,6 +52,7 @@ class Row:
         sampled: the norm as implemented, if the vehicle file has an implementation.
         sampled_below: its lower bound for any controller with these measurements, of one designed for the sampled loop.
         fragile: the tolerated errors, if requested.
+        answers: sentences on what options have asked of it; the notes have them, too.
         ride: expected weighted acceleration on an average road [m/s2], or None.
     """
 
@@ -64,6 +65,7 @@ class Row:
     sampled: SampledNorm | None = None
     sampled_below: SampledBound | None = None
     fragile: "FragilityReport | None" = None
+    answers: tuple[str, ...] = ()
     ride: float | None = None
 
     @property
@@ -187,7 +189,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
 
 
 def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
-    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it, and what fails.
+    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it; what was asked
+    about it, and what fails.
 
     Args:
         gains: False to leave out the gains.
@@ -205,7 +208,9 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
         lines = gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
     if row.controller.preview is not None:
         lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
-    lines += [f"{row.name}: {row.notes[-1]}"] if checked and row.notes else []
+    answers = [*row.answers, *([row.witness.text] if row.witness is not None else [])]
+    answers += row.notes[-1:] if checked else []
+    lines += [part for each in answers for part in wrapped(each, f"{row.name}: ", 4)]
     return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
 
 

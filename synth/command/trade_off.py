@@ -18,7 +18,7 @@ from synth.plant.numerics import DesignError
 from synth.vehicle.trade_off.axes import axes_of
 from synth.vehicle.trade_off.continuation import rays_of
 from synth.vehicle.trade_off.front import DESIGNS, Front, entry_of, front
-from synth.vehicle.trade_off.report import front_figure, front_lines, front_object, sentences, write_csv
+from synth.vehicle.trade_off.report import front_figure, front_lines, front_object, sentences, short_lines, write_csv
 
 USUAL = "I"  # the controller whose measurements the designs have, where none is asked for
 SAVED = "point"  # in the name of a saved one: I_point_17
@@ -73,7 +73,8 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
             result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
             print(json.dumps(result, allow_nan=False))
         else:
-            lines = [*titled(vehicle.kind.name, vehicle.source), "", *front_lines(trade_off), *written_lines(outputs)]
+            shown = ["", *front_lines(trade_off)] if options.verbose else short_lines(trade_off)
+            lines = [*titled(vehicle.kind.name, vehicle.source), *shown, *written_lines(outputs)]
             lines += ["", "saved", Whole(f"  {saved}")] if saved else []
             say([*lines, "", *(part for line in sentences(trade_off) for part in wrapped(line, hang=4))])
     if trade_off.interrupted:

@@ -250,7 +250,10 @@ def short_lines(sweeps: Sequence[Sweep | DescribingFunction]) -> list[str]:
         numbers = (f"{norm.gain:.7g}", f"{norm.omega:.5g}", f"{100 * share:.4f} %", f"{off:.1e}", f"{_norm(one):.7g}")
         rows.append((one.controller.name, *numbers))
     told = [(one, failures(one)) for one in sweeps if not (isinstance(one, Sweep) and one.ended)]
-    failed = [f"  {one.controller.name} DOES NOT AGREE: {text}" for one, texts in told for text in texts]
+    failed = []
+    for one, texts in told:
+        more = f"; and {len(texts) - 1} more, see -v" if len(texts) > 1 else ""
+        failed += [f"  {one.controller.name} DOES NOT AGREE: {texts[0]}{more}"] if texts else []
     ahead = [one.controller.name for one in sweeps if isinstance(one, Sweep) and one.controller.preview is not None]
     alone = [f"  the continuous norm of {', '.join(ahead)} is of the feedback alone"] if ahead else []
     return [*table(rows), *alone, *failed, "  -v adds every signal, invariants, other roads and EUSAMA's least load"]

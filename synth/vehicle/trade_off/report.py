@@ -49,6 +49,34 @@ def front_lines(front: Front) -> list[str]:
     return [*lines, "", *(line for text in _limit_texts(front) for line in wrapped(text, hang=2))]
 
 
+SHOWN = 5  # points of a short table
+
+
+def short_lines(front: Front) -> list[str]:
+    """Returns the same in short: some of the marked points, equal controllers on one line, the nearest point to each bound."""
+    signals = ", ".join(front.points[0].controller.measured)
+    lines = wrapped(f"controller {front.name}: static gains on {signals}; -v: all", hang=2)
+    rows: list[tuple[str, ...]] = [("point", *(axis.name for axis in front.axes), TRAVEL.title, "gain")]
+    marked = list(front.marked)
+    for k in dict.fromkeys(round(i) for i in np.linspace(0, len(marked) - 1, min(SHOWN, len(marked)))):
+        point = front.points[marked[k]]
+        rows.append((str(marked[k] + 1), *(f"{value:.6g}" for value in point.values), TRAVEL.cell(point), _gain(point)))
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for one in front.others:
+        alike.setdefault(tuple(f"{value:.3g}" for value in one.values), []).append(one.controller.name)
+    rows += [(", ".join(names), *values, "", "") for values, names in alike.items()]
+    lines += table(rows)
+    for name, why in front.missing.items():
+        lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
+    for limit in front.limits:
+        first, second = (front.axes[k].name for k in limit.axes)
+        shares = limit.share(front.values[:, list(limit.axes)])
+        i = int(shares.argmin())
+        near = f"point {i + 1} is at {shares[i]:.5g} times what no controller beats in {first} and {second}"
+        lines += wrapped(f"limit: {near if math.isfinite(shares[i]) else f'nothing is proved of {first} and {second}'}", hang=2)
+    return lines
+
+
 def sentences(front: Front) -> list[str]:
     """Returns the results, a sentence each."""
     ends = ", ".join(
@@ -62,12 +90,13 @@ def sentences(front: Front) -> list[str]:
         lines.append(f"interrupted {whole} is not whole")
     if front.unproved:
         lines.append(f"left out: {front.unproved} designs of which a claim could not be proved")
+    by: dict[tuple[int, int], list[str]] = {}
     for one in front.others:
         beaten = [i for i, point in enumerate(front.points) if _beats(point.values, one.values)]
         if beaten:
-            lines.append(
-                f"{one.controller.name} is beaten in all by {len(beaten)} of them, e.g. point {beaten[len(beaten) // 2] + 1}"
-            )
+            by.setdefault((len(beaten), beaten[len(beaten) // 2] + 1), []).append(one.controller.name)
+    for (count, example), names in by.items():
+        lines.append(f"{', '.join(names)}: beaten in all by {count} of them, e.g. point {example}")
     return lines
 
 
