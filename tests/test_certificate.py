@@ -92,6 +92,20 @@ def test_no_actuator_withholds_a_proof():
     assert certify_tightly(slow_plant(1.0), np.array([[-3.0, -3.0]])).remarks == ()
 
 
+@pytest.mark.parametrize(("decay", "said"), [(3e-10, True), (1e-5, False)])
+@pytest.mark.parametrize(("unit", "dt"), [(1.0, None), (1e-6, None), (1.0, 0.25)])
+def test_a_decay_that_is_none_is_remarked_on(decay, said, unit, dt):
+    """A loop with a pole of -3e-10 beside one of -1 is stable, and proved, and a line says what that is worth, in any unit."""
+    A = unit * np.diag([-decay, -1.0])
+    A = A if dt is None else np.eye(2) + dt * A
+    plant = GeneralizedPlant(A, np.ones((2, 1)), unit * np.eye(2), np.eye(2), np.zeros((2, 1)), np.zeros((2, 2)), dt=dt)
+    certificate = certify(plant, np.zeros((1, 2)))
+    assert certificate.stable
+    assert certificate.hardly_decays == said
+    remarks = [f"stable in numbers alone: a pole decays by {unit * decay:.2g} 1/s, which is 3e-10 of the plant's speed; "]
+    assert [remark.partition("weigh")[0] for remark in certificate.remarks] == remarks * said
+
+
 @pytest.mark.parametrize("seed", [1, *attacks([0])])  # the optimum at a finite gain, and at an infinite one
 def test_design_of_what_hardly_moves(seed):
     """If every proof along the path is beyond any actuator, the design is proved all the same."""

@@ -103,6 +103,7 @@ def _gain(G: Array | Feedback) -> tuple[Array, int]:
 
 
 FASTEST = 100.0  # times the plant's speed: hardly any actuator is faster
+SLOWEST = 1e-7  # likewise, of a decay: a slower one is none, as a day is to a second
 BELOW = 1e-9  # relative: rounding may put a norm so far below the lower bound
 ROUTES_AGREE = 1e-6  # relative; the two norms of a well-conditioned plant agree to 1e-12
 PEAKS_AGREE = 1e-9  # relative; allowed difference of the norm and the gain at the claimed peak: a peak is flat
@@ -240,16 +241,35 @@ class Certificate(Shown):
         return self.speed_up > FASTEST
 
     @property
+    def hardly_decays(self) -> bool:
+        """True if a stable loop has a pole whose decay is next to nothing. Its proofs hold, as of any stable loop."""
+        return self.own.stable and -float(self.own.growth.max(initial=-np.inf)) < SLOWEST * self.speed * (self.loop.dt or 1.0)
+
+    @property
+    def speed(self) -> float:
+        """The plant's speed without control, of which `speed_up` is a multiple [rad/s]."""
+        return float(self.own.rates.max(initial=0.0)) / self.speed_up if self.speed_up else 0.0
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Notes that make no claim fail, in words."""
-        if not self.beyond_actuators:
-            return ()
-        than = (
-            "the plant's fastest without control"
-            if self.moves
-            else "the rate at which motion and force have equal weight in z, as all poles of the plant lie at 0"
-        )
-        return (f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much",)
+        remarks = []
+        if self.hardly_decays:
+            rate = -float(self.own.growth.max()) / (self.loop.dt or 1.0)
+            remarks.append(
+                f"stable in numbers alone: a pole decays by {rate:.2g} 1/s, which is {rate / self.speed:.0e} of the plant's "
+                "speed; weigh the signal that it moves, or measure it"
+            )
+        if self.beyond_actuators:
+            than = (
+                "the plant's fastest without control"
+                if self.moves
+                else "the rate at which motion and force have equal weight in z, as all poles of the plant lie at 0"
+            )
+            remarks.append(
+                f"beyond any actuator: a pole is {self.speed_up:.2g} times as fast as {than}; {FASTEST:g} times is much"
+            )
+        return tuple(remarks)
 
     @property
     def failures(self) -> tuple[str, ...]:

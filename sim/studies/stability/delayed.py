@@ -34,9 +34,26 @@ def delayed_rate(vehicle: Vehicle, controller: Controller, timestep: float, dela
 
 def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> float:
     """The logarithm of the spectral radius of x[k+1] = Phi x[k] + Gamma G x[k-delay]."""
+    return math.log(abs(_slowest_over_delay(Phi, Gamma, G, delay))) / max(delay, 1)
+
+
+def slowest_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -> tuple[complex, Array]:
+    """Returns the largest eigenvalue z of the same, and the left null vector w of z I - Phi - z^-delay Gamma G, shape (n,)."""
+    over_delay = _slowest_over_delay(Phi, Gamma, G, delay)
+    # Over a delay it has turned by any number of whole turns; one of them solves the equation.
+    turns = np.exp(2j * np.pi * np.arange(max(delay, 1)) / max(delay, 1))
+    tried = np.asarray(over_delay, dtype=complex) ** (1 / max(delay, 1)) * turns
+    over = (over_delay if delay else 1.0) * np.ones((len(tried), 1, 1))
+    left, sizes, _ = np.linalg.svd(tried[:, None, None] * np.eye(len(Phi)) - Phi - Gamma @ G / over)
+    best = int(np.argmin(sizes[:, -1]))
+    return complex(tried[best]), left[best, :, -1].conj()
+
+
+def _slowest_over_delay(Phi: Array, Gamma: Array, G: Array, delay: int) -> complex:
+    """Returns the largest eigenvalue of the delay-th power of the map from sample to sample; of the map itself without delay."""
     n, m = Gamma.shape
     if delay == 0:
-        return math.log(_radius(np.linalg.eigvals(Phi + Gamma @ G)))
+        return _largest(np.linalg.eigvals(Phi + Gamma @ G))
     size = n + delay * m
     moved = np.empty((delay + 1, n, n))  # powers of Phi
     moved[0] = np.eye(n)
@@ -59,8 +76,8 @@ def rate_from_sample_to_sample(Phi: Array, Gamma: Array, G: Array, delay: int) -
         start = np.random.default_rng(0).standard_normal(size)
         operator = LinearOperator((size, size), matvec=after, dtype=float)  # pyright: ignore[reportCallIssue]
         poles = np.asarray(eigs(operator, LARGEST, v0=start, return_eigenvectors=False))
-    return math.log(_radius(poles)) / delay
+    return _largest(poles)
 
 
-def _radius(eigenvalues: Array) -> float:
-    return float(np.abs(eigenvalues).max())
+def _largest(eigenvalues: Array) -> complex:
+    return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])

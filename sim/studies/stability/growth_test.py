@@ -31,7 +31,9 @@ SOON = 2.0  # s; when a run is looked at first: its bump is over, and modes are 
 SHORTEST, LONGEST = 4.0, 32.0  # s; how long a run is first, and one that has not settled by then
 CONFIRMED = 1e-2  # relative; how close the rate that is found in a run is to its loop's, where both are of the same mode
 FREE_FROM = 0.5  # s; when the bump is over for every wheel
-FOLLOWS, TOLD = 1e-3, 10.0  # of what is left of a run: how far it may be from what its loop makes of it; times that, a rate tells
+FOLLOWS = 1e-3  # of what is left of a run: how far it may be from what its loop makes of it
+SAME_SIGN = 2 / 3  # of what the slowest mode grows or decays by: how far a run may be from that
+STANDS = 1e-9  # change of a mode in the longest run that is none: an integrator's without its reading
 PASSES = 3  # of its controller's sample periods, or delays, a run has at least for that
 HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 STILL = 2  # of them without motion are enough: then nothing is on its way either
@@ -141,6 +143,10 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
     looks = {1 + round(at / timestep): at for at in (*doubled, *own)}
     names = [signal.name for signal in vehicles[0].kind.signals]
     rows = [names.index(name) for name in vehicles[0].linear_model.states]
+    kept = [np.zeros((0, len(time)))] * len(trials)
+    for i, trial in enumerate(trials):
+        if trial.controller.law.states and loops[i] is not None:
+            kept[i] = np.zeros((trial.controller.law.states + len(trial.controller.law.D), len(time)))
     states, diverged, going = (
         np.empty((len(trials), len(rows), len(time))),
         np.full(len(trials), np.inf),
@@ -153,11 +159,16 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
     for block in in_blocks(course):
         end = block.start + len(block.values)
         states[:, :, block.start : end] = block.values[:, rows].transpose(2, 1, 0)
+        for i in [i for i, one in enumerate(kept) if len(one)]:
+            k = trials[i].controller.law.states
+            kept[i][:k, block.start : end] = block.kept[:, i, :k].T
+            last = block.requested_force[: len(time) - 1 - block.start, i].T  # a step later it is the force that acted
+            kept[i][k:, block.start + 1 : block.start + 1 + last.shape[1]] = last
         diverged = np.minimum(diverged, block.diverged(time))
         if end in looks:
             for i in [j for j in np.flatnonzero(going).tolist() if looks[end] in (*doubled, own[j])]:
                 seen, peaks = _over_its_peak(states[i, :, :end], time[:end], diverged[i])
-                growth = _confirmed(trials[i], loops[i], seen, peaks, timestep, looks[end])
+                growth = _confirmed(trials[i], loops[i], seen, peaks, kept[i][:, :end], timestep, looks[end])
                 if growth is None and looks[end] >= SHORTEST:
                     growth = _growth(trials[i], loops[i], seen, timestep, looks[end])
                 if growth is not None:
@@ -168,27 +179,48 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
 
 
 def _confirmed(
-    trial: Trial, loop: LateLoop | None, states: Array, peaks: Array, timestep: float, duration: float
+    trial: Trial, loop: LateLoop | None, states: Array, peaks: Array, kept: Array, timestep: float, duration: float
 ) -> Growth | None:
-    """Returns the growth of a run's loop if the run confirms it, or None."""
-    if loop is None or not np.all(np.isfinite(states)):
+    """Returns the growth of a run's loop if the run confirms it, or None.
+
+    Args:
+        states: of the vehicle, each over its peak, shape (n, T).
+        peaks: those, shape (n,).
+        kept: states of the law, and the forces that have acted just before, shape (k + m, T); none of a static law.
+        duration: of the run [s].
+    """
+    if loop is None or not np.all(np.isfinite(states)) or not np.all(np.isfinite(kept)):
         return None
     hold = _hold(trial, timestep)
     rate = _rate(states, timestep, round(hold / timestep))
-    long_enough = math.isnan(rate) and duration >= max(SHORTEST, PASSES * hold) and len(loop.Phi) == len(states)
-    if long_enough and _follows(states, loop.scaled(peaks), duration):
-        return Growth(loop.rate > 0, loop.rate)
-    return Growth(rate > 0, rate) if abs(rate - loop.rate) <= CONFIRMED * abs(loop.rate) else None
+    if abs(rate - loop.rate) <= CONFIRMED * abs(loop.rate):
+        return Growth(rate > 0, rate)
+    # Some law's states are more than these rows, with an actuator's lag.
+    kept = kept[: max(len(loop.Phi) - len(states), 0)]
+    if duration < PASSES * hold or len(loop.Phi) != len(states) + len(kept):
+        return None
+    sizes = np.abs(kept).max(axis=1, initial=0.0)
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    each = round(loop.timestep / timestep)
+    whole = np.vstack([states, kept / sizes[:, None]])[:, ::each]
+    mode = _mode_followed(whole, loop.scaled(np.concatenate([peaks, sizes])))
+    if mode is not None and abs(loop.rate) * LONGEST < STANDS:
+        return Growth(False, rate)
+    return None if mode is None else Growth(mode > 0, mode)
 
 
-def _follows(states: Array, loop: LateLoop, duration: float) -> bool:
-    """Returns True if a run continues as its loop predicts from its own past, and its end as the loop's slowest mode."""
+def _mode_followed(states: Array, loop: LateLoop) -> float | None:
+    """Returns the rate of the slowest mode in a run that continues as its loop predicts from its own past, or None.
+
+    The rate is that of the run, and may be off from the loop's by less than makes its sign doubtful.
+    """
     first = loop.held * math.ceil(FREE_FROM / (loop.held * loop.timestep))
-    last = states.shape[1] // 4
-    left, off = states[:, -last:], (states - loop.goes_on(states, first))[:, -last:]
-    _, before, after = _windows(states)
-    alike = bool(np.linalg.norm(off) <= FOLLOWS * np.linalg.norm(left))
-    return alike and abs(loop.rate) * duration > TOLD * FOLLOWS and (after > before) == (loop.rate > 0)
+    rate, off = loop.slowest_mode(states, first)
+    if not off <= SAME_SIGN and abs(loop.rate) * LONGEST >= STANDS:
+        return None
+    last = max(1, states.shape[1] // 4)
+    left, beside = states[:, -last:], (states - loop.goes_on(states, first))[:, -last:]
+    return rate if np.linalg.norm(beside) <= FOLLOWS * np.linalg.norm(left) else None
 
 
 def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float, duration: float) -> Growth | None:

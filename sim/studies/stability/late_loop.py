@@ -8,10 +8,11 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError
 
 from models.common.arrays import Array
+from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
-from sim.studies.stability.delayed import rate_from_sample_to_sample
+from sim.studies.stability.delayed import rate_from_sample_to_sample, slowest_from_sample_to_sample
 from sim.studies.stability.loop_transfer import sampled_loop_transfer
 from synth.controller.controller import Controller
 
@@ -39,13 +40,51 @@ class LateLoop:
     @functools.cached_property
     def rate(self) -> float:
         """Rate of the slowest mode [1/s], above 0 where it grows; NaN where iterations do not find it."""
+        try:
+            return rate_from_sample_to_sample(*self._over_sample, self.G, self.delay) / (self.held * self.timestep)
+        except ArpackError:
+            return math.nan
+
+    @functools.cached_property
+    def _over_sample(self) -> tuple[Array, Array]:
+        """Phi and Gamma from sample to sample."""
         moved, pushed = self.Phi, self.Gamma
         for _ in range(self.held - 1):
             moved, pushed = self.Phi @ moved, self.Phi @ pushed + self.Gamma
+        return moved, pushed
+
+    def slowest_mode(self, states: Array, first: int) -> tuple[float, float]:
+        """Returns the rate of the slowest mode as a run has it [1/s], and how far that mode is from the loop's own at its end.
+
+        With z and w of `slowest_from_sample_to_sample` the mode is a[k] = w' (x[k] + Gamma G sum over j = 1 .. delay of
+        z^(j - 1 - delay) x[k-j]), and a[k+1] = z a[k] however loud the others are.
+
+        Args:
+            states: of the run, shape (n, T).
+            first: step from which on it is free, a sample.
+
+        Returns:
+            The second is relative to the change of the mode's size, infinite for a mode that is not in the run.
+        """
+        moved, pushed = self._over_sample
         try:
-            return rate_from_sample_to_sample(moved, pushed, self.G, self.delay) / (self.held * self.timestep)
+            z, w = slowest_from_sample_to_sample(moved, pushed, self.G, self.delay)
         except ArpackError:
-            return math.nan
+            return math.nan, math.inf
+        samples = states[:, :: self.held]
+        asked = (w @ pushed) @ (self.G @ samples)
+
+        def mode(k: int) -> complex:
+            late = np.arange(1, min(self.delay, k) + 1)
+            return complex(w @ samples[:, k] + (z ** (late - 1.0 - self.delay) * asked[k - late]).sum())
+
+        start, end = first // self.held, samples.shape[1] - 1
+        began, ended, expected = mode(start), mode(end), z ** (end - start)
+        change = abs(abs(expected) - 1)
+        if not began or not ended or not change:
+            return math.nan, math.inf
+        rate = math.log(abs(ended / began)) / ((end - start) * self.held * self.timestep)
+        return rate, abs(ended / began - expected) / change
 
     def goes_on(self, states: Array, first: int) -> Array:
         """Predicts all later states from a run's states up to a step, which must be a sample, shape (n, T).
@@ -73,7 +112,7 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
 
     Of a controller with states that samples seldom, whose states change at samples alone, a step of the loop is a sample.
     Returns None if the first controller is late by part of a sample, or has no states, samples seldom and is late. Also returns
-    None if there is a second controller and either has states.
+    None if there is a second controller, unless neither has states, or both are parts of one that samples every step.
     """
     how = vehicle.implementation
     steps = steps_per_sample(how, timestep)
@@ -89,6 +128,12 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
             return np.linalg.matrix_power(taylor4(M / held), held)
     else:
         exponential = taylor4
+    parts = None if undelayed is None else _parts(controller.law, undelayed.law)
+    if parts is not None:
+        whole, mine = parts
+        together = replace(controller, law=whole)
+        Phi, Gamma, G = sampled_loop_transfer(vehicle, together, timestep, np.flatnonzero(mine).tolist(), exponential)
+        return LateLoop(Phi, Gamma, G, int(how.delay), steps, timestep)
     Phi, Gamma, G = sampled_loop_transfer(vehicle, controller, timestep, exponential=exponential)
     if undelayed is not None:
         others = sampled_loop_transfer(vehicle, undelayed, timestep, exponential=taylor4)[2]
@@ -97,3 +142,15 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
         Phi = Phi + Gamma @ others
     acts = np.any(G, axis=1)
     return LateLoop(Phi, Gamma[:, acts], G[acts], int(how.delay), steps, timestep)
+
+
+def _parts(law: LinearLaw, beside: LinearLaw) -> tuple[LinearLaw, Array] | None:
+    """Returns the law with states whose forces two laws share, and the first's; None if they are no parts of one.
+
+    Their states are the same, as both read the same.
+    """
+    mine, others = (np.any(np.hstack([one.C, one.D]), axis=1) for one in (law, beside))
+    one = law.states and all(np.array_equal(getattr(law, name), getattr(beside, name)) for name in ("A", "B"))
+    if not one or np.any(mine & others) or law.sample_period != beside.sample_period:
+        return None
+    return replace(law, C=law.C + beside.C, D=law.D + beside.D), mine

@@ -6,7 +6,6 @@ where u is the force that acts and v the force asked for; the loop is closed by 
 controller's own. H is zero, but for a measured acceleration, which has the force in it.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,15 +28,14 @@ class LoopTransfer:
         B: from the forces that act, shape (n, k).
         G: to the forces asked for, shape (k, n).
         H: to those from the forces that act, shape (k, k).
-        at_period: of a controller with states, the same sampled every so many seconds, see `sampled_loop_transfer`; None for
-            a static one.
+        sampling: of a controller with states, the loop that it makes sampled; None for a static one.
     """
 
     A: Array
     B: Array
     G: Array
     H: Array
-    at_period: Callable[[float], tuple[Array, Array, Array]] | None = None
+    sampling: "SampledLaw | None" = None
 
     @property
     def M(self) -> Array:
@@ -52,7 +50,7 @@ class LoopTransfer:
     def balanced(self) -> "LoopTransfer":
         """The same with its states in units that make its numbers of a like size, powers of two."""
         _, (scale, _) = linalg.matrix_balance(np.abs(self.A) + np.abs(self.M), permute=False, separate=True)
-        return LoopTransfer(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.at_period)
+        return LoopTransfer(self.A * scale / scale[:, None], self.B / scale[:, None], self.G * scale, self.H, self.sampling)
 
     def closed(self, factor: Array | complex) -> Array:
         """A of the loops that are closed by u = factor v, shape (..., n, n), for factors of any shape."""
@@ -60,6 +58,22 @@ class LoopTransfer:
         if not np.any(self.H):
             return self.A + factor * self.M
         return self.A + self.B @ np.linalg.solve(np.eye(len(self.H)) - factor * self.H, factor * self.G)
+
+    def from_sample_to_sample(self, start: float, step: float, count: int) -> Array:
+        """Transitions of the closed loop that is sampled, at the periods start + step, start + 2 step and so on [s].
+
+        Returns:
+            Shape (count, N, N): N is n, and for a law with states what `SampledLaw` adds.
+        """
+        held = _held(self.A, self.B, start, step, count)
+        n = len(self.A)
+        if self.sampling is None:
+            return held[:, :n, :n] + held[:, :n, n:] @ self.G
+        return self.sampling.transitions(held, start, step)
+
+    def sampled_growth(self, period: float) -> float:
+        """Spectral radius of the transition at a period [s], less 1."""
+        return float(np.abs(np.linalg.eigvals(self.from_sample_to_sample(0.0, period, 1)[0])).max() - 1)
 
     def transfer(self, omega: Array) -> Array:
         """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
@@ -86,8 +100,78 @@ def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[
         B[:, actuators] + B[:, others] @ through,
         G[actuators] + H[np.ix_(actuators, others)] @ closing,
         H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
-        functools.partial(sampled_loop_transfer, vehicle, controller, actuators=actuators),
+        SampledLaw(vehicle, controller, actuators),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLaw:
+    """A controller with states, whose loop is sampled at one period or another.
+
+    The other forces are as in the loop, in continuous time; but where forces are measured, all are sampled and held.
+
+    Attributes:
+        vehicle: the vehicle; what its `[implementation]` says does not count.
+        controller: the controller.
+        actuators: at which the loop is cut.
+    """
+
+    vehicle: Vehicle
+    controller: Controller
+    actuators: Sequence[int]
+
+    def transitions(self, held: Array, start: float, step: float) -> Array:
+        """Returns `LoopTransfer.from_sample_to_sample`, by powers of one exponential of the law.
+
+        A discrete law counts as its continuous counterpart here, at its own sample period, too.
+
+        Args:
+            held: Phi and Gamma of the loop over these periods, as `_held` returns them.
+            start, step: as there.
+        """
+        model, law, count = with_lag(self.vehicle), self.controller.law.continuous(), len(held)
+        C, D = model.rows(self.controller.measured)
+        (n, m), (k, q), mine = model.B.shape, law.B.shape, list(self.actuators)
+        if np.any(D) or len(mine) == m:
+            held, mine = _held(model.A, model.B, start, step, count), list(range(m))
+        else:
+            n += k  # the others' forces have states of their own, with those of the vehicle
+        # As in `LinearLaw.sampled`, but for the ramp, which is not over the period yet.
+        chain = np.zeros((k + 2 * q, k + 2 * q))
+        chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
+        periods = start + step * np.arange(1, count + 1)
+        kept = _powers(chain, start, step, count)
+        A, ramp = kept[:, :k, :k], kept[:, :k, k + q :] / periods[:, None, None]
+        B, through = kept[:, :k, k : k + q] - ramp + A @ ramp, law.D[mine] + law.C[mine] @ ramp
+        # From [x; x_c; previous forces], which are states only where they are measured.
+        previous = m if np.any(D) else 0
+        seen = np.hstack([C, np.zeros((q, n - C.shape[1] + k)), D[:, :previous]])
+        forces = through @ seen
+        forces[:, :, n : n + k] += law.C[mine]
+        moved = np.zeros((count, n + k + previous, n + k + previous))
+        moved[:, :n] = held[:, :n, n:] @ forces
+        moved[:, :n, :n] += held[:, :n, :n]
+        moved[:, n : n + k] = B @ seen
+        moved[:, n : n + k, n : n + k] += A
+        moved[:, n + k :] = forces[:, :previous]
+        return moved
+
+
+def _held(A: Array, B: Array, start: float, step: float, count: int) -> Array:
+    """Phi and Gamma side by side of x' = A x + B u with u held, over zeros and I, for those durations."""
+    n, m = B.shape
+    return _powers(np.vstack([np.hstack([A, B]), np.zeros((m, n + m))]), start, step, count)
+
+
+def _powers(A: Array, start: float, step: float, count: int) -> Array:
+    """exp(A t) at t = start + step, start + 2 step and so on, shape (count, n, n)."""
+    by, now = linalg.expm(A * step), linalg.expm(A * start)
+    made = np.empty((count, *A.shape))
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law's own growth in long periods
+        for i in range(count):
+            now = now @ by
+            made[i] = now
+    return made
 
 
 def sampled_loop_transfer(

@@ -26,14 +26,16 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
 from sim.studies.stability.loop_transfer import LoopTransfer
-from synth.plant.discrete import held_inputs
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
 SAME = 1e-6  # relative; two factors as close are one: a double eigenvalue is known to half the digits
 ANGLES = 4001  # from no lag to a whole turn; odd, so that half a turn is among them
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
-COARSER = 0.1  # radian that a pole turns by from one sample period that is tried to the next
+FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
+TOGETHER = 128  # sample periods of one batch
+SQUARED = 8  # times that a transition is, to see it contract
+CONTRACTS = 0.99  # norm that does, beyond rounding
 WIDEST = 1.0  # s; the largest step from one sample period to the next, where nothing turns any more
 LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
 
@@ -219,59 +221,37 @@ def largest_sample_period(loop: LoopTransfer) -> float:
     if loop.comes_back >= 1:
         return 0.0
     poles = np.linalg.eigvals(loop.A)
-    at_period = loop.at_period
-    if at_period is not None:
-        return _first_unstable(lambda period: _closed(at_period(period)), poles)
-    n, k = loop.B.shape
-    augmented = np.zeros((n + k, n + k))
-    augmented[:n] = np.hstack([loop.A, loop.B])
-
-    def growth(period: float) -> float:
-        Phi, Gamma = held_inputs(loop.A, period, linalg.expm, loop.B)
-        return float(np.abs(np.linalg.eigvals(Phi + Gamma @ loop.G)).max() - 1)
-
-    start, count = 0.0, 128
+    start = 0.0
     while start < LONGEST:
         alive = np.abs(poles[-poles.real * start < 25])  # of the others e^-25 is left
         if len(alive) == 0:
             break
-        h = 0.05 / alive.max()
-        step, now, grows = linalg.expm(augmented * h), linalg.expm(augmented * start), []
-        for _ in range(count):
-            now = now @ step
-            grows.append(now[:n, :n] + now[:n, n:] @ loop.G)
-        unstable = np.abs(np.linalg.eigvals(np.array(grows))).max(axis=1) > 1
-        if unstable.any():
-            first = start + h * (1 + int(unstable.argmax()))
-            before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
-            refined: Any = optimize.brentq(growth, before, first, xtol=1e-13)
-            return float(refined)
+        h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
+        count = min(TOGETHER, math.ceil((LONGEST - start) / h))
+        transitions = loop.from_sample_to_sample(start, h, count)
+        for i in _unstable(transitions):
+            first = start + h * (1 + int(i))
+            if loop.sampled_growth(first) > 0:  # not by rounding alone
+                before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
+                refined: Any = optimize.brentq(loop.sampled_growth, before, first, xtol=1e-13)
+                return float(refined)
         start += count * h
     return math.inf
 
 
-def _closed(sampled_loop: tuple[Array, Array, Array]) -> Array:
-    Phi, Gamma, G = sampled_loop
-    return Phi + Gamma @ G
-
-
-def _first_unstable(at_period: Callable[[float], Array], poles: Array) -> float:
-    """The shortest period at which a transition has an eigenvalue on the unit circle, as above, but each is made by itself."""
-
-    def growth(period: float) -> float:
-        return float(np.abs(np.linalg.eigvals(at_period(period))).max() - 1)
-
-    start = 0.0
-    while start < LONGEST:
-        alive = np.abs(poles[-np.real(poles) * start < 25])
-        if len(alive) == 0:
-            break
-        h = COARSER / max(alive.max(), COARSER / WIDEST)  # an integrator's pole at 0 turns nothing
-        if growth(start + h) > 0:
-            refined: Any = optimize.brentq(growth, max(start, 1e-3 * h), start + h, xtol=1e-13)
-            return float(refined)
-        start += h
-    return math.inf
+def _unstable(transitions: Array) -> Array:
+    """Returns the indices of transitions with an eigenvalue outside the unit circle, or with entries that are not finite."""
+    # A power that is smaller than 1 in norm has no such eigenvalue, and costs less than these.
+    left, power = np.arange(len(transitions)), transitions
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(SQUARED):
+            open_ = ~(np.linalg.norm(power, axis=(1, 2)) < CONTRACTS)
+            left, power = left[open_], power[open_]
+            power = power @ power
+    whole = np.isfinite(transitions[left]).all(axis=(1, 2))
+    radii = np.full(len(left), np.inf)
+    radii[whole] = np.abs(np.linalg.eigvals(transitions[left[whole]])).max(axis=1, initial=0.0)
+    return left[radii > 1]
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:
