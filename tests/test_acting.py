@@ -82,7 +82,7 @@ def test_loads_are_logged(loaded):
 
 def test_what_acted_is_proved_and_older_logs_are_read(loaded, tmp_path, capsys):
     """A log with other loads than its claims make proves nothing; one that is older than these topics holds, and that is said."""
-    assert inspect([str(loaded)]) == 0
+    assert inspect([str(loaded), "-v"]) == 0
     assert "it has no /loads" not in prose(capsys.readouterr().out)
     forged, older = tmp_path / "forged.mcap", tmp_path / "older.mcap"
 
@@ -95,7 +95,7 @@ def test_what_acted_is_proved_and_older_logs_are_read(loaded, tmp_path, capsys):
     assert inspect([str(forged)]) == 1
     assert "FAILS format: /loads does not show what follows" in prose(capsys.readouterr().out)
     older.write_bytes(written(without_topic(contents(loaded), "/loads")))
-    assert inspect([str(older)]) == 0
+    assert inspect([str(older), "-v"]) == 0
     assert "it has no /loads, which logs of older versions have not" in prose(capsys.readouterr().out)
 
 

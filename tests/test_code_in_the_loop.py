@@ -236,7 +236,7 @@ def test_a_log_proves_such_a_run(folders, tmp_path, capsys):
     assert bump([*options, "--logs", str(tmp_path)]) == 0
     capsys.readouterr()
     (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert "the spread that is predicted of its rounding to float" in said
     assert "MuJoCo makes the same run again, to the last bit" in said

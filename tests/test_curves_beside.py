@@ -150,7 +150,7 @@ def test_a_log_is_proved_again(tmp_path, capsys):
     assert bump(told) == 0
     capsys.readouterr()
     (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     said = capsys.readouterr().out
     assert "the log still proves what it claims" in said
     assert "a law that sets adjustable dampers" in said

@@ -296,7 +296,7 @@ def test_a_log_proves_the_filtered_norm(tmp_path, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "norms are of sprung_acceleration through iso2631_wk, the road's velocity from w through (1) / (0.01 s + 1)" in said
     (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     norm = Designer(read_vehicle(file)).design("II_printed").certificate.norm.value
     assert f"holds certificate: stable, norm {norm:.7g} at" in said

@@ -137,7 +137,7 @@ def test_a_log_claims_nothing_of_goals(vehicles, tmp_path, capsys):
     forged.write_bytes(written(parts))
     for path in (log, forged):
         capsys.readouterr()
-        assert inspect([str(path)]) == 0
+        assert inspect([str(path), "-v"]) == 0
         printed = prose(capsys.readouterr().out)
         assert printed.count("note goals: vehicle.toml has goals for it (bounds), of which the log claims nothing") == 1
         assert printed.endswith("the log still proves what it claims, and of goals it claims nothing")

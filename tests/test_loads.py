@@ -436,7 +436,7 @@ def test_a_log_carries_its_loads_and_proves_them(tmp_path, capsys, way):
     ] in printed
     assert "time [s]" not in printed  # a file's rows are in the log, and not in a title
     (tmp_path / "pull.csv").unlink()
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     assert "time [s]" not in capsys.readouterr().out
 
     forged = tmp_path / "forged.mcap"

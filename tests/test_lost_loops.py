@@ -75,7 +75,7 @@ def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
     where = str(tmp_path / "logs")
     assert bump(["--vehicle", str(held), "--controller", "I", "--logs", where, "--duration", "1", "-v"]) == 0
     assert WITHOUT in prose(capsys.readouterr().out)
-    assert inspect([str(next((tmp_path / "logs").glob("*.mcap")))]) == 0
+    assert inspect([str(next((tmp_path / "logs").glob("*.mcap"))), "-v"]) == 0
     text = prose(capsys.readouterr().out)
     assert WITHOUT in text
     assert "sampled norm 8.32" in text

@@ -282,7 +282,7 @@ def log(tmp_path_factory):
 
 def test_a_log_proves_it(log, capsys):
     """A log has the preview in numbers, and proves that they are what its vehicle file comes to."""
-    assert main_of("sim.inspect")([str(log)]) == 0
+    assert main_of("sim.inspect")([str(log), "-v"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert 'feedback and preview are what design = "preview" of vehicle.toml comes to, to the last bit' in printed
     assert "answers the road 0.3 s ahead, too" in printed

@@ -121,7 +121,7 @@ def test_inspected(built, tmp_path, capsys):
     bump(["--vehicle", str(built), "--controller", "I", "--logs", str(tmp_path), "--duration", "0.5", "-v"])
     capsys.readouterr()
     (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     vehicle = read_vehicle(str(built))
     norm = norm_as_implemented(vehicle, design(vehicle, "I"))
     assert f"sampled norm {norm.value:.7g}" in prose(capsys.readouterr().out)

@@ -103,7 +103,7 @@ def test_every_command_calls_it_marginal(undamped, tmp_path, capsys):
     assert "marginal: to rounding, something in the sampled loop neither grows nor decays" in out
     assert "stable" not in out
     (log,) = tmp_path.glob("*.mcap")
-    assert inspect([str(log)]) == 0
+    assert inspect([str(log), "-v"]) == 0
     out = prose(capsys.readouterr().out)
     assert "certificate: marginal: a pole at 0+65.4j rad/s, to rounding, which does not decay; as was claimed" in out
     bump(["--vehicle", undamped, "--controller", "passive", "--duration", "0.5", "--no-logs", "--json"])
