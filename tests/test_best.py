@@ -231,9 +231,12 @@ def test_where_every_run_breaks_off_nothing_is_best(tmp_path, capsys):
     drawn = '[samples]\ncount = 2\n[samples.controllers.wild]\n"gain[0][0]" = { uniform = [1e6, 2e6] }\n'
     (tmp_path / "campaign.toml").write_text(text + drawn)
     options = ["--workers", "1", "--brief", "--best", "ride", "--save", str(tmp_path / "tuned.toml")]
+    options += ["--picture", str(tmp_path / "tuned.png")]
     assert main([str(tmp_path / "campaign.toml"), *options]) == 1
-    out = capsys.readouterr().out
-    assert "no ride to compare: every run broke off" in out
+    out, complaint = capsys.readouterr()
+    assert "no run of the campaign has both ride and tyre load; there is nothing to draw" in prose(complaint)
+    assert not (tmp_path / "tuned.png").exists()
+    assert "no ride to compare: of every controller a run broke off" in out
     assert "none of 2 has ride of all runs, as some broke off; nothing is best" in prose(out)
     assert not (tmp_path / "tuned.toml").exists()
 
@@ -357,7 +360,9 @@ def test_every_variant_is_a_point(campaign, capsys):
     assert main([str(folder / "campaign.toml"), "--json"]) == 0
     entries = json.loads(capsys.readouterr().out)["summary"]
     read = read_campaign(folder / "campaign.toml")
-    panels = trade_off(Plan(read, {"car.toml": {}}), entries).panels
+    figure = trade_off(Plan(read, {"car.toml": {}}), entries)
+    assert figure is not None
+    panels = figure.panels
     assert {entry["controller"] for entry in entries if "variants" in entry} == {"hybrid", "sky"}
     for entry in entries:
         of_law = candidates([row for row in rows if (row["controller"], row["road"]) == (entry["controller"], entry["road"])])

@@ -410,7 +410,7 @@ def test_a_picture_is_of_the_signals():
     runs = ran(wild_vehicle, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
     figure = history_figure(runs, "a bump")
     assert figure is not None
-    assert figure.finding.startswith("I_printed shakes the body least, with a peak of ")
+    assert figure.finding.startswith("I_printed has the lowest peak of sprung acceleration, ")
     weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
     for panel, name in zip(figure.panels, weighed, strict=True):

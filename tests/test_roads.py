@@ -692,3 +692,11 @@ def test_bad_description(description, message):
     """A description of no road, or of another one than it says, is refused."""
     with pytest.raises(InputError, match=message):
         described_road(description)
+
+
+def test_words_of_a_profile_are_of_heights(tmp_path):
+    """The lowest and highest point of a profile are in metres, though a random road's are frequencies."""
+    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n1,0.01\n2,-0.02\n3,0\n")
+    vehicle = read_vehicle("quarter_car")
+    profile = choose_road(str(tmp_path / "road.csv")).build(vehicle, 10.0, 0, 30.0)
+    assert "lowest -0.02 m, highest 0.01 m, speed 10 m/s" in profile.words

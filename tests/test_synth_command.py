@@ -215,6 +215,16 @@ def test_the_table_says_what_refine_would_gain(capsys, vehicle):
         assert row["refine_lowers_by_at_least"] is None
 
 
+def test_what_cannot_be_refined_fails_as_it_is(tmp_path, capsys):
+    """An unstable law that a file gives is not refined, and its claims fail with `--refine` as without."""
+    (tmp_path / "car.toml").write_text(
+        f'{read_vehicle("quarter_car").text}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
+    )
+    for options in ([], ["--refine"]):
+        assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "wild", *options]) == 1
+        assert "not every claim holds: wild FAILS" in prose(capsys.readouterr().out)
+
+
 def test_refine_belongs_to_the_designer(designer, capsys):
     """`Designer.refine` is what the command prints: the gain, where it came from, what was traded."""
     refined = designer.refine("II")

@@ -49,6 +49,7 @@ def test_points_are_the_numbers_of_the_table(drawn, capsys):
     assert result["picture"] == str(picture)
     assert picture.read_text(encoding="utf-8").count("constant dampers, expected") >= 1
     figure = trade_off(plan, result["summary"])
+    assert figure is not None
     assert [panel.title for panel in figure.panels] == ["iso8608:class=B at 20 m/s", "bump at 20 m/s"]
     for panel, road in zip(figure.panels, ("iso8608:class=B", "bump"), strict=True):
         circles = {
@@ -90,7 +91,9 @@ def test_the_line_is_of_cars_with_those_dampers(drawn):
         {"vehicle": "quarter_car_semi_active", "controller": "passive", "road": "iso8608:class=B", "speed": 20.0}
         | {"load": {"rms": 0.1}, "ride": {"rms": 1.0}}
     ]
-    (panel,) = trade_off(plan, entries).panels
+    figure = trade_off(plan, entries)
+    assert figure is not None
+    (panel,) = figure.panels
     curves = {curve.label: curve for curve in panel.curves}
     spectrum = choose_road("iso8608:class=B").build(plain, 20.0, 0, 20.0 * 3.0).spectrum
 

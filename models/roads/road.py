@@ -105,8 +105,10 @@ class Road(ABC):
     def words(self) -> str:
         """The description on a line for people, without long lists."""
         kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list)]
+        # A road of points has heights from lowest to highest, a random one has frequencies.
+        units = UNITS | dict.fromkeys(("lowest", "highest"), "m") if "points" in dict(short) else UNITS
         number = [
-            f"{key} {value:g} {UNITS.get(key, '')}".rstrip() if isinstance(value, float) else f"{key} {value}"
+            f"{key} {value:g} {units.get(key, '')}".rstrip() if isinstance(value, float) else f"{key} {value}"
             for key, value in short
         ]
         return ", ".join([str(kind[1]), *number])

@@ -85,9 +85,13 @@ def run_campaign(options: argparse.Namespace) -> int:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
         else:
             saved, outputs["save"] = None, None
-        if options.picture is not None:
-            write_picture(trade_off(plan, entries), options.picture)
+        figure = trade_off(plan, entries) if options.picture is not None else None
+        if figure is not None and options.picture is not None:
+            write_picture(figure, options.picture)
         stage.end()
+        if figure is None and options.picture is not None:
+            complain("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
+            outputs["picture"] = None
         if options.json:
             result = {
                 "results": str(store.results),

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError
 from models.common.printed import WIDTH, cell, percent, table, wrapped
 from models.figures.figure import OTHERS, Curve, Figure, Panel, styles
 from models.laws.python_law import Programmed, PythonLaw
@@ -281,14 +280,14 @@ ACROSS, UP = "load", "ride"
 ACROSS_LABEL, UP_LABEL = "dynamic tyre load, rms [of the static load]", "weighted acceleration, rms [m/s²]"
 
 
-def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
+def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None:
     """A panel for every road and speed, a point for every vehicle, controller and variant: their root mean squares in MuJoCo.
 
     Args:
         entries: what it came to, see `summarise`.
 
-    Raises:
-        InputError: nothing of it has both metrics.
+    Returns:
+        None if no run has both metrics.
     """
     campaign, several = plan.campaign, len(plan.campaign.vehicles) > 1
     own = {vehicle: f", {vehicle}" if several else "" for vehicle in campaign.vehicles}
@@ -321,7 +320,7 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure:
             title = f"{road} at {speed:g} m/s"
             panels.append(Panel(title, ACROSS_LABEL, UP_LABEL, tuple(curves)))
     if not panels:
-        raise InputError("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
+        return None
     sentences = "; ".join(dict.fromkeys(filter(None, (_softest(panel) for panel in panels))))
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "

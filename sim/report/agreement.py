@@ -120,8 +120,8 @@ def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
         return ""
     least = min(peaks, key=lambda one: peaks[one])
     against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))
-    unit = scope.vehicle.kind.signal(name).unit
-    return f"{least} shakes the body least over the bump: a peak of {peaks[least]:.3g} {unit}{against}."
+    words, unit = name.replace("_", " "), scope.vehicle.kind.signal(name).unit
+    return f"Over the bump {least} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
 
 
 def _bounded(scope: Scope, run: Run) -> bool:

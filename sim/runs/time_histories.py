@@ -84,15 +84,15 @@ def _bounded(run: Run) -> bool:
 
 
 def _least(runs: Sequence[Run]) -> str:
-    """Returns a sentence on the run in which the body is shaken least, or an empty one without a choice."""
+    """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
     vehicle = runs[0].vehicle
     name = next((name for name in vehicle.performance if name.endswith("acceleration")), None)
     peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
     if name is None or len(peaks) < 2:
         return ""
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
-    unit = vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return f"{least} shakes the body least, with a peak of {peaks[least]:.3g} {unit}; {most} has {peaks[most]:.3g}"
+    words, unit = name.replace("_", " "), vehicle.kind.signal(name).unit.replace("s2", "s²")
+    return f"{least} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {most} has {peaks[most]:.3g}"
 
 
 def _drawn(run: Run, name: str, style: Style, bounded: bool, continuous: bool) -> _Drawn | None:

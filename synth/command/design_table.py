@@ -234,7 +234,8 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
         except DesignError:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
         not_refined = f"not refined: {error}"
-        return Row(name, controller, (*notes(controller), not_refined), (), answers=(not_refined,))
+        failures = (*controller.certificate.failures, *controller.unmet_specifications)
+        return Row(name, controller, (*notes(controller), not_refined), failures, answers=(not_refined,))
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
     judged = designer.judged(refined.controller)
     failures = (*judged.certificate.failures, *judged.unmet_specifications)

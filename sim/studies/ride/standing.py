@@ -173,7 +173,7 @@ def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
     """
     columns, legend = compared_columns(standings)
     if not columns:
-        return ["no ride to compare: every run broke off"]
+        return ["no ride to compare: of every controller a run broke off"]
     rows = zip(["", "", *(one.controller for one in standings)], *map(_cells, columns), strict=True)
     return [*table(rows), f"  {legend}{about}"]
 
