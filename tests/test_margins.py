@@ -259,18 +259,6 @@ def test_periods_side_by_side(paper, measured):
         np.testing.assert_allclose(together[i], Phi + Gamma @ G, rtol=0, atol=1e-12 * np.abs(together[i]).max())  # of 40 products
 
 
-@pytest.mark.parametrize("actuators", [[0, 1], [0], [1]])
-def test_a_law_with_states_is_sampled_where_it_is_cut(actuators):
-    """Behind filters of 10 kHz a gain has the sample period that it has without, also where its other force is not sampled."""
-    vehicle = read_vehicle("half_car")
-    controller = designed(vehicle, "I")
-    fast = 2e4 * np.pi * np.eye(4)
-    filtered = dataclasses.replace(controller, law=LinearLaw(-fast, fast, controller.gain, np.zeros((2, 4))))
-    plain, behind = (largest_sample_period(loop_transfer(vehicle, one, actuators)) for one in (controller, filtered))
-    assert behind == pytest.approx(plain, rel=5e-4)  # the filters' delay of 16 us, of a period of 62 ms
-    assert math.isinf(plain) == (actuators == [0])
-
-
 def test_unstable_transitions_are_told_by_their_powers():
     """Powers tell stable from unstable matrices as eigenvalues do, near the unit circle, far from normal, and infinite."""
     rng = np.random.default_rng(20261126)

@@ -63,17 +63,21 @@ class LoopTransfer:
         """Transitions of the closed loop that is sampled, at the periods start + step, start + 2 step and so on [s].
 
         Returns:
-            Shape (count, N, N): N is n, and for a law with states what `SampledLaw` adds.
+            Shape (count, N, N), N the n states, and with a controller of states the forces that are in their own measurement.
         """
+        if self.sampling is not None:
+            return self.sampling.transitions(start, step, count)
         held = _held(self.A, self.B, start, step, count)
         n = len(self.A)
-        if self.sampling is None:
-            return held[:, :n, :n] + held[:, :n, n:] @ self.G
-        return self.sampling.transitions(held, start, step)
+        return held[:, :n, :n] + held[:, :n, n:] @ self.G
 
     def sampled_growth(self, period: float) -> float:
-        """Spectral radius of the transition at a period [s], less 1."""
-        return float(np.abs(np.linalg.eigvals(self.from_sample_to_sample(0.0, period, 1)[0])).max() - 1)
+        """Spectral radius of one of these, made by itself, less 1."""
+        if self.sampling is not None:
+            Phi, Gamma, G = sampled_loop_transfer(self.sampling.vehicle, self.sampling.controller, period)
+        else:
+            (Phi, Gamma), G = held_inputs(self.A, period, linalg.expm, self.B), self.G
+        return float(np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() - 1)
 
     def transfer(self, omega: Array) -> Array:
         """L(j omega), shape (F, k, k), for angular frequencies [rad/s] of shape (F,)."""
@@ -100,7 +104,7 @@ def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[
         B[:, actuators] + B[:, others] @ through,
         G[actuators] + H[np.ix_(actuators, others)] @ closing,
         H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
-        SampledLaw(vehicle, controller, actuators),
+        SampledLaw(vehicle, controller),
     )
 
 
@@ -108,46 +112,35 @@ def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[
 class SampledLaw:
     """A controller with states, whose loop is sampled at one period or another.
 
-    The other forces are as in the loop, in continuous time; but where forces are measured, all are sampled and held.
-
     Attributes:
         vehicle: the vehicle; what its `[implementation]` says does not count.
-        controller: the controller.
-        actuators: at which the loop is cut.
+        controller: the controller; all its forces are sampled and held.
     """
 
     vehicle: Vehicle
     controller: Controller
-    actuators: Sequence[int]
 
-    def transitions(self, held: Array, start: float, step: float) -> Array:
-        """Returns `LoopTransfer.from_sample_to_sample`, by powers of one exponential of the law.
+    def transitions(self, start: float, step: float, count: int) -> Array:
+        """Returns `LoopTransfer.from_sample_to_sample`: the closed loop of `sampled_loop_transfer`, by powers of one exponential.
 
         A discrete law counts as its continuous counterpart here, at its own sample period, too.
-
-        Args:
-            held: Phi and Gamma of the loop over these periods, as `_held` returns them.
-            start, step: as there.
         """
-        model, law, count = with_lag(self.vehicle), self.controller.law.continuous(), len(held)
+        model, law = with_lag(self.vehicle), self.controller.law.continuous()
         C, D = model.rows(self.controller.measured)
-        (n, m), (k, q), mine = model.B.shape, law.B.shape, list(self.actuators)
-        if np.any(D) or len(mine) == m:
-            held, mine = _held(model.A, model.B, start, step, count), list(range(m))
-        else:
-            n += k  # the others' forces have states of their own, with those of the vehicle
+        (n, m), (k, q) = model.B.shape, law.B.shape
+        held = _held(model.A, model.B, start, step, count)
         # As in `LinearLaw.sampled`, but for the ramp, which is not over the period yet.
         chain = np.zeros((k + 2 * q, k + 2 * q))
         chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
         periods = start + step * np.arange(1, count + 1)
         kept = _powers(chain, start, step, count)
         A, ramp = kept[:, :k, :k], kept[:, :k, k + q :] / periods[:, None, None]
-        B, through = kept[:, :k, k : k + q] - ramp + A @ ramp, law.D[mine] + law.C[mine] @ ramp
+        B, through = kept[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
         # From [x; x_c; previous forces], which are states only where they are measured.
         previous = m if np.any(D) else 0
-        seen = np.hstack([C, np.zeros((q, n - C.shape[1] + k)), D[:, :previous]])
+        seen = np.hstack([C, np.zeros((q, k)), D[:, :previous]])
         forces = through @ seen
-        forces[:, :, n : n + k] += law.C[mine]
+        forces[:, :, n : n + k] += law.C
         moved = np.zeros((count, n + k + previous, n + k + previous))
         moved[:, :n] = held[:, :n, n:] @ forces
         moved[:, :n, :n] += held[:, :n, :n]
