@@ -259,6 +259,26 @@ def test_periods_side_by_side(paper, measured):
         np.testing.assert_allclose(together[i], Phi + Gamma @ G, rtol=0, atol=1e-12 * np.abs(together[i]).max())  # of 40 products
 
 
+def test_each_force_of_a_pid_has_margins():
+    """Each force alone of a half-car's PID has margins, with an integrator that turns nothing."""
+    pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'
+    pid += "pid = { kp = -2000.0, ki = -500.0, kd = -200.0, filter = 0.02 }\n"
+    vehicle = parse_vehicle(f"{read_vehicle('half_car').text}\n[controllers.pid]\n{pid}")
+    for actuators in ([0], [1], [0, 1]):
+        loop = loop_transfer(vehicle, design(vehicle, "pid"), actuators)
+        found = margins(loop)
+        assert found.delay > 0.01
+        assert loop.sampled_growth(0.99 * found.sample_period) < 0 < loop.sampled_growth(1.01 * found.sample_period)
+
+
+@pytest.mark.parametrize("gain", [-1e8, -1e9])
+def test_a_loop_far_stiffer_than_its_plant_has_no_period(paper, gain):
+    """Where rounding hides if any period is stable, the largest one is next to none, and nothing is raised."""
+    law = f'[controllers.c]\nmeasured = ["suspension_deflection"]\ngain = [[{gain}]]\n'
+    vehicle = parse_vehicle(f"{paper.text.replace('suspension_damping = 400', 'suspension_damping = 4')}\n{law}")
+    assert largest_sample_period(loop_transfer(vehicle, design(vehicle, "c"), [0])) < 1e-5
+
+
 def test_unstable_transitions_are_told_by_their_powers():
     """Powers tell stable from unstable matrices as eigenvalues do, near the unit circle, far from normal, and infinite."""
     rng = np.random.default_rng(20261126)

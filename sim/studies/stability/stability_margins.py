@@ -199,6 +199,8 @@ def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | Non
     """Returns the crossover next to a lag and a pole, to rounding, or None if the pole only comes near the axis."""
 
     def nearest(angle: float) -> complex:
+        if not abs(angle - theta) < 1:  # a secant that is next to flat leads anywhere
+            return complex(math.nan)
         poles = np.linalg.eigvals(loop.closed(np.exp(-1j * angle)))
         return complex(poles[np.argmin(np.abs(poles - pole))])
 
@@ -215,8 +217,9 @@ def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | Non
 def largest_sample_period(loop: LoopTransfer) -> float:
     """Returns the shortest sample period at which the loop is unstable [s], or infinity.
 
-    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. The result is 0
-    if a force comes back as large through its own measurement.
+    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. An instability
+    over less than a step, of a lightly damped mode, may be missed. The result is 0 if a force comes back as large through its own
+    measurement.
     """
     if loop.comes_back >= 1:
         return 0.0
@@ -233,6 +236,8 @@ def largest_sample_period(loop: LoopTransfer) -> float:
             first = start + h * (1 + int(i))
             if loop.sampled_growth(first) > 0:  # not by rounding alone
                 before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
+                if loop.sampled_growth(before) >= 0:  # a loop far faster than the plant: its rounding, or unstable before
+                    return before
                 refined: Any = optimize.brentq(loop.sampled_growth, before, first, xtol=1e-13)
                 return float(refined)
         start += count * h
