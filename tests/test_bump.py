@@ -280,6 +280,8 @@ def test_a_mildly_unstable_gain_is_run_and_called_unstable(capsys, tmp_path):
     out = capsys.readouterr().out
     assert re.search(r"unstable: a pole at \S+\+\S+j rad/s|unstable: a pole at \S+ 1/s", out)
     assert "unstable: the sampled loop grows by a factor of 1.000" in out
+    main(["--controller", "mine", "--controller", "passive", "--no-logs", "--vehicle", vehicle, "--brief"])
+    assert "mine UNSTABLE loop; agrees" in prose(capsys.readouterr().out)
 
 
 def test_a_diverged_run_shows_no_numbers_of_its_linear_analysis(capsys, tmp_path):

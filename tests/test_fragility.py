@@ -13,6 +13,7 @@ from models.vehicle.controllers import DesignConditions
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from synth.__main__ import main
 from synth.analysis.uncertainty_box import ScaledGain
+from synth.command.fragility import _between
 from synth.controller.problem import problem
 from synth.design.uncertainty.fragility import SHARES, fragility, proved_text, rounded
 from synth.design.uncertainty.problem import scaled_gain
@@ -266,3 +267,9 @@ def test_check_and_rates_know_nothing_of_it():
     for arguments in (["--check", "models/quarter_car.toml"], ["--rates", "1"]):
         with pytest.raises(InputError, match="goes with"):
             main([*arguments, "--fragility"])
+
+
+def test_what_is_not_proved_has_a_dash():
+    """In the table of several controllers neither a missing proof nor a missing violation reads as a number."""
+    assert _between(0.2, 0.21) == "20, 21"
+    assert (_between(0.0, 0.5), _between(0.2, np.inf)) == ("-, 50", "20, -")

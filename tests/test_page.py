@@ -33,6 +33,7 @@ from models.figures.page import (
     readable,
     render,
 )
+from models.figures.picture import LONGEST, middle_cut
 from models.figures.reading import Pivot, aligned, notation, read
 from models.figures.svg import TOLERANCE, about, page_text, shade_colors, svg
 from models.laws.linear import static_law
@@ -343,6 +344,14 @@ def test_long_names_are_shortened_beside_their_bar():
     description = element.find("desc")
     assert description is not None
     assert all(name in (description.text or "") for name in names)
+
+
+def test_long_names_of_a_legend_keep_their_ends():
+    """A long name without spaces loses its middle, so that names which differ at their ends do so in a legend."""
+    names = [f"{'x' * 47}_{i}" for i in range(9)]
+    assert {len(middle_cut(name)) for name in names} == {LONGEST}
+    assert len({middle_cut(name) for name in names}) == 9
+    assert middle_cut("I") == "I"
 
 
 @pytest.mark.parametrize("log", [False, True])

@@ -79,7 +79,7 @@ def _drawn(figure: Figure) -> Any:
         axis.set_visible(False)
     entries = legend(figure)
     columns = min(len(entries), 3 * figure.columns - (figure.columns > 1))
-    names = [one.label if len(one.label) <= LONGEST or " " in one.label else f"{one.label[: LONGEST - 1]}…" for one in entries]
+    names = [one.label if " " in one.label else middle_cut(one.label) for one in entries]
     room = width * figure.columns - 0.2
     note = _broken(notation(figure.title), room, NOTE) if figure.finding else ""
     canvas.set_figheight(canvas.get_figheight() + 0.15 * len(note.splitlines()))
@@ -139,6 +139,11 @@ def _broken(text: str, room: float, size: float) -> str:
             else:
                 lines[-1] = _cut(longer, room, size)
     return "\n".join(lines)
+
+
+def middle_cut(name: str) -> str:
+    """Returns a name of at most `LONGEST` letters, without its middle if it is longer: names often differ at their ends."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[len(name) - (LONGEST - 1) // 2 :]}"
 
 
 def _cut(name: str, room: float, size: float) -> str:

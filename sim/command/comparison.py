@@ -264,7 +264,7 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
 
 
 def short_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable.
+    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable and alone.
 
     Claims of more than `FEW` controllers are left to `-v`.
     """
@@ -279,8 +279,10 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
         if code := code_line(run):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
-        told = not run.passed or math.isfinite(run.diverged) or run.prediction.radius >= 1
-        lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]] if told else []
+        alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
+        if alone or not run.passed:
+            lines += [f"{run.controller.name}:"] * (len(runs) > 1)
+            lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
     lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
     return ["", *lines] if lines else []

@@ -244,9 +244,16 @@ def verdict(run: Run) -> str:
 def summary_lines(runs: Sequence[Run]) -> list[str]:
     """Returns the verdict on every run, a line each; runs of more than `FEW` controllers with the same verdict share a line."""
     width = max(len(run.controller.name) for run in runs)
+    said = [(run.controller.name, f"{_unstable(run)}{verdict(run)}") for run in runs]
     if len(runs) <= FEW:
-        return [line for run in runs for line in wrapped(verdict(run), f"{run.controller.name:{width}}  ", 4)]
-    return shared_lines([(run.controller.name, verdict(run)) for run in runs])
+        return [line for name, words in said for line in wrapped(words, f"{name:{width}}  ", 4)]
+    return shared_lines(said)
+
+
+def _unstable(run: Run) -> str:
+    """Returns the words before the verdict on a run whose loop is unstable or marginal, else an empty text."""
+    radius = run.prediction.radius
+    return "UNSTABLE loop; " if radius > 1 else "marginal loop; " if radius == 1 else ""
 
 
 def shared_lines(said: Iterable[tuple[str, str]]) -> list[str]:

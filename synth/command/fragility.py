@@ -66,4 +66,5 @@ def short_lines(reports: Mapping[str, FragilityReport]) -> list[str]:
 
 
 def _between(proved: float, found: float) -> str:
-    return f"{100 * proved:.3g}, {f'{100 * found:.3g}' if finite(found) is not None else '-'}"
+    """Returns the errors that are proved to be borne and those that are found not to be [%]; a dash for none."""
+    return ", ".join(f"{100 * value:.3g}" if value and finite(value) is not None else "-" for value in (proved, found))
