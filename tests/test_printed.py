@@ -48,7 +48,7 @@ SCREEN = {  # what is asked of every vehicle file that ships, and those whose an
 SHIPPED = ("quarter_car", "quarter_car_accelerometer", "quarter_car_goals", "quarter_car_semi_active", "half_car", "full_car")
 SOME = {
     "--fragility": SHIPPED[:1],
-    "--refine": ("quarter_car", "quarter_car_semi_active", "half_car"),
+    "--refine": ("quarter_car", "quarter_car_semi_active", "quarter_car_goals"),
     "--prove": SHIPPED[:2],
     "--cross-check": ("quarter_car", "quarter_car_semi_active", "half_car"),
     "--front": SHIPPED[:1],

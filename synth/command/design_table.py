@@ -18,6 +18,7 @@ from synth.analysis.invariant_point import is_pole
 from synth.analysis.lower_bound import LowerBound
 from synth.command.table import (
     Row,
+    answer_lines,
     detail_lines,
     refine_lines,
     ride_lines,
@@ -131,12 +132,12 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             lines = titled(vehicle.kind.name, vehicle.source)
             full, asked = options.verbose, bool(options.given & ASKED)
             promised = any(row.controller is not None and row.controller.specifications for row in rows)
-            for row in rows:
-                lines += (
-                    ["", *detail_lines(row, vehicle)]
-                    if full
-                    else short_lines(row, gains=not promised and not (asked and len(rows) > 1), checked=bool(options.check))
-                )
+            if asked and len(rows) > 1 and not full:
+                lines += answer_lines(rows, checked=bool(options.check))
+            else:
+                for row in rows:
+                    short = [] if full else short_lines(row, gains=not promised, checked=bool(options.check))
+                    lines += ["", *detail_lines(row, vehicle)] if full else short
             if options.fragility and not full:
                 from synth.command.fragility import short_lines as fragile_lines
 
@@ -233,7 +234,7 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
             controller = designer.design(name, zero_l)
         except DesignError:
             return Row(name, None, (), ("the two steps find no gain", f"not refined: {error}"))
-        not_refined = f"not refined: {error}"
+        not_refined = f"not refined: {str(error).removeprefix(f'controller {name!r}: ')}"
         failures = (*controller.certificate.failures, *controller.unmet_specifications)
         return Row(name, controller, (*notes(controller), not_refined), failures, answers=(not_refined,))
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)

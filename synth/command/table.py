@@ -188,16 +188,46 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
 
 
+def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
+    """Returns what was asked about several controllers, those with the same answer in one sentence, and what fails.
+
+    Args:
+        rows: of the controllers.
+        checked: True for a line on what was checked.
+    """
+    alike = dict[str, list[str]]()
+    for row in rows:
+        for each in _answers(row, checked) if row.controller is not None else []:
+            alike.setdefault(each, []).append(row.name)
+    if ahead := [row.name for row in rows if row.controller is not None and row.controller.preview is not None]:
+        alike.setdefault(FEEDBACK_ALONE, []).extend(ahead)
+    lines = [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
+    return [*lines, *(line for row in rows for line in _failure_lines(row))]
+
+
+def _answers(row: Row, checked: bool) -> list[str]:
+    return [
+        *row.answers,
+        *([row.witness.text] if row.witness is not None else []),
+        *(row.notes[-1:] if checked else []),
+    ]
+
+
+def _failure_lines(row: Row) -> list[str]:
+    return [f"{row.name} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {failure}" for failure in row.failures]
+
+
 def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
     """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it; what was asked
     about it, and what fails.
 
     Args:
+        row: of the controller.
         gains: False to leave out the gains.
         checked: True for a line on what was checked.
     """
     if row.controller is None:
-        return [f"{row.name} NOT DESIGNED: {failure}" for failure in row.failures]
+        return _failure_lines(row)
     promises, law = row.controller.specifications, row.controller.law
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
@@ -208,10 +238,8 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
         lines = gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
     if row.controller.preview is not None:
         lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
-    answers = [*row.answers, *([row.witness.text] if row.witness is not None else [])]
-    answers += row.notes[-1:] if checked else []
-    lines += [part for each in answers for part in wrapped(each, f"{row.name}: ", 4)]
-    return [*lines, *(f"{row.name} FAILS: {failure}" for failure in row.failures)]
+    lines += [part for each in _answers(row, checked) for part in wrapped(each, f"{row.name}: ", 4)]
+    return [*lines, *_failure_lines(row)]
 
 
 def semi_active_lines(vehicle: Vehicle) -> list[str]:
