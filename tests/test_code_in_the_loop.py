@@ -150,6 +150,8 @@ def effects(numbers: str, seeds: range) -> tuple[list[float], list[float]]:
         loop = random_loop(seed)
         on = road_under(loop.vehicle, 2.0, seed)
         response = sampled_response(loop, on)
+        if not any(response.peak(name) for name in loop.controller.measured):
+            continue  # a force is measured that nothing else moves: the law stays at rest, and rounds nothing
         ranges = {name: float(max(1.5 * response.peak(name), 1e-9)) for name in loop.controller.measured}
         both = [coded(loop.vehicle, loop.controller, each, ranges) for each in (numbers, "double")]
         runs = [simulate([one], [on]).response.run(0) for one in both]
