@@ -132,7 +132,7 @@ def test_a_front_is_of_road_and_loads_together(tmp_path, capsys, monkeypatch):
     file = tmp_path / "mine.toml"
     file.write_text(read_vehicle("quarter_car").text + CARRIED)
     asked = ["--vehicle", str(file), "--front", "ride:travel", "--controller", "carried"]
-    assert main(asked) == 0
+    assert main([*asked, "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert main([*asked, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
