@@ -85,13 +85,15 @@ def run_campaign(options: argparse.Namespace) -> int:
             saved = save(options.save, campaign, choices[0], options.command_line, manifest.digest)
         else:
             saved, outputs["save"] = None, None
-        figure = trade_off(plan, entries) if options.picture is not None else None
-        if figure is not None and options.picture is not None:
-            write_picture(figure, options.picture)
+        if options.picture is not None:
+            figure = trade_off(plan, entries)
+            if figure is not None:
+                write_picture(figure, options.picture)
+            else:
+                outputs["picture"] = None
         stage.end()
-        if figure is None and options.picture is not None:
+        if outputs["picture"] is not options.picture:
             complain("--picture: no run of the campaign has both ride and tyre load; there is nothing to draw")
-            outputs["picture"] = None
         if options.json:
             result = {
                 "results": str(store.results),

@@ -17,7 +17,7 @@ from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
-from sim.runs.time_histories import OF_LINE, history_panels
+from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_panels
 from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
@@ -114,9 +114,8 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
 
 def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
     """Returns a sentence on the controller with the least peak of the body's acceleration, or an empty one without a choice."""
-    name = next((name for name in scope.vehicle.performance if name.endswith("acceleration")), None)
-    peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
-    if name is None or len(peaks) < 2:
+    name, peaks = acceleration_peaks(runs)
+    if not name:
         return ""
     least = min(peaks, key=lambda one: peaks[one])
     against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))

@@ -83,15 +83,23 @@ def _bounded(run: Run) -> bool:
     return run.broke_off is None and run.prediction.radius < 1
 
 
+def acceleration_peaks(runs: Sequence[Run]) -> tuple[str, dict[str, float]]:
+    """Returns the first weighed acceleration and its peaks in MuJoCo by controller, without runs that broke off.
+
+    Without a choice, of fewer than two, the name and the peaks are empty.
+    """
+    name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
+    peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
+    return (name, peaks) if len(peaks) > 1 else ("", {})
+
+
 def _least(runs: Sequence[Run]) -> str:
     """Returns a sentence on the run with the lowest peak of the acceleration, or an empty one without a choice."""
-    vehicle = runs[0].vehicle
-    name = next((name for name in vehicle.performance if name.endswith("acceleration")), None)
-    peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
-    if name is None or len(peaks) < 2:
+    name, peaks = acceleration_peaks(runs)
+    if not name:
         return ""
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
-    words, unit = name.replace("_", " "), vehicle.kind.signal(name).unit.replace("s2", "s²")
+    words, unit = name.replace("_", " "), runs[0].vehicle.kind.signal(name).unit.replace("s2", "s²")
     return f"{least} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {most} has {peaks[most]:.3g}"
 
 

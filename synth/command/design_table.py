@@ -136,8 +136,11 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 lines += answer_lines(rows, checked=bool(options.check))
             else:
                 for row in rows:
-                    short = [] if full else short_lines(row, gains=not promised, checked=bool(options.check))
-                    lines += ["", *detail_lines(row, vehicle)] if full else short
+                    lines += (
+                        ["", *detail_lines(row, vehicle)]
+                        if full
+                        else short_lines(row, gains=not promised, checked=bool(options.check))
+                    )
             if options.fragility and not full:
                 from synth.command.fragility import short_lines as fragile_lines
 

@@ -6,21 +6,16 @@ stays within its bound in the loop. Exit code 1 if anything differs. The extra `
 """
 
 import argparse
-import ctypes
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from models.vehicle.vehicle import read_vehicle, shipped
 from synth.controller.export import cortex_m4
 from synth.controller.export.c_law import ExportedLaw, PythonStep, c_name, exported_law, random_inputs
-from synth.controller.export.c_source import FLAGS
-from synth.controller.export.compiled import compiler
+from synth.controller.export.compiled import ExportedCode
 from synth.controller.export.fixed_source import source_of
 from synth.vehicle.designer import Designer
 from tests.test_code_in_the_loop import KINDS, effects
@@ -42,22 +37,13 @@ def shipped_laws() -> Iterator[ExportedLaw]:
 
 def on_this_machine(law: ExportedLaw, rows: Sequence[Sequence[float]]) -> list[list[float]]:
     """Returns the outputs of the code that this machine's compiler makes."""
-    source, p = source_of(law, "0" * 64), law.name
-    number = cortex_m4.C_TYPES[law.numbers]
-    with tempfile.TemporaryDirectory() as beside:
-        folder = Path(beside)
-        for name, text in ((f"{p}.h", source.header()), (f"{p}.c", source.source()), (f"{p}_data.h", source.data())):
-            (folder / name).write_text(text)
-        built = [*compiler(), *FLAGS.split(), "-shared", "-fPIC", str(folder / f"{p}.c"), "-o", str(folder / "law.so")]
-        subprocess.run(built, check=True)
-        library = ctypes.CDLL(str(folder / "law.so"))
-    state, seen, given = (ctypes.c_double * 512)(), (number * len(law.inputs))(), (number * len(law.outputs))()
-    step, found = getattr(library, f"{p}_step"), []
-    getattr(library, f"{p}_init")(ctypes.byref(state))
+    source, p, found = source_of(law, "0" * 64), law.name, []
+    texts = {f"{p}.h": source.header(), f"{p}.c": source.source(), f"{p}_data.h": source.data()}
+    code = ExportedCode(law, texts, "0" * 64).start()
     for row in rows:
-        seen[:] = row
-        step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
-        found.append(list(given))
+        code.seen[:] = row
+        code.step()
+        found.append(code.given.tolist())
     return found
 
 
