@@ -167,6 +167,10 @@ def test_report_and_log(tmp_path, monkeypatch, capsys):
         assert too_wide(out) == []
         assert (len(out.splitlines()) <= LINES) == short
         assert re.fullmatch(ANSWERS["sim.inspect"] + ".*", out.splitlines()[-1])
+        if "--csv" in more:
+            assert re.search(
+                r"\n  design    norm [\d.]+ at [\d.]+ rad/s, bound [\d.]+\n  verdict   agrees .*; energy balances", out
+            )
 
 
 def test_campaign(tmp_path, monkeypatch, capsys):

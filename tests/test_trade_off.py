@@ -80,6 +80,32 @@ def test_bars_are_two_standard_errors():
     assert summary._error_bars(entry | {"load": {"rms": 0.3, "standard_error": None}}, "#000000") == []
 
 
+def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(drawn):
+    """The finding counts the panels in which a controller is best, by vehicle; the title names controllers without a point."""
+    _, plan = drawn
+    cars = {name: replace(read_vehicle("quarter_car"), text="") for name in ("one", "two")}
+    nothing: dict[str, dict] = {name: {} for name in cars}
+    several = replace(plan.campaign, vehicles=cars, samples=nothing, variants=nothing)
+    numbers = {  # load and ride of passive and I, by vehicle and road; sky has none
+        ("one", "iso8608:class=B"): ((0.1, 2.0), (0.2, 1.0)),
+        ("one", "bump"): ((0.3, 2.0), (0.2, 1.0)),
+        ("two", "iso8608:class=B"): ((0.1, 2.0), (0.2, 3.0)),
+        ("two", "bump"): ((0.1, 2.0), (0.2, 3.0)),
+    }
+    entries = [
+        {"vehicle": vehicle, "controller": name, "road": road, "speed": 20.0} | {"load": {"rms": load}, "ride": {"rms": ride}}
+        for (vehicle, road), every in numbers.items()
+        for name, (load, ride) in zip(("passive", "I", "sky"), (*every, (None, None)), strict=True)
+    ]
+    figure = trade_off(Plan(several, nothing), entries)
+    assert figure is not None
+    assert figure.finding == (
+        "one: rides best: I in 2 of 2; holds the road best: passive in 1 of 2, I in 1 of 2; "
+        "two: passive rides best and holds the road best"
+    )
+    assert "no run has both numbers: sky, one; sky, two." in figure.title
+
+
 def test_the_line_is_of_cars_with_those_dampers(drawn):
     """The ends of the line are what is expected of the same car with c_min and c_max for good, crosses of one whose actuators
     push: by vehicles that have no adjustable damper at all."""

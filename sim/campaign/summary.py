@@ -5,6 +5,7 @@ they are expected to do over the same roads. What lies below it on the left is w
 """
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -321,13 +322,17 @@ def trade_off(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Figure | None
             panels.append(Panel(title, ACROSS_LABEL, UP_LABEL, tuple(curves)))
     if not panels:
         return None
-    sentences = "; ".join(dict.fromkeys(filter(None, (_softest(panel) for panel in panels))))
+    drawn = {curve.label for panel in panels for curve in panel.curves}
+    absent = [label for label in looks if label not in drawn]
+    said = {vehicle: _finding(panels, end) for vehicle, end in own.items()}
+    finding = "; ".join(f"{vehicle}: {words}" if several else words for vehicle, words in said.items() if words)
     title = (
         "Ride against road holding: down is more comfortable, left holds the road better. Points: MuJoCo, root mean squares over "
         "runs, of the worst point of the vehicle, with two standard errors."
         + (" Crosses: with actuators that push in place of adjustable dampers." if crossed else "")
+        + (f" Not drawn, as no run has both numbers: {'; '.join(absent)}." if absent else "")
     )
-    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=sentences)
+    return Figure("trade_off", title, tuple(panels), min(2, len(panels)), (6.4, 4.8), finding=finding)
 
 
 def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
@@ -340,13 +345,30 @@ def _error_bars(entry: Mapping[str, Any], color: str) -> list[Curve]:
     return [Curve(ends[:, 0], ends[:, 1], "", color, width=1.0, name=f"{entry['controller']}, two standard errors")]
 
 
-def _softest(panel: Panel) -> str:
-    """Returns who rides best and who holds the road best in a panel, or an empty text with less than two controllers."""
-    points = [curve for curve in panel.curves if curve.dash == "none" and curve.marker != "x" and len(curve.x)]
-    if len(points) < 2:
+def _finding(panels: Sequence[Panel], end: str) -> str:
+    """Returns who rides best and who holds the road best, in how many panels; an empty text without a choice.
+
+    Args:
+        end: of the labels of one vehicle, which is left out.
+    """
+    best = [one for panel in panels if (one := _best(panel, end))]
+    if not best:
         return ""
-    soft, firm = min(points, key=lambda one: one.y.min()).label, min(points, key=lambda one: one.x.min()).label
-    return f"{soft} rides best{f', {firm} holds' if firm != soft else ' and holds'} the road best"
+    soft, firm = (Counter(names).most_common() for names in zip(*best, strict=True))
+    if len(soft) == len(firm) == 1:
+        (rides, _), (holds, _) = soft[0], firm[0]
+        return f"{rides} rides best{f', {holds} holds' if holds != rides else ' and holds'} the road best"
+    words = (", ".join(f"{name} in {count} of {len(best)}" for name, count in some) for some in (soft, firm))
+    return "rides best: {}; holds the road best: {}".format(*words)
+
+
+def _best(panel: Panel, end: str) -> tuple[str, str] | None:
+    """Returns who rides best and who holds the road best in a panel; None with less than two controllers."""
+    points = [one for one in panel.curves if one.dash == "none" and one.marker != "x" and len(one.x) and one.label.endswith(end)]
+    if len(points) < 2:
+        return None
+    soft, firm = min(points, key=lambda one: one.y.min()), min(points, key=lambda one: one.x.min())
+    return soft.label.removesuffix(end), firm.label.removesuffix(end)
 
 
 @dataclass(frozen=True, eq=False)

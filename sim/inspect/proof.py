@@ -22,8 +22,9 @@ from sim.runs.report import NO_CLAIM, NO_CLAIM_OF_SWITCHING
 from sim.runs.run import Run, compare_runs
 from synth.controller.controller import Controller
 
+IN_SHORT = "who wrote it and when, with which versions"  # the first of these
 UNCHECKED = (
-    "who wrote it and when, with which versions and library, in which folders vehicle file and log lay, what a road file held "
+    f"{IN_SHORT} and library, in which folders vehicle file and log lay, what a road file held "
     "before it was read, the index behind the data, which players ask, whether a controller keeps goals of its section"
 )
 NOT_RUN = "its text is attached and was not run: what follows is of the forces that it asked for, which are attached too"

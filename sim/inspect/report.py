@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from models.common.errors import InputError
 from models.common.printed import Whole, wrapped
 from sim.inspect.findings import HOLDS, NOTE, Finding
 from sim.inspect.log import Recorded, RecordedRun, read_json
-from sim.inspect.proof import Inspected, Proof
-from sim.runs.report import controller_object, run_object
+from sim.inspect.proof import IN_SHORT, UNCHECKED, Inspected, Proof
+from sim.runs.report import claims, controller_object, run_object, verdict
 from synth.controller.controller import Controller
 from synth.controller.report import law_lines, preview_lines
 
@@ -74,11 +75,15 @@ def proof_lines(proof: Proof, full: bool = True) -> list[str]:
             controller = one.again.controller
             lines += wrapped(_shown(one.again.road.words), f"  {'road':10}", 12)
             lines += wrapped(f"{controller.name} measures {', '.join(controller.measured) or 'nothing'}", f"  {'law':10}", 12)
+            if not full:
+                lines += wrapped(_shown(claims(controller)), f"  {'design':10}", 12)
             if not isinstance(controller, Controller):
                 lines += wrapped(_shown(controller.text), f"  {'':10}", 12)
             elif controller.measured and full:
                 lines += law_lines(controller.law, f"  {'gain':10}", f"  {'':10}")
                 lines += preview_lines(controller, f"  {'':10}")
+        if one.run and not full:
+            lines += wrapped(_shown(verdict(one.run)), f"  {'verdict':10}", 12)
         lines += _lines(one.findings, full)
     fails = f"the log DOES NOT PROVE what it claims: {broken_text(proof)}"
     goals = any(finding.part == "goals" for one in proof.runs for finding in one.findings)
@@ -96,7 +101,8 @@ def _lines(findings: Sequence[Finding], full: bool) -> list[str]:
     """Findings in columns, or the names of those that hold in a line and the others in columns."""
     if not full:
         held = ", ".join(dict.fromkeys(one.part for one in findings if one.verdict == HOLDS))
-        others = _lines([one for one in findings if one.verdict != HOLDS], full=True)
+        others = [one for one in findings if one.verdict != HOLDS]
+        others = _lines([replace(one, text=IN_SHORT) if one.text == UNCHECKED else one for one in others], full=True)
         return [*(wrapped(held, f"  {HOLDS:8}", 10) if held else []), *others]
     return [line for one in findings for line in wrapped(f"{one.part}: {_shown(one.text)}", f"  {one.verdict:8}", 12)]
 
