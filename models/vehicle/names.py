@@ -5,11 +5,12 @@ Help pages use this module, and so it imports nothing that builds roads.
 
 import re
 import unicodedata
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from models.common.errors import InputError
 
 PASSIVE = "passive"  # the controller without force, of every vehicle
+COPY = "_printed"  # ends the name of a controller that repeats another one with the numbers of a paper
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
 
 
@@ -75,3 +76,9 @@ def split_off(text: str) -> tuple[str, list[str]]:
 def is_load_file(text: str) -> bool:
     """Returns True if a load's text names a file."""
     return text.strip().lower().endswith(".csv")
+
+
+def without_copies(names: Iterable[str]) -> list[str]:
+    """Returns names of controllers without printed copies of others, as `I_printed` is of `I`."""
+    every = list(names)
+    return [name for name in every if name.removesuffix(COPY) not in every or not name.endswith(COPY)]

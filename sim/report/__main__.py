@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say, some_sentences
+from models.vehicle.names import without_copies
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from sim.report.contents import Report
     from sim.report.worker_processes import Beside
 
-COPY = "_printed"  # ends the name of a copy of another controller
 
 EPILOG = """
 exit code: 0 the report is written, 2 bad input; with --gallery 1 if a number is not reproduced
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.gallery:
         return _gallery(options)
     vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle.controller_names, options.controller, _usual(vehicle))
+    names = chosen(vehicle.controller_names, options.controller, without_copies(vehicle.controller_names))
     others = omitted_controllers(vehicle, options.controller, names)
     if options.out is None:
         from sim.report.scope import file_stem
@@ -198,12 +198,6 @@ def _write(page: "Page", out: Path, figures: Path | None) -> None:
         write_page(page, out)
         if figures is not None:
             _write_figures(page, figures)
-
-
-def _usual(vehicle: "Vehicle") -> list[str]:
-    """Returns the controllers of a report by default: all but printed copies of others, as `I_printed` is of `I`."""
-    names = vehicle.controller_names
-    return [name for name in names if name.removesuffix(COPY) not in names or not name.endswith(COPY)]
 
 
 def _parser() -> Parser:

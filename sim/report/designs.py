@@ -212,7 +212,8 @@ def frequency_section(
         if scope.each_step:
             text.append(
                 "The held-road norm, of the sampled loop over a road that is held over every step as MuJoCo holds it, is a "
-                "physical fact: the worst sinusoid reaches it from below, and the L2 gain of no other road exceeds it."
+                "physical fact: the worst sinusoid reaches it from below, and no other held road has a larger L2 gain. A road "
+                "that moves within a step may have one: only such a road can reach the norm of the designs."
             )
         else:
             text.append(

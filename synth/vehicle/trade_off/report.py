@@ -13,6 +13,7 @@ from models.common.files import whole_file
 from models.common.interrupt import LATE
 from models.common.printed import Column, finite, json_object, table, wrapped
 from models.figures.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
+from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines
 from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
@@ -53,18 +54,17 @@ SHOWN = 5  # points of a short table
 
 
 def short_lines(front: Front) -> list[str]:
-    """Returns the same in short: some of the marked points, equal controllers on one line, the nearest point to each bound."""
-    signals = ", ".join(front.points[0].controller.measured)
+    """Returns the same in short: some of the marked points, no printed copies of controllers, the nearest point to each bound."""
+    signals, units = ", ".join(front.points[0].controller.measured), ", ".join(axis.label for axis in front.axes)
     lines = wrapped(f"controller {front.name}: static gains on {signals}; -v: all", hang=2)
+    lines += wrapped(f"norms: {units}", hang=2)
     rows: list[tuple[str, ...]] = [("point", *(axis.name for axis in front.axes), TRAVEL.title, "gain")]
     marked = list(front.marked)
     for k in dict.fromkeys(round(i) for i in np.linspace(0, len(marked) - 1, min(SHOWN, len(marked)))):
         point = front.points[marked[k]]
         rows.append((str(marked[k] + 1), *(f"{value:.6g}" for value in point.values), TRAVEL.cell(point), _gain(point)))
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for one in front.others:
-        alike.setdefault(tuple(f"{value:.3g}" for value in one.values), []).append(one.controller.name)
-    rows += [(", ".join(names), *values, "", "") for values, names in alike.items()]
+    others = {one.controller.name: one.values for one in front.others}
+    rows += [(name, *(f"{value:.6g}" for value in others[name]), "", "") for name in without_copies(others)]
     lines += table(rows)
     for name, why in front.missing.items():
         lines += wrapped(f"controller {name} is not shown: {why}", hang=2)
@@ -91,13 +91,16 @@ def sentences(front: Front) -> list[str]:
     if front.unproved:
         lines.append(f"left out: {front.unproved} designs of which a claim could not be proved")
     by: dict[tuple[int, int], list[str]] = {}
+    unbeaten = []
     for one in front.others:
         beaten = [i for i, point in enumerate(front.points) if _beats(point.values, one.values)]
         if beaten:
             by.setdefault((len(beaten), beaten[len(beaten) // 2] + 1), []).append(one.controller.name)
+        else:
+            unbeaten.append(one.controller.name)
     for (count, example), names in by.items():
         lines.append(f"{', '.join(names)}: beaten in all by {count} of them, e.g. point {example}")
-    return lines
+    return [*lines, f"{', '.join(unbeaten)}: beaten in all by none"] if unbeaten else lines
 
 
 def front_object(front: Front) -> dict[str, Any]:
