@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
-from sim.command.drive_options import parser, requested_road
+from sim.command.drive_options import end_lines, parser, requested_road
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
+        lines += end_lines(road, options.duration)
         if options.verbose:
             for run, one, compared in zip(runs, measured, comparison.compared_lines(runs, passive), strict=True):
                 lines += ["", *compared, ""]
@@ -76,10 +77,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += comparison.short_lines(runs)
             lines += shared_lines([(run.controller.name, line) for run in runs for line in run_metrics.broken_lines(run)])
             lines += run_metrics.angle_lines(runs, measured)
+            lines += run_metrics.expected_lines(runs, measured)
         lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         if steps and not options.brief:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
-        about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on")
+        settled = ", when all have settled" if 0 < time[first] < options.duration / 2 else ""
+        about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on{settled}")
         lines += ["", *standing_lines(standings, about)]
         say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)

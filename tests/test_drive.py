@@ -80,6 +80,28 @@ def test_profile(capsys, tmp_path):
     assert result["road"]["points"] == 200
 
 
+@pytest.mark.parametrize(
+    ("duration", "said"),
+    [
+        (2.0, ""),
+        (1.0, "50 % of the road is driven: --duration 2 drives all of it"),
+        (
+            2.5,
+            "the road's points end at 2 s of 2.5 s; it is level from there on, which lowers every rms: "
+            "--duration 2 measures the road alone",
+        ),
+    ],
+)
+def test_a_road_that_ends_before_its_run_or_after_it(capsys, tmp_path, duration, said):
+    """A run that is longer than the points of its road, or shorter, says so: a level end lowers the ride unseen."""
+    path = tmp_path / "road.csv"
+    path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(201)))
+    main(["--controller", "passive", "--road", str(path), "--speed", "10", "--duration", str(duration), "--no-logs"])
+    out = prose(capsys.readouterr().out)
+    assert said in out
+    assert ("--duration" in out) == bool(said)
+
+
 def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
     """The printed cells of every metric, by the name that it has in JSON: a signal heads those that are of it."""
     names, rows, signal = {(metric.source, metric.what): metric.name for metric in metrics_of(vehicle)}, {}, ""
@@ -181,6 +203,10 @@ def test_what_metrics_rest_on_is_said(capsys):
         assert metric["approximate"] == name.endswith(("vdv", "mtvv", "crest", "peak"))
     assert "without bump stops" not in out
     assert "noise" not in out
+    main(arguments)
+    ride = run["metrics"]["sprung_acceleration_weighted"]
+    expected = f"passive {ride['expected']:.3g} +- {ride['spread']:.2g} "
+    assert f"ride expected over all such roads [m/s2], +- by road: {expected}" in prose(capsys.readouterr().out) + " "
 
 
 def test_what_linear_numbers_have_not_is_said(capsys, tmp_path):

@@ -1,12 +1,14 @@
 """Options of `sim.drive`."""
 
 import argparse
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
+from models.common.printed import wrapped
 from models.vehicle.names import CLASSES, ROAD_SYNTAX, named_file, split_off
 from sim.command.road_options import add_loads, add_run_options, without_loads
 
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from models.roads.road import Road
     from models.vehicle.vehicle import Vehicle
     from sim.command.road_options import ExpectedLog
+
+NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
 
 EPILOG = """
 exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
@@ -96,6 +100,17 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     except InputError as error:
         raise InputError(f"road {choice.text!r}: {error}") from error
     return road
+
+
+def end_lines(road: "Road", duration: float) -> list[str]:
+    """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
+    ends = road.duration
+    if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
+        return []
+    if ends > duration:
+        return wrapped(f"{100 * duration / ends:.3g} % of the road is driven: --duration {ends:.4g} drives all of it")
+    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is level from there on, which lowers every rms"
+    return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
 def _road_text(options: argparse.Namespace) -> str:

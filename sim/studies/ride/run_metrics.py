@@ -10,14 +10,14 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Index
 from models.common.errors import InputError
-from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles
+from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run
 from sim.studies.ride.expected import APPROXIMATE, EXACT, Expected, Settled, expect, settled, settling_time
-from sim.studies.ride.metrics import measure, metrics_of, static_angles
+from sim.studies.ride.metrics import measure, metrics_of, points, static_angles
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
 from synth.controller.controller import Controller, Driver
 
@@ -235,6 +235,18 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
             rows.append(source := metric.source)
         rows.append(_row(metric.what, measured[metric.name], shown))
     return [f"  measured from {start:.4g} to {end:.4g} s", *table(rows), *(f"  {note}" for note in notes)]
+
+
+def expected_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
+    """Returns the ride that is expected of each run over all random roads of its kind; empty without expectations."""
+    said = []
+    for run, of_run in zip(runs, measured, strict=True):
+        rides = [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
+        known = [(one.expected, one.spread) for one in rides if one.expected is not None]
+        if known:
+            mean, spread = max(known, key=lambda one: one[0])
+            said.append(f"{run.controller.name} {mean:.3g}{f' +- {spread:.2g}' if spread is not None else ''}")
+    return wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(said)}", hang=2) if said else []
 
 
 NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero
