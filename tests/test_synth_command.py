@@ -19,7 +19,7 @@ from synth.__main__ import main
 from synth.analysis.invariant_point import invariant_limit, is_pole
 from synth.command.cross_check import cross_check
 from synth.command.design_table import _limit
-from synth.command.table import semi_active_lines
+from synth.command.table import _pole_lines, semi_active_lines
 from synth.controller.problem import generalized_plant
 from synth.lmi import full_order_bound as full_order
 from synth.lmi.full_order_bound import bound_beyond_control
@@ -72,6 +72,12 @@ def test_table(capsys):
     assert gain == pytest.approx(2333.4, abs=0.1)
     assert 0.1 * gain < down < 0.3 * gain
     assert 0.1 * gain < up < 0.3 * gain
+
+
+def test_modes():
+    """A pair of poles has its undamped natural frequency and damping ratio beside it: of s^2 + 2 s + 4 they are 2 rad/s and 1/2."""
+    poles = [complex(-1, 3**0.5), complex(-1, -(3**0.5)), complex(-2), complex(-30)]
+    assert _pole_lines(poles) == ["  poles -1 +- 1.732j  0.318 Hz, damping 0.5", "        -2  -30"]
 
 
 @pytest.mark.parametrize("vehicle", ["half_car", pytest.param("full_car", marks=pytest.mark.attack)])

@@ -1,7 +1,7 @@
 """Designs in words and numbers: the table on the terminal and the object for `--json`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -159,7 +159,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
     lines = heading_lines(controller)
-    lines += wrapped("  ".join(_poles(certificate.own.poles)), "  poles ", len("  poles "))
+    lines += _pole_lines(certificate.own.poles)
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:
@@ -315,12 +315,17 @@ def _at_least(share: float) -> str:
     return f"{math.floor(percents / digit) * digit:.2g} %"
 
 
-def _poles(poles) -> list[str]:
-    return [
-        f"{pole.real:.4g}{pole.imag:+.4g}j".replace("+", " +- ") if pole.imag else f"{pole.real:.4g}"
-        for pole in poles
-        if pole.imag >= 0
+def _pole_lines(poles: Collection[complex]) -> list[str]:
+    """Returns lines on poles: pairs with undamped natural frequency and damping ratio, a line each, and real ones on one."""
+    start, pairs = "  poles ", [pole for pole in poles if pole.imag > 0]
+    numbers = [f"{pole.real:.4g} +- {pole.imag:.4g}j" for pole in pairs]
+    width = max(map(len, numbers), default=0)
+    lines = [
+        f"{number:{width}}  {abs(pole) / (2 * math.pi):.3g} Hz, damping {-pole.real / abs(pole):.2g}"
+        for number, pole in zip(numbers, pairs, strict=True)
     ]
+    lines += wrapped("  ".join(f"{pole.real:.4g}" for pole in poles if not pole.imag), "", 0)
+    return [f"{start if not i else ' ' * len(start)}{line}" for i, line in enumerate(filter(None, lines))]
 
 
 def _lmi_object(proof: LmiProof | None) -> dict[str, Any] | None:
