@@ -4,7 +4,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from models.common.command import ALL, chosen, run_command
+from models.common.command import ALL, chosen, complain, run_command
 from models.common.errors import InputError, listing
 from synth.command.options import parse_options
 
@@ -19,6 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options or vehicle file.
     """
     options = parse_options(arguments)
+    from models.vehicle.limits_and_implementation import unit_doubts
     from models.vehicle.vehicle import read_vehicle
 
     if options.check is not None and options.check.is_dir():
@@ -26,6 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return check_folder(options.check, options)
     vehicle = read_vehicle(options.check or options.vehicle)
+    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+        complain(doubt)
     if options.export is not None:
         from synth.command.export_file import SUFFIXES, export_file
 

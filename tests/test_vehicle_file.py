@@ -1,12 +1,15 @@
 """Vehicle files: the one that ships is the paper's, and every mistake in one is named in one line."""
 
+import re
+
 import numpy as np
 import pytest
 
 from models.common.errors import InputError
 from models.kinds.kind import MOST_SQUEEZE
-from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from tests.commands import refused
+from models.vehicle.limits_and_implementation import unit_doubts
+from models.vehicle.vehicle import parse_vehicle, read_vehicle, shipped
+from tests.commands import ROOT, main_of, prose, refused
 
 MEASURABLE = "suspension_deflection, suspension_velocity, tyre_deflection, unsprung_acceleration, unsprung_velocity"
 MASS = "sprung_mass = 504.5"
@@ -19,6 +22,7 @@ CHANGES = [
     ("not TOML", MASS, "sprung_mass is 504.5", ["not TOML", "line 5"]),
     ("a number of 5000 digits", MASS, f"sprung_mass = {'9' * 5000}", ["not TOML", "digits"]),
     ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["nested too deeply"]),
+    ("a decimal comma", MASS, "sprung_mass = 504,5", ["not TOML", "write 504.5 for 504,5"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
     (
         "unknown section",
@@ -322,3 +326,28 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
     assert str(path) in str(error.value)
     assert said in str(error.value)
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("suspension_stiffness", 42.7, "natural frequency is about 0.046 Hz"),  # N/mm
+        ("suspension_damping", 1.095e6, "damping ratio is about"),  # kN s/m, times 1000
+        ("sprung_mass", 0.5045, "natural frequency is about 26 Hz"),  # tonnes
+        ("suspension_stroke", 60.0, "suspension_stroke is 60 m"),  # mm
+    ],
+)
+def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
+    """A number that is probably not in SI units is asked about on stderr, and taken as it is; no vehicle that ships is."""
+    file = tmp_path / "car.toml"
+    text = (ROOT / "models" / "quarter_car.toml").read_text(encoding="utf-8")
+    text = re.sub(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.MULTILINE)
+    file.write_text(text if f"{name} = {value}" in text else f"{text}[limits]\n{name} = {value}\nstop_stiffness = 1e5\n")
+    assert main_of("synth")(["--vehicle", str(file), "--controller", "passive"]) == 0
+    assert said in prose(capsys.readouterr().err)
+
+
+def test_vehicles_that_ship_raise_no_doubt():
+    """Nothing is asked about the vehicles that ship."""
+    for one in map(read_vehicle, shipped()):
+        assert unit_doubts(one.parameters, one.limits) == []

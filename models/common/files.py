@@ -50,7 +50,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         tables = tomllib.loads(text)
     except ValueError as error:  # not TOML; a number of 5000 digits
-        raise InputError(f"not TOML: {error}") from error
+        comma = re.search(r"^[\w.]+ *= *(-?\d+),(\d+) *(#.*)?$", text, re.MULTILINE)
+        instead = f"; write {comma[1]}.{comma[2]} for {comma[1]},{comma[2]}" if comma else ""
+        raise InputError(f"not TOML: {error}{instead}") from error
     except RecursionError as error:
         raise InputError("its brackets are nested too deeply; a matrix has two of them around a number") from error
     _check_range("", tables)

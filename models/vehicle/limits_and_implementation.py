@@ -253,6 +253,40 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...],
     return Implementation(**values_by_key)
 
 
+SLOWEST_BODY, FASTEST_BODY = 0.15, 15.0  # Hz: between an airship's cabin and a model car
+FIRMEST_BODY = 10.0  # damping ratio
+LONGEST_STROKE = 2.0  # m
+
+
+def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
+    """Returns questions about units that are probably not SI: a body that hardly moves, or cannot; a stroke of metres.
+
+    Springs and dampers of all corners count together, so the numbers are rough. Nothing is asked of a vehicle without a sprung
+    mass or without springs.
+
+    Args:
+        parameters: of the vehicle, by name [SI].
+        limits: of the vehicle.
+    """
+    mass = parameters.get("sprung_mass", 0.0)
+    k, c = (
+        sum(value for name, value in parameters.items() if name.startswith(start))
+        for start in ("suspension_stiffness", "suspension_damping")
+    )
+    doubts = []
+    if mass and k:
+        frequency, ratio = math.sqrt(k / mass) / (2 * math.pi), c / (2 * math.sqrt(k * mass))
+        if not SLOWEST_BODY <= frequency <= FASTEST_BODY:
+            doubts.append(
+                f"the body's natural frequency is about {frequency:.2g} Hz; are sprung_mass and stiffness in kg and N/m?"
+            )
+        elif ratio > FIRMEST_BODY:
+            doubts.append(f"the body's damping ratio is about {ratio:.2g}; is the damping in N s/m?")
+    if isinstance(limits.suspension_stroke, float) and limits.suspension_stroke > LONGEST_STROKE:
+        doubts.append(f"suspension_stroke is {limits.suspension_stroke:g} m; is it in m?")
+    return doubts
+
+
 def steps_per_sample(implementation: Implementation, timestep: float) -> int:
     """Returns the number of timesteps that the controller holds its force.
 

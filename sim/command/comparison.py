@@ -13,6 +13,7 @@ from models.common.command import complain
 from models.common.errors import InputError
 from models.common.printed import wrapped
 from models.roads.road import Road
+from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.response.regime import FLAT, REGIME_ENDS, reached
@@ -239,10 +240,12 @@ def run_named(
     time: Array,
     exported: Path | None = None,
 ) -> list[Run]:
-    """Returns a run of every controller asked for, in their order. Claims of theirs that are false are said first.
+    """Returns a run of every controller asked for, in their order. Doubtful units and false claims are said first.
 
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
+    for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
+        complain(doubt)
     controllers = controllers_of(vehicle, names, design, exported)
     say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)

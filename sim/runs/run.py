@@ -108,6 +108,7 @@ class ShownRun(Shown):
 
 RK4_REACH = 2.7  # rate of a first-order lag times RK4's largest stable step: 2.785, rounded down by 1 % and more
 MOST_SAMPLES = 1_000_000  # samples: a run of so many takes 0.4 GB and half a minute
+STIFF = 1e-4  # s: no vehicle in SI units needs a shorter step
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,8 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
                 f"timestep = {timestep} s is too large: {above}, because of [actuators] bandwidth = {lag:g} rad/s; give a "
                 "smaller timestep, or a lower bandwidth"
             )
-        instead = "0.001 is usual" if largest > 1e-3 else "give a smaller one"
+        units = ", or masses in kg, stiffness in N/m and damping in N s/m, if they are in others"
+        instead = "0.001 is usual" if largest > 1e-3 else f"give a smaller one{units if largest < STIFF else ''}"
         raise InputError(f"timestep = {timestep} s is too large: {above}; {instead}")
     if duration < 2 * timestep:
         raise InputError(f"duration = {duration} s is shorter than two timesteps of {timestep} s; give a longer one")
