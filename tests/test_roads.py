@@ -262,6 +262,7 @@ def test_profile_from_a_file(tmp_path):
     assert read_profile(path, 1.0).displacement(np.array([2.0]), "right") == pytest.approx([0.2])
 
 
+@pytest.mark.extra
 def test_opencrg(tmp_path):
     """An OpenCRG surface is met where the wheels run, left and right; one that is too narrow, or none, is refused."""
     pyopencrg = pytest.importorskip("pyopencrg")
@@ -297,6 +298,7 @@ BAD_SURFACES = [  # (what stands in the file, what is put there, what is said)
 ]
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize(("old", "new", "said"), BAD_SURFACES, ids=[row[2][:40] for row in BAD_SURFACES])
 def test_bad_opencrg(tmp_path, old, new, said):
     """A surface with a number that cannot be, or that is cut or spoilt, is refused in one line that says what it is."""
@@ -315,6 +317,7 @@ def test_bad_opencrg(tmp_path, old, new, said):
     assert len(str(error.value).splitlines()) == 1
 
 
+@pytest.mark.extra
 @pytest.mark.parametrize("form", ["LDFI", "LRFI", "KDBI", "KRBI"])
 @pytest.mark.parametrize("increment", ["reference_line_increment", "reference line u"])
 def test_cut_opencrg(tmp_path, form, increment):
@@ -340,6 +343,7 @@ def test_cut_opencrg(tmp_path, form, increment):
             choose_road("road.crg", tmp_path)
 
 
+@pytest.mark.extra
 def test_large_opencrg(tmp_path):
     """An OpenCRG file that would fill the memory is refused before it is read; it says how large it may be."""
     pytest.importorskip("pyopencrg")
@@ -349,6 +353,7 @@ def test_large_opencrg(tmp_path):
         choose_road("road.crg", tmp_path)
 
 
+@pytest.mark.extra
 def test_opencrg_in_parts(tmp_path, monkeypatch):
     """Worked out in parts, to bound the memory, a surface is the same."""
     pyopencrg = pytest.importorskip("pyopencrg")
