@@ -81,6 +81,7 @@ def test_bytes_do_not_depend_on_batches(whole, tmp_path, monkeypatch, arguments)
     assert (tmp_path / "results" / "results.parquet").read_bytes() == whole[1]
 
 
+@pytest.mark.attack
 def test_a_name_with_colons(whole, tmp_path, monkeypatch):
     """A folder's name is a name, also where a library would take it for an address."""
     (tmp_path / "campaign.toml").write_text(QUICK)

@@ -175,6 +175,7 @@ def test_table(capsys, never_lost, norms_once, rates, names):
     assert ("UNSTABLE" in printed) == bool(lost)
 
 
+@pytest.mark.attack
 def test_designed_for_the_rate(never_lost):
     """At 10 ms designs for the sampled loop have at most the norms that were found before, and below those of the others."""
     vehicle = read_vehicle("quarter_car")
@@ -197,6 +198,7 @@ def test_what_is_designed_for_a_rate_is_never_worse():
         assert at.designed.value <= at.undelayed_norm.value * (1 + 2e-7)
 
 
+@pytest.mark.attack
 def test_why_none_is_designed(monkeypatch, capsys):
     """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
     true = once(synth.vehicle.sample_rate.cost.held_design)
