@@ -18,6 +18,7 @@ from synth.vehicle.designer import Designer
 from tests import shared
 
 shared.share_designs()
+shared.share_vehicles()
 
 # A shell without a terminal starts what is behind an `&` with Ctrl-C ignored, and every process of it inherits that: tests of
 # interrupts would then wait for one that never comes.

@@ -28,6 +28,8 @@ LIGHTER = {
     "sim.bump --vehicle quarter_car_accelerometer": "--duration 0.5 --no-logs",
     "sim.bump --controller passive --controller state": "--duration 0.5",
     "sim.bump --controller all": "--duration 0.5",
+    "sim.bump --picture": "--no-logs",
+    "sim.bump --controller I --controller II": "--no-logs",
     "sim.drive --controller I": "--no-logs",
     "sim.drive --controller passive": "--duration 1 --no-logs",  # a shorter stretch of the same road
     "sim.drive --vehicle full_car": "--duration 0.5",

@@ -43,6 +43,7 @@ from filelock import FileLock
 from models.common.errors import InputError
 from models.kinds.kind import HERE, VehicleKind
 from models.roads.road import Bump, Road
+from models.vehicle import vehicle
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Controller
@@ -154,6 +155,21 @@ def share_designs() -> None:
                 setattr(other, name, shared)
     _originals["design"] = Designer.design
     Designer.design = functools.wraps(Designer.design)(_design)  # pyright: ignore[reportAttributeAccessIssue] - names of arguments
+
+
+def share_vehicles() -> None:
+    """Has every vehicle that ships read once in a process: it is frozen, and keeps its linear model."""
+    original, ships = vehicle.read_vehicle, frozenset(vehicle.shipped())
+    once = functools.cache(original)
+
+    @functools.wraps(original)
+    def read(file: str | Path, own_kinds: bool = True) -> Vehicle:
+        known = isinstance(file, str) and file in ships and not _patching and not Path(file).is_file()
+        return (once if known else original)(file, own_kinds)
+
+    for other in list(sys.modules.values()):
+        if getattr(other, "__dict__", {}).get("read_vehicle") is original:
+            vars(other)["read_vehicle"] = read
 
 
 def _design(designer: Designer, name: str, *arguments: Any, **named: Any) -> Controller:

@@ -9,6 +9,7 @@ from models.roads.choice import choose_road
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
+from tests.commands import attacks
 
 
 def active(kind: str):
@@ -17,7 +18,7 @@ def active(kind: str):
     return parse_vehicle(f'{text}\n[controllers.lqr]\ndesign = "lqr"\n')
 
 
-@pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("kind", ["quarter_car", "half_car", *attacks(["full_car"])])
 def test_physics_agrees(kind):
     """MuJoCo holds the weight by a constant force, and its steps are those of the equations; its energy balances."""
     vehicle = active(kind)

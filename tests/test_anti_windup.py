@@ -21,7 +21,7 @@ from sim.response.regime import END_NAMES, SATURATION, scaled_reached, utilisati
 from sim.runs.report import controller_lines, controller_object, verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from synth import design_controllers as design
-from tests.commands import prose, refused
+from tests.commands import attacks, prose, refused
 from tests.rewriting import contents, written
 from tests.shared import designed, printed
 
@@ -69,7 +69,7 @@ def test_an_unstable_law_behind_a_damper_stays_bounded():
     assert controller_object(kept.controller)["anti_windup"] == RATE
 
 
-@pytest.mark.parametrize("how", [{}, {"sample_period": 0.002, "delay": 1}], ids=["ideal", "sampled and late"])
+@pytest.mark.parametrize("how", [*attacks([{}]), {"sample_period": 0.002, "delay": 1}], ids=["ideal", "sampled and late"])
 def test_the_exact_switched_response_has_it(how):
     """If forces are clipped most of the time, physics agrees with the exact switched response, in the law's states, too."""
     vehicle = replace(parse_vehicle(SEMI_ACTIVE, source="mine"), implementation=Implementation(**how))
@@ -97,7 +97,7 @@ def test_nothing_changes_while_nothing_is_clipped(how):
 
 
 @pytest.mark.parametrize(
-    "how", [{}, {"sample_period": 0.004}, {"sample_period": 0.004, "delay": 1}], ids=["ideal", "sampled", "late"]
+    "how", [*attacks([{}]), {"sample_period": 0.004}, {"sample_period": 0.004, "delay": 1}], ids=["ideal", "sampled", "late"]
 )
 def test_the_states_are_those_of_the_equation(how):
     """The states of a run are x_c[i+1] = A x_c + B y + L (clip(u) - u), computed from what it measured, and stay bounded."""

@@ -1,7 +1,5 @@
 """The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
 
-import ast
-import functools
 import graphlib
 from pathlib import Path
 
@@ -12,8 +10,9 @@ import sim
 import synth
 from sim.inspect.command_line import COMMANDS
 from sim.recording.run_log import RESULTS
+from tests.commands import ROOT
+from tests.sources import sources
 
-ROOT = Path(__file__).parent.parent
 FILES = sorted(
     path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py") if "gallery" not in path.parts[:-2]
 )
@@ -138,27 +137,9 @@ OWNERS = {
 }
 
 
-@functools.cache
-def tree(path: Path) -> ast.Module:
-    """The source of a file, parsed."""
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@functools.cache
 def imported(path: Path) -> tuple[str, ...]:
-    """Every module that a file imports, anywhere in it, with what it takes from it behind a dot.
-
-    The public names of a package are none of them: they are imported when they are first used, by whoever is outside.
-    """
-    found: list[str] = []
-    lazy = [one for one in tree(path).body if isinstance(one, ast.If)] if path.name == "__init__.py" else []
-    public = {id(node) for one in lazy for node in ast.walk(one)}
-    for node in (node for node in ast.walk(tree(path)) if id(node) not in public):
-        if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return tuple(found)
+    """Every module that a file imports, see `tests.sources.Source`."""
+    return sources()[path.relative_to(ROOT).as_posix()].imported
 
 
 def module_of(name: str) -> str | None:
@@ -210,12 +191,8 @@ def test_imports():
 
 def test_no_hidden_arrow():
     """No file imports by a name that it makes up as it runs, but the doors to kinds, public names and commands of our own."""
-    hidden = set()
-    for path in FILES:
-        for node in ast.walk(tree(path)):
-            called = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-            if called in ("import_module", "__import__", "spec_from_file_location", "run_module", "run_path"):
-                hidden.add(NAMES[path])
+    by_name = {"import_module", "__import__", "spec_from_file_location", "run_module", "run_path"}
+    hidden = {NAMES[path] for path in FILES if by_name & sources()[path.relative_to(ROOT).as_posix()].names}
     assert hidden == {"models.vehicle.vehicle", "models.common.lazy", "sim.__main__"}
 
 
@@ -227,11 +204,7 @@ def test_public_names_are_for_others():
 
 def test_doors_for_code():
     """Text becomes code only of kinds of vehicle and laws of the user's own; `interrupt` runs an empty one."""
-    doors = set()
-    for path in FILES:
-        for node in ast.walk(tree(path)):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("exec", "eval", "compile"):
-                doors.add(NAMES[path])
+    doors = {NAMES[path] for path in FILES if sources()[path.relative_to(ROOT).as_posix()].runs_text}
     assert doors == {"models.laws.user_code", "models.kinds.user_kind", "models.laws.python_runtime", "models.common.interrupt"}
 
 

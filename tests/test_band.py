@@ -117,6 +117,7 @@ def test_bands_together_are_the_axis(seed):
     assert norm_in_band(plant, 0.5, 60.0).value == pytest.approx(max(parts[2:4]), rel=1e-9)
 
 
+@pytest.mark.attack
 def test_a_discrete_loop():
     """For a discrete loop the band is one of its own frequencies, and ends at pi / dt; python-control's response agrees."""
     dt, slow = 0.1, oscillator(7.0, 0.05)

@@ -17,6 +17,7 @@ from sim.runs.run import run_controllers, sample_times
 from synth.vehicle.designer import Designer
 from tests import test_cars
 from tests.analysed import energy, simulate
+from tests.commands import in_the_suite
 
 FRONT, REAR = 24000.0, 9000.0  # N m/rad, of a passenger car
 
@@ -30,7 +31,7 @@ def barred():
     return parse_vehicle(text)
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", in_the_suite((0, 1), range(4)))
 def test_equations_are_the_physics(barred, index):
     """Found by differences in MuJoCo, a car with bars obeys its A, B, Bw and Br, to 1e-7."""
     test_cars.test_linearisation_is_the_hand_derived_one(barred, index)
@@ -71,6 +72,7 @@ def test_without_bars_nothing_changes(barred):
         np.testing.assert_array_equal(getattr(plain.linear_model, name), getattr(zero.linear_model, name))
 
 
+@pytest.mark.attack
 def test_physics_agrees_and_energy_balances(barred):
     """Over a bump under the left wheels MuJoCo agrees with the analysis of a car with bars; no energy is lost."""
     time, road = sample_times(barred, 2.0, 1e-3), Bump(height=0.05, track="left")

@@ -222,6 +222,7 @@ timestep = 2e-3
     assert all(row["iri"] > 1 for row in rows)
 
 
+@pytest.mark.attack
 def test_adjustable_dampers_are_sampled(tmp_path):
     """Numbers of `[actuators]` are sampled as parameters are, of all dampers that share one, or of one by its suspension.
 
@@ -269,6 +270,7 @@ def test_dampers_that_cannot_be_sampled(tmp_path, entry, said):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.attack
 def test_a_short_road_has_no_iri(tmp_path):
     """For a way shorter than 11 m there is no IRI; of a car's two tracks there are four, which are of no vehicle with one."""
     text = (
@@ -295,6 +297,7 @@ def test_an_iri_is_of_its_road(small):
     assert len(set.union(*found.values()) - {None}) == len(found)
 
 
+@pytest.mark.attack
 def test_a_late_controller_has_no_exact_response_here(tmp_path):
     """If a controller is sampled or late, rows have neither a linear error nor linear metrics; passive's have both."""
     vehicle = (ROOT / "models" / "quarter_car.toml").read_text()

@@ -79,6 +79,7 @@ def test_the_exact_response(text, far, more):
         check_physics(run, far)
 
 
+@pytest.mark.attack
 def test_a_straight_curve_beside_is_none():
     """A table on the parameter's line beside an adjustable damper changes no number by more than rounding."""
     text = with_tables(QUARTER, suspension_damping=f"{{ {LINE} }}")

@@ -176,7 +176,7 @@ def test_passive_is_the_linear_vehicle():
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        ("sky", ""),
+        *attacks([("sky", "")]),
         *attacks([("sky", "bandwidth = 100.0\n"), ("sky", LATE), ("leaky", "")]),
         ("leaky", "bandwidth = 100.0\n" + LATE),
     ],
@@ -221,7 +221,7 @@ def test_a_car(text):
     assert verdict(whole).startswith("agrees to first order throughout")
 
 
-@pytest.mark.parametrize("change", ["c_max", "bandwidth", *attacks(("c_min", "nominal"))])
+@pytest.mark.parametrize("change", ["c_max", *attacks(("bandwidth", "c_min", "nominal"))])
 def test_another_damper_is_found(change):
     """Physics of a damper that is 1 % off does not agree with the exact response: that follows nothing that it cannot be."""
     vehicle = parse_vehicle(QUARTER + DAMPER + ("bandwidth = 100.0" if change == "bandwidth" else ""))

@@ -70,7 +70,7 @@ def test_words_are_refused_as_in_a_vehicle_file():
     assert refused > len(PAIRS) / 2
 
 
-QUICK = (("steps", "sampled"), ("full", "noise"), ("noise", "goals"), ("goals", "family"))
+QUICK = (("steps", "sampled"), ("full", "noise"))
 
 
 @pytest.mark.parametrize(
@@ -90,6 +90,7 @@ def test_words_go_together_as_in_a_vehicle_file(pair):
     assert found.why
 
 
+@pytest.mark.attack
 def test_words_that_say_the_same_another_way():
     """A sampled loop reads no noise between samples, and takes `noise`; LQR needs all states measured."""
     with pytest.raises(InputError, match="give noise, the rms of each reading"):
@@ -112,6 +113,7 @@ def test_each_method_is_its_own():
         np.testing.assert_array_equal(found.gain if isinstance(found, feedback.FeedbackDesign) else found, law)
 
 
+@pytest.mark.attack
 def test_goals_are_those_of_a_vehicle_file(paper):
     """The quarter-car's plant with the words of a section has the gain and the goal of the section."""
     words = "minimise = { band = [4.0, 8.0] }\nbounds = [{ norm = 8.63 }, { decay = 1.0 }, { gain = 2e4 }]"
@@ -131,6 +133,7 @@ def test_goals_are_those_of_a_vehicle_file(paper):
     assert found.criterion == "goal, norm from 4 to 8 Hz"
 
 
+@pytest.mark.attack
 def test_where_the_two_steps_find_none_there_is_a_gain():
     """x'' = x + u + w from y = x - x' / 2: (25) has no solution, a gain exists, and nobody is told that it does not."""
     plant = of_lists([[0, 1], [1, -3]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])

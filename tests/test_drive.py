@@ -113,6 +113,7 @@ def metric_rows(out: str, vehicle: Vehicle) -> dict[str, list[str]]:
     return rows
 
 
+@pytest.mark.attack
 def test_full_car_in_words(capsys, tmp_path):
     """A full car on two coherent tracks: the table has every metric of every wheel, and how to open the logs."""
     arguments = ["--vehicle", "full_car", "--controller", "passive", "--class", "B", "--duration", "1", "--logs", str(tmp_path)]

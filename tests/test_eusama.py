@@ -45,6 +45,7 @@ def by_hand(p) -> float:
     return 1 - 3e-3 * float(np.abs(wheel - 1).max()) / ((m_s + m_u) * 9.81 / k_t)
 
 
+@pytest.mark.attack
 def test_transfer_function():
     """The minimum load of a passive quarter-car is that of its transfer function, to the hold of the road over a step."""
     vehicle = car()
@@ -56,6 +57,7 @@ def test_transfer_function():
     assert 8 < load.omega / (2 * math.pi) < 16  # wheel hop
 
 
+@pytest.mark.attack
 def test_as_workshops_do():
     """A plate that slows down from 25 Hz, driven in MuJoCo as a rig's drive file, leaves the load that was predicted."""
     vehicle, end = car(), 30.0
@@ -72,9 +74,9 @@ def test_as_workshops_do():
 @pytest.mark.parametrize(
     ("extra", "controller"),
     [
-        ("", "I"),
+        pytest.param("", "I", marks=pytest.mark.attack),
         ("[implementation]\nsample_period = 0.005\ndelay = 1\n", "I"),
-        ("[limits]\nactuator_bandwidth = 60.0\n", "I"),
+        pytest.param("[limits]\nactuator_bandwidth = 60.0\n", "I", marks=pytest.mark.attack),
         ("[implementation]\nsample_period = 0.005\n", "passive"),
     ],
     ids=["every step", "a slow computer", "lag", "passive beside a slow computer"],
@@ -113,6 +115,7 @@ def test_why_it_is_disputed():
     assert loads[0].ratio > 0.6 > 0.4 > loads[1].ratio
 
 
+@pytest.mark.attack
 def test_outside_the_linear_regime():
     """If a bump stop is touched MuJoCo's own least load is given, as on a plate driven like a rig, and is no failure."""
     vehicle, h = car("[limits]\nsuspension_stroke = 1e-3\nstop_stiffness = 1e5\n"), 5e-4

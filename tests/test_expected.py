@@ -96,6 +96,7 @@ def test_a_rougher_class_is_a_factor(textbook):
             assert four_times.mean[name] == pytest.approx(4 * found.mean[name])
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(("name", "controller"), [("half_car", "I"), *attacks((("quarter_car", "I"), ("half_car", "passive")))])
 def test_lyapunov(name, controller, wide_band):
     """With any controller, and with rear wheels that come later, the spectral integral is the Lyapunov equation's covariance."""
@@ -195,6 +196,7 @@ def held_variances(vehicle, designed, h, steps, delay):
     return np.array(found), np.array(weighted)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("controller", "h", "steps", "delay", "limits"),
     [
@@ -287,7 +289,7 @@ def sums_over_lines(vehicle, loop, road):
     return dict(zip(vehicle.linear_model.outputs, np.sqrt(squares), strict=True))
 
 
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", *attacks(["full_car"])])
 @pytest.mark.parametrize("controller", ["passive", "I"])
 def test_expected_is_the_sum_over_the_roads_lines(name, controller):
     """Every rms is the root of the sum over the lines that are driven, from the first to the last."""

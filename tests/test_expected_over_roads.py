@@ -57,7 +57,7 @@ def linear_metrics(vehicle, designed, road_class, h, window, seeds):
 
 
 LINEAR = [("quarter_car", "passive"), ("quarter_car", "I"), ("half_car", "II")]
-AT_ONCE = [("quarter_car", "passive", "D"), ("quarter_car", "I", "E"), ("half_car", "II", "D")]  # of all of them
+AT_ONCE = [("quarter_car", "passive", "D"), ("quarter_car", "I", "E")]  # of all of them
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,7 @@ def test_one_track_and_two():
 CASES = [("quarter_car", "passive", 20), ("quarter_car", "II", 40), ("half_car", "I", 24), ("full_car", "I", 16)]
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(("name", "controller", "seeds"), [CASES[0], *attacks(CASES[1:])])
 def test_physics_over_many_seeds(textbook, name, controller, seeds):
     """MuJoCo's mean squares over seeds are those predicted, within their confidence interval; its largest values within 10 %."""

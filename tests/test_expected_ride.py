@@ -68,6 +68,7 @@ def test_no_ride_of_a_loop_that_is_lost():
     assert ride_lines([Row("wild", None, (), ())], 0.5, "", "") == []
 
 
+@pytest.mark.attack
 def test_the_comfort_template():
     """The template of the page rides as much better than the passive car as is said there, for the tyre load said there."""
     page = site("A template for comfort")

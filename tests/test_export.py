@@ -119,6 +119,7 @@ def test_the_code_has_the_bits_of_the_law(seed, tmp_path):
         assert differing(law, folder, 1000 if seed < 1 else 5_000) == 0
 
 
+@pytest.mark.attack
 @needs_cc
 @pytest.mark.parametrize("numbers", ["float", *attacks(["double"])])
 def test_semi_active_laws_have_their_bits(tmp_path, numbers):

@@ -71,6 +71,7 @@ def test_one_plant(paper, designer):
         assert design.bound < designer.design(name).certificate.bound
 
 
+@pytest.mark.attack
 def test_half_car_per_corner():
     """Each actuator of the half-car fed by its own corner: 6.0468 at most, and the other corner's gains are zero exactly."""
     vehicle = read_vehicle("half_car")
@@ -134,6 +135,7 @@ def test_the_lmis_of_one_plant(designer):
     assert hinf_norm(plant.closed_loop(Feedback(second.K, row))).value <= second.eta**-0.5
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("seed", [0, *attacks(range(1, 6))])
 def test_bounds_hold_on_random_families(seed):
     """On random families, with a Dw, the bound that Clarabel claims is above every norm, and proofs hold."""

@@ -188,6 +188,7 @@ def test_state_measures_no_filter():
     assert designer.lower_bound(()).gamma <= designer.lower_bound(controller.measured).gamma * (1 + 1e-9)
 
 
+@pytest.mark.attack
 def test_other_designs_with_filters(capsys, tmp_path):
     """Full-order, LQG and H2 controllers are designed from the vehicle's signals; LQR, of states nobody measures, says so."""
     lines, states = "", parse_vehicle(file_with(LEAD)).linear_model.states
@@ -230,6 +231,7 @@ def test_saved_and_checked(tmp_path, capsys):
     ) in said
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("lines", [(WK,), pytest.param((WK, LEAD, SLOW_ROAD), marks=pytest.mark.attack)])
 def test_the_worst_sinusoid_reaches_the_filtered_norm(lines):
     """In MuJoCo the worst sinusoid reaches the norm of the sampled loop behind the filters, and no other road exceeds it; where
@@ -276,6 +278,7 @@ def test_what_synths_readme_says_of_the_two_steps():
     assert not Designer(read_vehicle("quarter_car")).design("I").fallback_method
 
 
+@pytest.mark.attack
 def test_filters_poles_are_not_too_fast():
     """A filter's pole of 10000 rad/s makes no gain faster than an actuator: what is counted are the poles that control moves."""
     fast = "road = { numerator = [1.0], denominator = [1e-4, 1.0] }"

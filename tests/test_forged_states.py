@@ -20,7 +20,7 @@ from synth.command.save import save
 from synth.controller.controller import Controller
 from synth.plant.augmented import on_larger_plant
 from synth.vehicle.designer import Designer, certify_given
-from tests.commands import in_the_suite
+from tests.commands import attacks, in_the_suite
 from tests.rewriting import contents, written
 
 ACCELERATIONS = {
@@ -174,7 +174,7 @@ def test_a_log_proves_itself(log, capsys):
 
 
 CARS = pytest.mark.parametrize(  # one with a computer of its own, one of several forces, and one as large as they come
-    "log", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)], indirect=True
+    "log", ["quarter_car", *attacks(["half_car", "full_car"])], indirect=True
 )
 
 

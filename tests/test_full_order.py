@@ -79,7 +79,8 @@ def test_cars(kind, name):
         assert found.certificate.lower_bound == pytest.approx(7.836458, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", [pytest.param("I", marks=pytest.mark.attack), "II"])
+@pytest.mark.attack
+@pytest.mark.parametrize("name", ["I", "II"])
 def test_full_car_with_its_twist(name):
     """So is the full car's, on the road's velocities and its twist: 14 states, 4 forces, 5 disturbances."""
     vehicle = read_vehicle("full_car")
@@ -131,7 +132,7 @@ def designed(plant: GeneralizedPlant, Cy: np.ndarray) -> FullOrderDesign:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", in_the_suite((2,), range(4)))
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_trade(seed):
     """If it takes poles beyond actuators it stays short of them, and says to what norm which speed leads: both are true."""
     plant, Cy = any_plant(seed)
@@ -205,7 +206,8 @@ def test_the_central_law_of_the_textbook():
     np.testing.assert_allclose(one, other, rtol=1e-9)  # rounding of two Riccati equations
 
 
-@pytest.mark.parametrize("seed", in_the_suite((2,), range(5)))
+@pytest.mark.attack
+@pytest.mark.parametrize("seed", range(1, 4))
 def test_units(seed):
     """In units of states, forces, measurements, w, z, time that differ by powers of two the law is the same to the last bit."""
     plant, Cy = any_plant(seed) if seed % 2 else a_plant("free inputs", seed)
@@ -288,8 +290,8 @@ def test_larger_plant():
 @pytest.mark.parametrize("kind", [*KINDS, "any", "other units"])
 def test_hostile_plants(kind):
     """Of every kind of plant, in any units, every claim holds, or one line says why there is no controller; never a traceback."""
-    designed, said = 0, list[str]()
-    for seed in range(20, 22):
+    said = list[str]()
+    for seed in range(20, 23):
         if kind in ("any", "other units"):
             plant, Cy = any_plant(seed)
             if kind == "other units":
@@ -301,7 +303,8 @@ def test_hostile_plants(kind):
         except DesignError as error:
             said.append(str(error))
             continue
-        designed += 1
         holds(plant, Cy, found)
-    assert designed > 0
+        break
+    else:
+        pytest.fail("none has a controller")
     assert not any("\n" in line for line in said)

@@ -58,6 +58,7 @@ def test_promises_hold_with_errors():
     assert worst.value < max(largest(plain, *off) for off in corners)
 
 
+@pytest.mark.attack
 def test_the_force_may_be_told():
     """With `control_force` measured, goals are designed for, and the loop of the certificate is that of Newton's equations."""
     designed = Designer(car(f"{WITH_FORCE}minimise = {{}}\n")).design("mine")

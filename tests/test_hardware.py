@@ -132,7 +132,8 @@ KINDS = {
     [
         ("static", ("noise = true", "lag = true")),
         ("h2", ("noise = true",)),
-        *((kind, ("lag = true",)) for kind in ("accelerometer", "given")),
+        ("given", ("lag = true",)),
+        *attacks([("accelerometer", ("lag = true",))]),
         *(pytest.param(kind, ("noise = true", "lag = true"), marks=pytest.mark.attack) for kind in KINDS if kind != "static"),
         pytest.param("static", ("noise = true",), marks=pytest.mark.attack),
     ],
@@ -154,6 +155,7 @@ def test_bounds_with_noise_and_lag(kind, flags):
         assert one.gap < 2e-3  # 0.1 % where it can be had, and what noise on two of three signals leaves
 
 
+@pytest.mark.attack
 def test_less_noise_is_no_noise():
     """As the noise goes, norms, bounds and gains are those without: it is one problem, and not another."""
     small = BUILT.replace("0.001", "1e-9").replace("0.02", "1e-9")
@@ -198,6 +200,7 @@ def test_saved_checked_logged_inspected(tmp_path, capsys):
     assert main(["--check", str(saved), "--controller", "one_designed"]) == 1
 
 
+@pytest.mark.attack
 def test_swept_without_noise(tmp_path, capsys):
     """A sweep measures the road's part, and says what else the continuous norm has in it."""
     file = tmp_path / "car.toml"

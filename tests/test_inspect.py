@@ -171,11 +171,10 @@ def test_metrics_of_a_log(tmp_path, capsys, old, new, said):
     ("kind", "more", "options", "said"),
     [
         ("quarter_car", LIMITED, ["--controller", "II", "--duration", "0.5"], "bump stop"),
-        (
-            "half_car",
-            "\n[implementation.noise]\nheave_velocity = 1e-7\n",
-            ["--controller", "I", "--duration", "0.5"],
-            "geometry and noise make up to",
+        pytest.param(
+            *("half_car", "\n[implementation.noise]\nheave_velocity = 1e-7\n"),
+            *(["--controller", "I", "--duration", "0.5"], "geometry and noise make up to"),
+            marks=pytest.mark.attack,
         ),
         ("quarter_car", WILD, ["--controller", "wild"], "^diverged"),
         pytest.param(
@@ -209,6 +208,7 @@ def test_loops_too_large_to_judge(designer, paper):
         predict(noisy, controller, Bump(), time, states - 1)
 
 
+@pytest.mark.attack
 def test_late_and_unstable(designer, paper, tmp_path, capsys):
     """Runs of margins and sweeps, late, growing, on a sinusoid, are proved; what else their result rests on is said."""
     late = replace(paper, implementation=Implementation(delay=120))
@@ -231,7 +231,7 @@ def test_late_and_unstable(designer, paper, tmp_path, capsys):
     [
         pytest.param(sweep, ["--controller", "I", "--timestep", "0.008"], marks=pytest.mark.attack),
         pytest.param(margins, ["--controller", "II", "--timestep", "0.004"], marks=pytest.mark.attack),
-        (envelope, ["--controller", "I", "--vary", "height:0.02:0.3:2", "--vary", "speed:3:30:2", "--timestep", "0.002"]),
+        (envelope, ["--controller", "I", "--vary", "height:0.02:0.3:2", "--vary", "speed:3:30:2", "--timestep", "0.004"]),
         pytest.param(bump, ["--controller", "I", "--vehicle", "full_car", "--duration", "0.25"], marks=pytest.mark.attack),
     ],
     ids=["sweep", "margins", "envelope", "full_car"],

@@ -16,6 +16,7 @@ from synth.controller.problem import generalized_plant, plant_states
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import closed_loop, weighted_loop
+from tests.commands import attacks
 from tests.shared import designed, printed
 
 PI = "suspension_deflection = { weight = 2.0, numerator = [0.05, 0.15], denominator = [1.0, 0.0] }"
@@ -79,7 +80,7 @@ def test_a_filter_with_a_pole_at_0(above, below):
     assert np.all(np.linalg.eigvals(one.remainder.A).real < 0)
 
 
-@pytest.mark.parametrize("name", ["I", "state", "h2", "full", "lqr", "given", "passive"])
+@pytest.mark.parametrize("name", ["I", "full", "given", "passive", *attacks(["state", "h2", "lqr"])])
 def test_norms_are_of_the_weighted_loop(car, name):
     """With an integral in z the norm is the peak of W T by frequency, of designs, of a given law that integrates in another
     scale, and of the passive car, whose springs return the deflection to zero on any slope."""
@@ -148,6 +149,7 @@ def test_half_car_with_two():
     assert gains[0] == pytest.approx(certificate.norm.value, rel=1e-9)
 
 
+@pytest.mark.attack
 def test_a_payload_is_levelled_out(car):
     """In MuJoCo a design with the integral brings a loaded body back to its height, which its spring alone does not."""
     road = choose_road("flat + lift:force=-600:start=0:rise=0.5:hold=100").build(car, 20.0, 0, 500.0)

@@ -35,7 +35,7 @@ COMMANDS = {  # the shortest run of each that writes all that it can
 ENOUGH = 120.0  # s that a command may take on a busy machine
 AT_ONCE = 20.0  # s to end after Ctrl-C on a busy machine; a second on an idle one
 EARLY = 6.0  # s; what comes later in a long command is more of the same
-SHARES, INTERRUPTS = 2, 9  # for the workers; in each, every command once
+SHARES, INTERRUPTS = 1, 14  # every command at least once
 BARE = 1.0  # s; Python may take as long, on a busy machine, until our first line
 
 

@@ -130,6 +130,7 @@ def test_sinusoid(wavelength):
     assert abs(slope_response(np.array([n]), STEP)[0]) == pytest.approx(abs(own), rel=4e-3)  # slopes are held for 25 mm
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("vehicle", "distance"),
     [pytest.param(CAR, 150.0, marks=pytest.mark.attack), (QUARTER, 1000.0), pytest.param(CAR, 1024.0, marks=pytest.mark.attack)],

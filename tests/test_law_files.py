@@ -224,7 +224,7 @@ HOSTILE = {
     "deep": (nested(50_000), "A is a cell array"),  # this ends scipy, and the process with it
     "wide": (START + element(14, head(1, 100_000, 10_000, b"A")), "A is a cell array"),  # it makes 8 GB of this
     "wide struct": (START + element(14, head(2, 100_000, 10_000, b"s")), "it has s, an array of structs"),
-    "bomb": (bomb(2**27), "takes more than 8 MiB"),
+    "bomb": (bomb(2**25), "takes more than 8 MiB"),
     "claims": (START + struct.pack("<II", 14, 2**30) + head(6, 2**14, 2**13, b"A"), "longer than what holds it"),
     "claims 4": (struct.pack("<5i", 0, 2**30, 2**30, 0, 2) + b"A\0", "a variable is longer than the file"),
     "empty": (b"", "holds no A, B, C, D, and no K; it has nothing"),

@@ -66,8 +66,7 @@ def _without_control(kind: str) -> Certificate:
     ("name", "reality"),
     [
         *(("quarter_car", reality) for reality in REALITIES),
-        ("full_car", "between"),
-        *attacks((name, reality) for name in ("half_car", "full_car") for reality in REALITIES if reality != "between"),
+        *attacks((name, reality) for name in ("half_car", "full_car") for reality in REALITIES),
     ],
 )
 def test_physics_agrees_to_rk4s_own_error(name, reality):

@@ -123,6 +123,7 @@ def test_over_a_bump(kind):
             assert apart(run, run.sampled) < most, run.controller.name
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("kind", "speed", "duration"), [("quarter_car", 10.0, 0.2), pytest.param("half_car", 20.0, 0.15, marks=pytest.mark.attack)]
 )

@@ -237,9 +237,9 @@ def test_change_of_contents_is_found(parts, tmp_path, capsys):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("share", range(2))
+@pytest.mark.parametrize("share", [1])
 def test_every_change_is_found(share, parts, tmp_path, capsys):
-    """A quarter of all that a log holds, to every number of its claims and its result, deleted, doubled, added and changed."""
+    """An eighth of all that a log holds, to every number of its claims and its result, deleted, doubled, added and changed."""
     order = [what for what, _ in [*of_records(parts), *of_attachments(parts), *of_channels(parts)]]
     assert len(order) > 400
     mine = {what for i, what in enumerate(order) if i % 8 == share}

@@ -103,7 +103,7 @@ def test_crossovers_by_another_route(paper, designer, name):
     np.testing.assert_allclose([one.phase for one in found], lags, rtol=1e-8)
 
 
-@pytest.mark.parametrize("kind", ["half_car", "full_car"])
+@pytest.mark.parametrize("kind", ["half_car", *attacks(["full_car"])])
 def test_many_actuators(kind):
     """At every crossing an eigenvalue of L is what it must be, for each loop and for all at once."""
     vehicle = read_vehicle(kind)
@@ -191,7 +191,8 @@ def test_what_is_expected_takes_two_runs(monkeypatch, step, edge):
     assert search.unstable - search.stable <= (step or 2e-3 * edge)  # a sample, or where the section ends
 
 
-@pytest.mark.parametrize("timestep", [3e-3, pytest.param(5e-4, marks=pytest.mark.attack)])
+@pytest.mark.attack
+@pytest.mark.parametrize("timestep", [3e-3])
 def test_margins_in_physics(capsys, tmp_path, timestep):
     """The command finds II's margins in MuJoCo where they are predicted, agrees, draws them and records both sides of one."""
     pytest.importorskip("matplotlib", reason="pictures are in the extra [report]")
@@ -362,7 +363,7 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     (box,) = robustness(paper, [controller], 2e-3)
     assert box is not None
     rng = np.random.default_rng(20261121)
-    for mass, tyre in zip(rng.uniform(0.7, 1.4, 20), rng.uniform(0.75, 1.25, 20), strict=True):
+    for mass, tyre in zip(rng.uniform(0.7, 1.4, 8), rng.uniform(0.75, 1.25, 8), strict=True):
         parameters = {**paper.parameters}
         parameters["sprung_mass"] *= mass
         parameters["tyre_stiffness"] *= tyre
@@ -397,6 +398,7 @@ def test_gain_margin_is_held_against_both_loops(own, sampled, found, agrees):
     assert GainMargin(own, sampled, search, finer).agrees is agrees
 
 
+@pytest.mark.attack
 def test_lagging_actuator(paper):
     """With an actuator's lag the hold takes 4 % of II's gain margin, and MuJoCo tends to the margin that is left without it."""
     lagged = parse_vehicle(f"{paper.text}\n[limits]\nactuator_bandwidth = 60.0\n")
@@ -422,6 +424,7 @@ def test_points_of_the_picture_are_the_slowest_pole(paper, designer, amount):
         assert growth.rate == pytest.approx(rate, rel=1e-3)  # what is left unexplained is below 1e-4 of the samples
 
 
+@pytest.mark.attack
 def test_what_becomes_of_a_run_does_not_depend_on_company(paper, designer):
     """Beside others, that settle sooner or later and measure something else, a run has the rate that it has alone, to the bit."""
     timestep, trials = 4e-3, []
@@ -582,6 +585,7 @@ def of_one_search(monkeypatch):
         monkeypatch.setattr(path, once(pkgutil.resolve_name(path)))
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("hopper", [("", "")], indirect=True)
 def test_a_kind_that_varies_nothing_says_so(hopper, capsys, of_one_search):
     """Nothing is claimed of other vehicles where the kind says of no parameter how far it varies, in words and in --json."""

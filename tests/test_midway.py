@@ -9,6 +9,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import Meter, measure
 from synth.vehicle.designer import Designer
 from tests.analysed import simulate
+from tests.commands import in_the_suite
 from tests.conftest import LAGGED
 
 HOLDING = "\n[implementation]\nsample_period = 0.01\n"
@@ -42,7 +43,7 @@ def of_second_order(coarse, fine, allowed):
 HELD = [("quarter_car", "", "I"), ("quarter_car_semi_active", "", "sky"), ("half_car", "", "I"), ("quarter_car", LAGGED, "I")]
 
 
-@pytest.mark.parametrize(("name", "reality", "controller"), HELD, ids=["force", "damper", "two forces", "lag"])
+@pytest.mark.parametrize(("name", "reality", "controller"), in_the_suite(HELD[1:3], HELD))
 def test_how_often_it_is_read(slow_road, name, reality, controller):
     """For forces and coefficients held for 10 ms, MuJoCo's ride read once a sample is that read forty times; else 15 % off."""
     vehicle = parse_vehicle(read_vehicle(name).text + reality + HOLDING)
@@ -67,6 +68,7 @@ def test_what_is_expected(slow_road, name):
     assert of_second_order(coarse, fine, 0.05)
 
 
+@pytest.mark.attack
 def test_blocks_do_not_matter():
     """A leap between two blocks is seen as one within a block is."""
     vehicle = parse_vehicle(read_vehicle("quarter_car_semi_active").text + HOLDING)

@@ -116,6 +116,7 @@ def _largest(gain: ScaledGain, box: Box, low: float, high: float, generator: np.
     return largest
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     ("low", "high", "loose"),
     [
@@ -182,6 +183,7 @@ def test_random_norms_with_errors(seed):
         assert moving_x(gain, box, 1e3) is None
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("seed", [0, *attacks((1, 2))])
 def test_random_norms_in_bands(seed):
     """For random plants with noise in what is measured, in odd units: no sample of the errors exceeds what is proved."""

@@ -47,7 +47,7 @@ def with_designs(name: str) -> Vehicle:
     )
 
 
-@pytest.fixture(scope="module", params=["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
+@pytest.fixture(scope="module", params=["quarter_car", *attacks(["half_car", "full_car"])])
 def designer(request) -> Designer:
     """Designs of each vehicle that ships, with controllers of each kind."""
     return Designer(with_designs(request.param))

@@ -55,7 +55,7 @@ def smallest_gamma(plant: GeneralizedPlant, Cy: np.ndarray, Dyw: np.ndarray) -> 
 
 @pytest.mark.parametrize("through", [0.0, 0.3])
 @pytest.mark.parametrize("noise", [1.0, 0.1])
-@pytest.mark.parametrize("seed", [0, 1, *attacks((2, 3))])
+@pytest.mark.parametrize("seed", [0, *attacks((1, 2))])
 def test_bound_with_noise(seed, noise, through):
     """The bound is where the Riccati equations end, to 0.1 %, below the norm of their law, and above the bound without noise."""
     plant, Cy, Dyw = noisy(seed, noise, through)
@@ -67,13 +67,13 @@ def test_bound_with_noise(seed, noise, through):
     assert find_lower_bound(plant, Cy).gamma <= bound.gamma * (1 + 1e-5)  # where the paths end
 
 
-@pytest.mark.parametrize("seed", [0, *attacks((1, 2, 3))])
+@pytest.mark.parametrize("seed", [0, *attacks((1, 2))])
 def test_no_controller_beats_it(seed):
-    """No law of any order, stable by luck, has a norm below the bound: 300 random ones of 0 to 3 states for each plant."""
+    """No law of any order, stable by luck, has a norm below the bound: 120 random ones of 0 to 3 states for each plant."""
     plant, Cy, Dyw = noisy(2 * seed, 0.5, 0.3)
     rng, (m, q) = np.random.default_rng(seed), (plant.B.shape[1], len(Cy))
     bound, stable = find_lower_bound(plant, Cy, Dyw=Dyw).gamma, 0
-    for i in range(300):
+    for i in range(120):
         k, size = i % 4, 10.0 ** rng.uniform(-2, 1)
         B, C, D = (size * rng.standard_normal(shape) for shape in ((k, q), (m, k), (m, q)))
         law = LinearLaw(rng.standard_normal((k, k)) - 2 * np.eye(k), B, C, D)

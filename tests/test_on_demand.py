@@ -145,6 +145,7 @@ def test_physics_agrees_to_rk4s_own_error(hub):
     assert np.all(np.array(errors[0]) / errors[1] > 12)
 
 
+@pytest.mark.attack
 def test_margins_are_where_a_pole_crosses(hub):
     """At the gain, the delay and the sample period that margins name, a loop through the hub's accelerometer is on the verge."""
     vehicle = read_vehicle(hub)

@@ -65,7 +65,7 @@ def test_it_says_so(vehicles):
     ("main", "options"),
     [
         (bump.main, ["--controller", "I", "--height", "0.12", "--length", "1.5", "--duration", "1", "--no-logs"]),
-        (drive.main, ["--controller", "I", "--class", "F", "--duration", "1", "--no-logs"]),
+        pytest.param(drive.main, ["--controller", "I", "--class", "F", "--duration", "1", "--no-logs"], marks=pytest.mark.attack),
         pytest.param(sweep.main, ["--controller", "I", "--timestep", "4e-3"], marks=pytest.mark.attack),
     ],
     ids=["bump", "drive", "sweep"],

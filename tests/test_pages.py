@@ -18,7 +18,7 @@ SLOW = (
 
 def slow(one: Section) -> bool:
     """Returns True if a section is for test_slow_pages.py."""
-    return any(f"-m {command} " in line for command in SLOW for line in one.commands)
+    return any(f"-m {command} " in f"{line} " for command in SLOW for line in one.commands)
 
 
 def check(one: Section, folder, monkeypatch, capsys) -> None:

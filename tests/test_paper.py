@@ -123,6 +123,7 @@ def test_remark_4(designer):
             solve_lmi(designer.plant, nullspace(Cy), np.linalg.pinv(Cy))
 
 
+@pytest.mark.attack
 def test_remark_5(designer):
     """A genetic algorithm needs hundreds of norms, and more time than the two steps, for a norm that is lower by less than 1 %.
 

@@ -5,23 +5,12 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
-SOURCES = sorted(path for floor in ("models", "synth", "sim") for path in (ROOT / floor).rglob("*.py"))
+from tests.commands import ROOT
+from tests.sources import of_one_system, sources
 
-ONE_SYSTEM = {"fcntl", "termios", "pwd", "grp", "resource", "pty", "tty", "syslog", "msvcrt", "winreg", "winsound", "_winapi"}
-# What os and signal have on some systems only. Where it is worth having all the same, getattr asks for it.
-SOME_OS = {"O_BINARY", "O_CLOEXEC", "O_DIRECTORY", "O_NONBLOCK", "WIFEXITED", "chown", "chroot", "fchmod", "fchown"}
-SOME_OS |= {"fork", "forkpty", "geteuid", "getgid", "getloadavg", "getpgid", "getsid", "getuid", "killpg"}
-SOME_OS |= {"mkfifo", "nice", "openpty", "sched_getaffinity", "sched_setaffinity", "setpgid", "setsid", "statvfs", "sysconf"}
-SOME_OS |= {"uname", "wait", "wait3", "wait4"}
-SOME_SIGNALS = {"SIGKILL", "SIGHUP", "SIGALRM", "SIGPIPE", "SIGUSR1", "SIGUSR2", "SIGCHLD", "SIGSTOP", "SIGCONT", "SIGQUIT"}
-SOME_SIGNALS |= {"alarm", "setitimer", "pause", "sigwait", "pthread_kill", "pthread_sigmask", "CTRL_C_EVENT", "CTRL_BREAK_EVENT"}
-ROOTED = ("/dev/", "/proc/", "/tmp", "/var/", "/etc/", "/usr/", "C:\\")
 # The one path of POSIX, which is only ever compared with what the user gave.
 KNOWN = {
     ("models/common/files.py", "/dev/stdout"),
@@ -32,44 +21,9 @@ KNOWN = {
 }
 
 
-def found(tree: ast.AST) -> Iterator[str]:
-    """Returns what only one system has, in a source."""
-    docstrings, nodes = set(), list(ast.walk(tree))
-    for node in nodes:
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and node.body and isinstance(node.body[0], ast.Expr):
-            docstrings.add(id(node.body[0].value))
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (f"import {alias.name}" for alias in node.names if alias.name.split(".")[0] in ONE_SYSTEM)
-        elif isinstance(node, ast.ImportFrom):
-            module = node.module or ""
-            yield from [f"import {module}"] if module.split(".")[0] in ONE_SYSTEM else []
-            some = {"os": SOME_OS, "signal": SOME_SIGNALS}.get(module, set())
-            yield from (f"{module}.{alias.name}" for alias in node.names if alias.name in some)
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            if node.attr in {"os": SOME_OS, "signal": SOME_SIGNALS}.get(node.value.id, set()):
-                yield f"{node.value.id}.{node.attr}"
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings:
-            yield from [node.value] if node.value.startswith(ROOTED) else []
-        elif isinstance(node, ast.Call):
-            yield from _text_without_encoding(node)
-
-
-def _text_without_encoding(call: ast.Call) -> Iterator[str]:
-    """Text files whose encoding, or whose line ends, the system would choose."""
-    name = call.func.attr if isinstance(call.func, ast.Attribute) else call.func.id if isinstance(call.func, ast.Name) else ""
-    keywords = {keyword.arg for keyword in call.keywords}
-    texts = [argument.value for argument in call.args if isinstance(argument, ast.Constant) and isinstance(argument.value, str)]
-    if name == "write_text" and not {"encoding", "newline"} <= keywords:
-        yield f"line {call.lineno}: write_text without encoding or newline"
-    if name == "open" and any(text in ("w", "a", "r", "x") for text in texts) and not {"encoding", "newline"} <= keywords:
-        yield f"line {call.lineno}: open without encoding or newline"
-
-
 def test_no_source_counts_on_a_system():
     """No module, function, signal or path that Linux, macOS or Windows lacks; no text in the system's own encoding."""
-    trees = {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
-    assert {(own, one) for own, tree in trees.items() for one in found(tree)} - KNOWN == set()
+    assert {(own, one) for own, source in sources().items() for one in source.of_one_system} - KNOWN == set()
 
 
 @pytest.mark.parametrize(
@@ -88,7 +42,7 @@ def test_no_source_counts_on_a_system():
 )
 def test_the_walk_sees_it(source):
     """The walk finds what it is for."""
-    assert list(found(ast.parse(source)))
+    assert [*of_one_system([*ast.walk(ast.parse(source))])]
 
 
 # Runs commands as if an extra's package were not installed, each with our own modules imported anew.

@@ -31,7 +31,7 @@ timestep = 2e-3
 ALL = "--controller all --timestep 4e-3 --duration 0.2"
 SCREEN = {  # what is asked of every vehicle file that ships, and those whose answer takes a second or less
     "synth": ("quarter_car", "quarter_car_semi_active", "quarter_car_accelerometer"),
-    f"sim.bump {ALL} --logs logs": ("quarter_car_semi_active",),
+    f"sim.bump {ALL} --logs logs": (),
     f"sim.drive {ALL} --class E --logs logs": ("quarter_car",),
     "synth --rates 5 50": (),
     "synth --fragility": (),
@@ -53,10 +53,10 @@ SOME = {
     "--cross-check": ("quarter_car", "quarter_car_semi_active", "half_car"),
     "--front": SHIPPED[:1],
     "--check": SHIPPED[:4],
-    "--rates": ("quarter_car", "quarter_car_accelerometer", "quarter_car_semi_active"),
+    "--rates": SHIPPED[:1],
     "sim.margins": ("quarter_car", "half_car"),
     "sim.sweep": ("quarter_car", "quarter_car_semi_active", "half_car"),
-    "sim.report": ("quarter_car", "half_car"),
+    "sim.report": ("half_car",),
 }
 ONE = {"quarter_car_accelerometer": "accelerometer", "quarter_car_goals": "comfort"}  # of others it is I
 RUN = r"agrees|DOES NOT AGREE|outside the linear regime"
@@ -102,11 +102,11 @@ def cars(tmp_path_factory):
         ("built", "sim.drive --controller all --class E --duration 0.2 --timestep 4e-3 --no-logs"),
         ("built", ENVELOPE),
         ("full_car", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --no-logs"),
-        ("built", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --logs logs"),
         ("built", "sim.bump --controller I --height 1.5 --duration 1 --timestep 2e-3 --no-logs"),
         *attacks(
             (
                 ("built", "sim.sweep --controller I --timestep 4e-3 --logs logs"),
+                ("built", "sim.bump --controller all --duration 0.1 --timestep 4e-3 --logs logs"),
                 ("built", "sim.margins --controller II --timestep 8e-3 --logs logs"),
                 ("full_car", "synth"),
                 ("full_car", ENVELOPE),

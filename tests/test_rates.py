@@ -175,6 +175,7 @@ def test_table(capsys, never_lost, norms_once, rates, names):
     assert ("UNSTABLE" in printed) == bool(lost)
 
 
+@pytest.mark.attack
 def test_designed_for_the_rate(never_lost):
     """At 10 ms designs for the sampled loop have at most the norms that were found before, and below those of the others."""
     vehicle = read_vehicle("quarter_car")
@@ -197,7 +198,8 @@ def test_what_is_designed_for_a_rate_is_never_worse():
         assert at.designed.value <= at.undelayed_norm.value * (1 + 2e-7)
 
 
-def test_why_none_is_designed(monkeypatch, capsys):
+@pytest.mark.parametrize("rates", [("50",), *attacks([(("10", "50"),)])])
+def test_why_none_is_designed(monkeypatch, capsys, rates):
     """A rate that no design is found for has a dash, and its reason below the table without what to do; in JSON all of it."""
     true = once(synth.vehicle.sample_rate.cost.held_design)
 
@@ -207,16 +209,15 @@ def test_why_none_is_designed(monkeypatch, capsys):
         return true(problem, near, known)
 
     monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", fails_at_50_ms)
-    for rates, cell in ((("50",), "-"), (("10", "50"), "-")):
-        code, found = asked(capsys, *rates, "--controller", "I")
-        assert code == 0
-        assert found["controllers"][0]["rates"][-1]["designed_norm"] is None
-        assert found["controllers"][0]["rates"][-1]["not_designed"] == "nothing was found: it is probably too slow"
-        main(["--rates", *rates, "--controller", "I"])
-        said = capsys.readouterr().out
-        (line,) = [line for line in said.splitlines() if line.startswith("  50 ms")]
-        assert line.split()[-1] == cell
-        assert "\n  not designed for 50 ms: nothing was found\n" in said
+    code, found = asked(capsys, *rates, "--controller", "I")
+    assert code == 0
+    assert found["controllers"][0]["rates"][-1]["designed_norm"] is None
+    assert found["controllers"][0]["rates"][-1]["not_designed"] == "nothing was found: it is probably too slow"
+    main(["--rates", *rates, "--controller", "I"])
+    said = capsys.readouterr().out
+    (line,) = [line for line in said.splitlines() if line.startswith("  50 ms")]
+    assert line.split()[-1] == "-"
+    assert "\n  not designed for 50 ms: nothing was found\n" in said
 
 
 def test_one_sample_as_it_is_printed():

@@ -77,7 +77,7 @@ def test_own_kind_over_random_roads(hopper, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "options", [["--quick", "--timestep", "4e-3"], pytest.param(["--timestep", "4e-3"], marks=pytest.mark.attack)]
+    "options", [["--quick", "--timestep", "4e-3"], pytest.param(["--timestep", "8e-3"], marks=pytest.mark.attack)]
 )
 def test_own_kind_is_reported(options, hopper):
     """A report of it is written, also the whole one, with every section."""

@@ -49,6 +49,7 @@ def test_reduced_law(seed, idle, fast):
         assert found is law
 
 
+@pytest.mark.attack
 def test_idle_states_of_a_design():
     """A mode that is undriven, unseen and decays by itself is no part of the controller; the norm is as without it."""
     plant, Cy = a_plant("undamped", 4)

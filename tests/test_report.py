@@ -70,6 +70,7 @@ def browse(page: Path, width: int, folder: Path, *options: str) -> tuple[str, st
     return done.stdout, done.stderr
 
 
+@pytest.mark.attack
 @in_browser
 def test_page_in_a_browser(report, tmp_path):
     """Every figure is there, every table filled, nothing is complained of, and nothing asked of a network."""
@@ -106,6 +107,7 @@ frame.onload = () => {
 """
 
 
+@pytest.mark.attack
 @in_browser
 def test_what_is_under_the_pointer_is_named(report, tmp_path):
     """Over a point of MuJoCo stand whose it is, its value with its unit, and when; over a bar, whose it is and what it says."""
@@ -251,6 +253,7 @@ def test_styles_tell_controllers_apart():
     assert len(set(lines)) == len(lines)
 
 
+@pytest.mark.attack
 def test_a_controller_looks_the_same_in_every_figure(tmp_path, capsys):
     """If an unstable loop is left out of some figures, the other controllers keep their colours and dashes in them."""
     path = tmp_path / "three.toml"

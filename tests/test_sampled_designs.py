@@ -97,6 +97,7 @@ def test_the_second_step_by_another_solver(paper, name):
     np.testing.assert_allclose(gain, K, rtol=0.02)
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("name", in_the_suite(("II",), ROWS))
 def test_no_unit_decides(paper, name):
     """In other units of states, force and time the gain of the two steps is the same, and so is the norm of the design."""
@@ -145,7 +146,6 @@ FELT = '[controllers.felt]\nmeasured = ["suspension_deflection", "sprung_acceler
         pytest.param("quarter_car", 2, LAG, ("state",), marks=pytest.mark.attack),
         ("quarter_car", 0, FELT, ("felt",)),
         pytest.param("quarter_car", 1, FELT, ("felt",), marks=pytest.mark.attack),
-        pytest.param("quarter_car", 1, "", ("state", "II"), marks=pytest.mark.attack),
         pytest.param("quarter_car", 2, LAG, ("II",), marks=pytest.mark.attack),
         pytest.param("quarter_car", 0, LAG, ("I",), marks=pytest.mark.attack),
         pytest.param("half_car", 0, "", ("I",), marks=pytest.mark.attack),
@@ -168,6 +168,7 @@ def test_the_loop_as_built_is_that_designed_for(name, delay, more, controllers):
         assert found.level is None or found.norm <= found.level * (1 + 1e-7)
 
 
+@pytest.mark.attack
 def test_a_filter_in_z():
     """With a filter in z, whose states nothing measures, state feedback is designed from the vehicle's own states."""
     text = read_vehicle("quarter_car").text.replace(
@@ -219,6 +220,7 @@ def test_refused_where_it_is_done(tmp_path, capsys):
         Designer(lost).design("I")
 
 
+@pytest.mark.attack
 def test_one_section_alone():
     """A section may ask for itself, and may leave out what [implementation] asks of all."""
     text = read_vehicle("quarter_car").text
@@ -265,10 +267,10 @@ def test_a_fraction_of_a_sample_is_designed_for(paper, delay, measured):
         assert (hinf_norm(plant.closed_loop(K @ problem.rows)).value < 1) == (level > norm.value)
 
 
-BUILT = [(0.001, 0), (0.001, 1), (0.02, 5), (0.1, 1), (0.2, 0), (0.5, 0), (0.5, 1), (0.5, 2.5), (1.0, 1)]
+BUILT = [(0.001, 0), (0.001, 1), (0.02, 5), (0.2, 0), (0.5, 0), (0.5, 2.5), (1.0, 1)]
 CARS = [("quarter_car", name, *built) for name, every in (("I", 1), ("II", 2)) for built in BUILT[every - 1 :: every]]
 CARS += [("quarter_car", "state", 0.5, 1)]
-CARS += [("half_car", name, period, 0) for name in ROWS for period in (0.001, 0.2)]
+CARS += [("half_car", "I", 0.2, 0), ("half_car", "II", 0.001, 0)]
 # By two steps and by descent, at once and late.
 SOME = [("quarter_car", "I", 0.5, 0)]
 

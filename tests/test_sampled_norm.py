@@ -100,6 +100,7 @@ def fast_lifting(loop: SampledLoop, parts: int) -> float:
     return -float(found.fun)
 
 
+@pytest.mark.attack
 def test_fast_lifting():
     """Fast lifting of controller I at 10 ms gives the numbers of before, with order 1, and goes to the norm."""
     loop = of_the_paper(1e-2)
@@ -192,8 +193,8 @@ def test_forces_on_their_way(seed):
 
 @pytest.mark.attack
 def test_two_routes_meet_always():
-    """The same of 100 loops more."""
-    for seed in range(100, 200):
+    """The same of 60 loops more."""
+    for seed in range(100, 160):
         test_two_routes_meet(seed)
 
 

@@ -121,6 +121,7 @@ def test_modes_are_corners():
     np.testing.assert_allclose(found[0], HARD * heave / (body - wheels), rtol=1e-12)
 
 
+@pytest.mark.attack
 def test_a_law_is_decided_before_a_step_as_by_a_computer():
     """Set in the loop itself, of a run alone and of many, dampers are what a computer of every timestep makes of them."""
     text = QUARTER + DAMPER + EACH

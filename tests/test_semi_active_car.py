@@ -36,7 +36,7 @@ def test_every_claim_holds(capsys):
     assert synth(["--vehicle", VEHICLE, "--json"]) == 0
     capsys.readouterr()
     assert (
-        bump(["--vehicle", VEHICLE, "--controller", "all", "--height", "0.02", "--duration", "0.5", "--no-logs", "--json"]) == 0
+        bump(["--vehicle", VEHICLE, "--controller", "all", "--height", "0.02", "--duration", "0.25", "--no-logs", "--json"]) == 0
     )
     runs = json.loads(capsys.readouterr().out)["runs"]
     names = {run["controller"]["name"] for run in runs}

@@ -1,7 +1,5 @@
 """Prose is read once: docstrings begin with what something is or does, and sentences are short."""
 
-import ast
-import functools
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -9,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests import pages
+from tests.sources import sources
 from tests.test_architecture import FILES, ROOT
 
 # Words that begin a sentence without a subject.
@@ -20,16 +19,9 @@ MOST_FRAGMENTS = {"models": 0.03, "synth": 0.03, "sim": 0.03}  # of a package's 
 MOST_LONG = 0.025  # of all sentences; most that remain hold a formula or a source
 
 
-@functools.cache
-def documented(path: Path) -> list[ast.Module | ast.ClassDef | ast.FunctionDef]:
-    """Returns a file's module, classes and functions."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return [node for node in nodes if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
-
-
-def docstrings(path: Path) -> list[str]:
+def docstrings(path: Path) -> tuple[str, ...]:
     """Returns the docstrings of a file."""
-    return [text for node in documented(path) if (text := ast.get_docstring(node))]
+    return sources()[path.relative_to(ROOT).as_posix()].docstrings
 
 
 def sentences(text: str) -> list[str]:
@@ -73,7 +65,6 @@ def test_a_name_is_one_class(package):
     places: dict[str, list[str]] = defaultdict(list)
     for path in FILES:
         if path.is_relative_to(ROOT / package):
-            for node in documented(path):
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    places[node.name].append(str(path))
+            for name in sources()[path.relative_to(ROOT).as_posix()].classes:
+                places[name].append(str(path))
     assert {name: where for name, where in places.items() if len(where) > 1} == {}

@@ -36,7 +36,7 @@ class Line:
     ("name", "controller", "how"),
     [
         ("quarter_car", "I", {}),  # its force follows the body's slow velocity, and has more at 0.5 s than it comes to
-        ("quarter_car", "II", {"sample_period": 8e-3, "delay": 1.5}),
+        *attacks([("quarter_car", "II", {"sample_period": 8e-3, "delay": 1.5})]),
         *attacks([("quarter_car", "passive", {}), ("half_car", "passive", {})]),
     ],
 )

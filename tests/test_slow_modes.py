@@ -83,15 +83,15 @@ def test_slow_discrete_plants(seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("first", [8, 158])  # one of the last has poles that rounding cannot tell apart
+@pytest.mark.parametrize("first", [8, 183])  # one of the last has poles that rounding cannot tell apart
 def test_many_slow_discrete_plants(first):
-    """The same of a hundred."""
-    for seed in range(first, first + 50):
+    """The same of fifty."""
+    for seed in range(first, first + 25):
         certified_or_infeasible(seed)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("digits", [1, 15, *attacks((3, 6, 12))])
+@pytest.mark.parametrize("digits", [15, *attacks((1, 3, 6, 12))])
 def test_one_slow_discrete_mode(digits, sign):
     """For a scalar plant the optimum has a formula, and the gain meets it, to the last pole that is not 1, in odd units."""
     pole = 1 - sign * 10.0**-digits

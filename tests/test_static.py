@@ -248,6 +248,7 @@ def test_table_of_plants(tmp_path, capsys):
         compleib([str(file), "--only", "third"])
 
 
+@pytest.mark.attack
 def test_table_of_held_plants(tmp_path, capsys):
     """With --dt a plant is held and designed as a discrete one: the norm is that of its gain there, bad periods are refused."""
     plant, _ = random_plant(3, n=3, m=1)

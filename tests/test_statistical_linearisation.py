@@ -188,6 +188,7 @@ def test_without_curves_nothing_changes(paper):
     assert line.vehicle.parameters == pytest.approx(paper.parameters, rel=1e-12)
 
 
+@pytest.mark.attack
 def test_it_says_so(tmp_path, capsys, monkeypatch):
     """The text names slopes and mean deflections, as JSON has them."""
     monkeypatch.setattr(sim.command.comparison, "run_named", once(sim.command.comparison.run_named))

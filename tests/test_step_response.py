@@ -18,7 +18,7 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.between_samples import DEGREE, Pieces, exact
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics
 from synth.vehicle.designer import Designer
-from tests.commands import prose
+from tests.commands import attacks, prose
 from tests.shared import ran
 from tests.test_python_laws import GAIN, vehicle_of
 
@@ -210,7 +210,7 @@ def roots(function, grid):
     ]
 
 
-@pytest.mark.parametrize("name", ["passive", "I"])
+@pytest.mark.parametrize("name", ["passive", *attacks(["I"])])
 def test_of_a_run(name):
     """Metrics of the continuous response are those of an own solution; MuJoCo's tend to them with the step."""
     vehicle = read_vehicle("quarter_car")

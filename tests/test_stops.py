@@ -198,10 +198,13 @@ def test_words_name_the_corners_that_are_alike():
 @pytest.mark.parametrize(
     ("kind", "text", "options"),
     [
-        ("quarter_car", STOPS["of each side"], ()),
-        ("half_car", "1e5\n[limits.rear]\nsuspension_stroke = 0.03\n", ("--height", "0.15")),
+        pytest.param("quarter_car", STOPS["of each side"], (), id="unlike"),
+        pytest.param(
+            *("half_car", "1e5\n[limits.rear]\nsuspension_stroke = 0.03\n", ("--height", "0.15")),
+            id="of an axle",
+            marks=pytest.mark.attack,
+        ),
     ],
-    ids=["unlike", "of an axle"],
 )
 def test_a_log_proves_its_stops(tmp_path, capsys, kind, text, options):
     """A run into unlike progressive stops, or into an axle's own, is logged and says so, and the log proves it again."""

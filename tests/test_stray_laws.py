@@ -69,6 +69,7 @@ SWALLOWS = {
 QUICK = "in every call"  # the others are ended after 5 s
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(
     "body", [pytest.param(body, id=name, marks=() if name == QUICK else pytest.mark.attack) for name, body in SWALLOWS.items()]
 )
@@ -123,6 +124,7 @@ DEATHS = {
 }
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize(("ending", "said"), [*list(DEATHS.items())[:1], *attacks(list(DEATHS.items())[1:])])
 def test_what_a_law_leaves_ends_with_it(tmp_path, ending, said):
     """A child that holds the answers' pipe does not hold the campaign when its parent ends, and is ended with it."""

@@ -226,6 +226,7 @@ def test_amplitude(paper, designer):
     assert one.error(one.sampled).max() > 0.1  # it asks for 500 N
 
 
+@pytest.mark.attack
 def test_command(capsys, tmp_path):
     """The command prints one JSON object, draws, and records the worst sinusoid."""
     pytest.importorskip("matplotlib")

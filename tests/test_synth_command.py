@@ -253,7 +253,7 @@ def test_refine_from_nothing():
     assert refined.controller.certificate.failures == ()
 
 
-@pytest.mark.parametrize("vehicle", ["quarter_car", "half_car", pytest.param("full_car", marks=pytest.mark.attack)])
+@pytest.mark.parametrize("vehicle", ["quarter_car", *attacks(["half_car", "full_car"])])
 def test_cross_check(capsys, vehicle):
     """Clarabel's optimum of every LMI problem is ours, and with our gain fixed it reaches the same: to its tolerance."""
     code, found = table(capsys, "--vehicle", vehicle, "--cross-check")
@@ -319,7 +319,7 @@ def test_which_loop_is_said(capsys, tmp_path, section):
     assert (said in prose(capsys.readouterr().out)) == bool(section)
 
 
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car"])
+@pytest.mark.parametrize("name", ["quarter_car", "full_car", *attacks(["half_car"])])
 def test_what_is_disturbed_is_said(name, capsys):
     """A twist that counts beside the road's velocity is said of the car that does not forget it, with what it counts for."""
     vehicle = read_vehicle(name)

@@ -13,6 +13,7 @@ from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history
 from models.suspension.curve_file import with_tables
 from models.vehicle.in_place import controllers_of, with_families
+from tests.commands import in_the_suite
 
 SEPARATORS = {"comma": ",", "comma and space": ", ", "semicolon": ";", "tab": "\t", "space": " ", "spaces": "   "}
 ENDS = {"plain": ("", "\n"), "Windows": ("\ufeff", "\r\n"), "Macs": ("", "\r")}
@@ -58,7 +59,7 @@ def read(caller: str, text: str, folder) -> np.ndarray:
     return np.array([[member[name] for name in CALLERS[caller]] for member in controllers_of(whole)["I"]["family"]])
 
 
-@pytest.mark.parametrize("caller", CALLERS)
+@pytest.mark.parametrize("caller", in_the_suite(("rig", "family"), CALLERS))
 def test_every_dialect_is_the_same_table(caller, tmp_path, monkeypatch):
     """Separators, decimal commas, quotes, comments, line ends, a BOM, units beside or below names: the same floats, every bit."""
     monkeypatch.setattr(profile_file, "STEEPEST", np.inf)

@@ -4,6 +4,7 @@
 # MuJoCo's bindings carry no type stubs.
 
 import dataclasses
+import itertools
 import re
 from functools import cache
 from typing import Any
@@ -136,7 +137,7 @@ def integrated(vehicle: Vehicle, road: Road, time: np.ndarray) -> dict[str, np.n
 
 
 @pytest.mark.parametrize("text", ["bump:height=0.05:length={}", "iso8608:class=C"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", in_the_suite(("quarter_car", "half_car"), KINDS))
 def test_the_exact_response_is_that_of_an_own_integration(kind, text):
     """On every car, over a bump and a rough road, to 1e-6 of each signal's peak: the continuous response is exact."""
     vehicle, passive = damped(kind), Designer(damped(kind)).design("passive")
@@ -167,8 +168,10 @@ def test_the_frequency_response_is_that_of_the_own_equations(kind):
         assert np.abs(found - own).max() < 1e-9 * np.abs(own).max()
 
 
-@pytest.mark.parametrize("name", ["passive", "held"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    in_the_suite([(kind, "passive") for kind in KINDS] + [("half_car", "held")], itertools.product(KINDS, ("passive", "held"))),
+)
 def test_physics_agrees(kind, name):
     """MuJoCo agrees throughout, step by step to rounding, and its energy balances as RK4 allows."""
     run = driven(damped(kind), name, "iso8608:class=B")

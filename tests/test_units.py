@@ -169,6 +169,7 @@ def outcomes(plant: GeneralizedPlant, Cy: np.ndarray, unit: float) -> list[float
     return found
 
 
+@pytest.mark.attack
 @pytest.mark.parametrize("seed", [0, *attacks(range(1, 5))])
 def test_units_change_neither_verdict_nor_norm(seed):
     """Both designs of random plants, or why there is none, are the same in units up to ten orders of magnitude apart."""

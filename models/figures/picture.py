@@ -55,7 +55,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
         # The layout, which takes longer than drawing, is computed once for all files.
         layout = canvas.get_layout_engine()
         layout.execute(canvas)
-        canvas.set_layout_engine("none")
+        canvas.set_layout_engine(None)  # not "none", with which saving draws a second time, for a layout
         for path in paths:
             dateless = {"Date": None} if path.suffix.lower() == ".svg" else {}
             with whole_file(path, "picture") as beside, matplotlib.rc_context({"svg.hashsalt": "roadproof"}):
