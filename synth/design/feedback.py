@@ -15,7 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
-from models.common.printed import Shown
+from models.common.printed import Shown, percent
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, read_law_structure
@@ -25,14 +25,14 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
 from synth.analysis.stability import stabilisability_failures
-from synth.design.fallback import check_stabilisable, two_steps_or_descent
+from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_continuous, check_inputs, measured_with, real_matrix
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WHERE = "design_feedback:"
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"
+TWO_STEPS, DESCENT, BOTH = "the two steps", "descent on the norm", "the two steps and descent on the norm"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -211,6 +211,13 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
+def _distance(certificate: Certificate) -> str:
+    """Returns how far a norm is from what no controller beats, in words; empty where it is zero."""
+    if certificate.gap is not None:
+        return f"its norm is {percent(certificate.gap)} above {certificate.lower_bound:.7g}, which no controller beats"
+    return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
+
+
 class _Asked:
     """A plant with what is measured, checked, and every way to design for it."""
 
@@ -246,15 +253,15 @@ class _Asked:
         return wide, np.hstack([of_w, np.diag(self.noise)[:, some]])
 
     def static(self, largest_gain: float) -> FeedbackDesign:
-        """A static gain, by the two steps or by descent."""
+        """A static gain, by the two steps, and by descent from there or in their place."""
         plant, Dyw = self.loud
-        found = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, largest_gain)
-        left_out = [f"y{i + 1}" for i in found.redundant]
+        found, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
+        certificate, left_out = found.certificate, [f"y{i + 1}" for i in found.redundant]
         said = [found.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
-        why = found.instead or "the two steps lead to a gain whose certificate holds"
-        method = DESCENT if found.instead else TWO_STEPS
-        remark = "; ".join(text for text in said if text)
-        return FeedbackDesign(static_law(found.gain), found.certificate, method, why, remark, found.certificate.norm.value)
+        why = found.instead or went_on or "the two steps lead to a gain whose certificate holds"
+        method = DESCENT if found.instead else BOTH if went_on else TWO_STEPS
+        remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
+        return FeedbackDesign(static_law(found.gain), certificate, method, why, remark, certificate.norm.value)
 
     def full(self, stable: bool) -> FeedbackDesign:
         """A law of full order; where no such law of the least norm is found, that of the least mean square, or a gain."""
@@ -328,8 +335,9 @@ class _Asked:
         problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
         known, near = list[Array](), 1.0
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            ideal = self.static(LARGEST_GAIN)
-            known, near = [ideal.gain], ideal.value or 1.0
+            plant, Dyw = self.loud
+            ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+            known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         if full:
             from synth.design.full_order.sampled_data import sampled_full_order
             from synth.lmi.sampled_bound import find_sampled_bound

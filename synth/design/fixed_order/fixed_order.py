@@ -104,7 +104,7 @@ def fixed_order_design(
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
-        known: laws of this structure to start from alone, in place of all other starts.
+        known: laws of this structure to start from alone, in place of all other starts; of fewer states, too.
         on_found: called with the best law of fewer states, each time that there is one of more.
 
     Raises:
@@ -224,7 +224,9 @@ class _Search:
         """Returns the law at the lowest end of the descents from known laws."""
         if structure.kind:
             return self.of_filters(structure, known)
-        return self.ended(structure, [(law, "a known law") for law in known], "", whole=False, sought=0)
+        states = structure.order * (self.plant.B.shape[1] if structure.rows is not None else 1)
+        filled = [each for law in known for each in ([law] if law.states == states else self.appended(structure, law))]
+        return self.ended(structure, [(law, "a known law") for law in filled], "", whole=False, sought=0)
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
         """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.
