@@ -167,7 +167,7 @@ def far_above() -> tuple[GeneralizedPlant, np.ndarray]:
 
 
 def test_descent_goes_on_from_two_steps_that_end_far_above(paper):
-    """A gain of the two steps above the lower bound by more than 0.1 % is refined within the allowed gain; I's is left as it is."""
+    """A gain of the two steps above the lower bound by more than 0.1 % is refined; that of I, 0.086 % above, is left as it is."""
     plant, Cy = far_above()
     found, steps = design_feedback(plant, Cy), two_step_design(plant, Cy)
     gap = found.certificate.norm.value / find_lower_bound(plant, Cy).gamma - 1
@@ -175,16 +175,22 @@ def test_descent_goes_on_from_two_steps_that_end_far_above(paper):
     assert found.certificate.failures == ()
     assert "above the lower bound; descent from there lowers it" in found.why
     assert found.remark == "its norm is 0.047 % above 1.166753, which no controller beats"
-    small = 1.5 * np.abs(steps.gain).max()
-    within = design_feedback(plant, Cy, largest_gain=small)
-    assert np.abs(within.gain).max() <= small
-    assert found.certificate.norm.value < within.certificate.norm.value < steps.certificate.norm.value
-
     designer = Designer(paper)
     mine = design_feedback(designer.plant, np.eye(4)[[0, 2]])
     np.testing.assert_array_equal(mine.gain, designer.design("I").gain)
     assert mine.method == "the two steps"
     assert mine.remark.startswith("its norm is 0.086 % above 7.836")
+
+
+@pytest.mark.attack
+def test_descent_from_the_two_steps_keeps_the_largest_gain():
+    """A bound on the gain between those of the two steps and of descent holds, and the norm is between theirs, too."""
+    plant, Cy = far_above()
+    steps = two_step_design(plant, Cy)
+    small = 1.5 * np.abs(steps.gain).max()
+    within = design_feedback(plant, Cy, largest_gain=small)
+    assert np.abs(within.gain).max() <= small
+    assert 1.1673 < within.certificate.norm.value < steps.certificate.norm.value - 0.05  # 1.1721: measured
 
 
 @pytest.mark.parametrize(

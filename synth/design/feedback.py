@@ -1,8 +1,8 @@
 """One door to synthesis for any plant: the words of a controller's section as arguments, and the method found for them.
 
 What is asked is checked first, against the table of `models/laws/combinations.py` too. Without further words the two steps design
-a static gain, and descent on the norm where they lead to none (`fallback.py`). Of the other ways each has its file, and each can
-be called by itself.
+a static gain, and descent on the norm where they lead to none, or far above the lower bound (`fallback.py`). Of the other ways
+each has its file, and each can be called by itself.
 """
 
 import contextlib
@@ -105,9 +105,10 @@ def design_feedback(
 ) -> FeedbackDesign:
     """Returns a controller of any plant, with what is proved of it, the method that found it, and why that one.
 
-    Without more words it is a static gain of the least norm: by the two steps, or by descent where they lead to none. The words
-    are those of a controller's section in a vehicle file, and go together as there. A plant by itself has no names: its
-    measurements are y1, y2, ..., its forces u1, u2, ..., the rows of z are z1, z2, ...
+    Without more words it is a static gain for the least norm: by the two steps, by descent from there where they end more than
+    0.1 % above the lower bound, or by descent where they lead to none. The words are those of a controller's section in a
+    vehicle file, and go together as there. A plant by itself has no names: its measurements are y1, y2, ..., its forces u1,
+    u2, ..., the rows of z are z1, z2, ...
 
     Args:
         plant: n states, m inputs; continuous, or discrete by its dt.
