@@ -21,7 +21,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.combinations import PID
-from models.laws.law_structure import GAINS, LawStructure
+from models.laws.law_structure import FEWER, GAINS, LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
@@ -140,9 +140,10 @@ def fixed_order_design(
 def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
     if structure.kind:
         return f"its gains: {gains_text(structure, law)}"
-    asked = structure.order * (m if structure.rows is not None else 1)
+    asked = structure.states(m)
     if law.states < asked:
-        return f"of at most {asked} states {law.states} are designed, beside any integral: it comes to what no controller beats"
+        designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
+        return f"{FEWER} {asked} states {designed} designed, beside any integral: the law comes to what no controller beats"
     return ""
 
 
@@ -224,7 +225,7 @@ class _Search:
         """Returns the law at the lowest end of the descents from known laws."""
         if structure.kind:
             return self.of_filters(structure, known)
-        states = structure.order * (self.plant.B.shape[1] if structure.rows is not None else 1)
+        states = structure.states(self.plant.B.shape[1])
         filled = [each for law in known for each in ([law] if law.states == states else self.appended(structure, law))]
         return self.ended(structure, [(law, "a known law") for law in filled], "", whole=False, sought=0)
 

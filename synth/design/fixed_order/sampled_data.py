@@ -52,7 +52,8 @@ def sampled_fixed_order(
             continue
         try:
             known: list[LinearLaw] = [] if law is None or structure.kind else [law]
-            found = fixed_order_design(plant, problem.rows, problem.Dyw(level), structure, None, names, stable=stable, known=known)
+            given = plant, problem.rows, problem.Dyw(level), structure, None, names
+            found = fixed_order_design(*given, stable=stable, known=known)
             reached = sampled_norm(problem.loop(law_gain(found.law)), level).value
         except InfeasibleError:
             raise
