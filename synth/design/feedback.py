@@ -24,7 +24,7 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
-from synth.analysis.stability import stabilisability_failures
+from synth.analysis.stability import is_stable, stabilisability_failures
 from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
 from synth.plant.augmented import on_larger_plant
@@ -32,6 +32,7 @@ from synth.plant.generalized import GeneralizedPlant, check_continuous, check_in
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WHERE = "design_feedback:"
+FEW = 4  # states; of more the matrices of a law are not shown
 TWO_STEPS, DESCENT, BOTH = "the two steps", "descent on the norm", "the two steps and descent on the norm"
 
 
@@ -40,7 +41,8 @@ class FeedbackDesign(Shown):
     """A controller of a plant, with its certificate, and the method that led to it.
 
     Attributes:
-        law: from the q measurements to the m forces; a static one is u = K y.
+        law: from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, with u added as it
+            is, no minus sign; a static one is u = K y. With a sample period the next x_c is in place of x_c'.
         certificate: of its loop in continuous time, or of the discrete plant. With noise, that is a part of w.
         method: what the law was designed by.
         why: why by that method, in words.
@@ -72,13 +74,20 @@ class FeedbackDesign(Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns law, method, reason and certificate as text."""
         title, proved = self.certificate.shown
-        law = {"law": states_text(self.law)} if self.law.states else {"gain": gain_text(self.law.D)}
+        law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
         said = {"remark": self.remark} if self.remark else {}
         return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **said}
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() + self.certificate.figure
+
+
+def _law_shown(law: LinearLaw) -> dict[str, str]:
+    """Returns a law with states as text: how many, if they are stable by themselves, and its matrices if they are few."""
+    stable = is_stable(law.A, law.sample_period)
+    matrices = {name: gain_text(getattr(law, name)) for name in "ABCD"} if law.states <= FEW else {}
+    return {"law": f"{states_text(law)}; {'' if stable else 'not '}stable by itself"} | matrices
 
 
 @numerics()
@@ -131,6 +140,9 @@ def design_feedback(
         largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
         lower_bound: what no controller from these measurements beats, if known, for the certificate.
         states: names of the states, for messages.
+
+    Returns:
+        A `FeedbackDesign`: the law, u = +K y for a gain, its certificate, method, why and remark.
 
     Raises:
         InputError: a matrix does not fit the plant, it has no input, or two words do not go together; the message says why.
@@ -214,6 +226,8 @@ def _plain(value: Any) -> Any:
 
 def _distance(certificate: Certificate) -> str:
     """Returns how far a norm is from what no controller beats, in words; empty where it is zero."""
+    if certificate.gap is not None and percent(certificate.gap) == percent(0):
+        return "no controller beats its norm"
     if certificate.gap is not None:
         return f"its norm is {percent(certificate.gap)} above {certificate.lower_bound:.7g}, which no controller beats"
     return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""

@@ -29,7 +29,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures
 from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
 from synth.design.fixed_order.reduction import reductions
-from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
+from synth.design.full_order.full_order import DEADBEAT, as_designed, discrete_law, full_order_design
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
@@ -88,7 +88,7 @@ def fixed_order_design(
     states: Sequence[str] = (),
     through: Array | None = None,
     stable: bool = False,
-    as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
+    as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     known: Sequence[LinearLaw] = (),
     on_found: Callable[[LinearLaw], None] = lambda law: None,
 ) -> FixedOrderDesign:
