@@ -4,7 +4,7 @@ Public names, imported when they are first used; all units are SI:
 
 - of a vehicle: `design_controllers`, `Designer`, `Controller`
 - any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
-- any plant, one door: `design_feedback`, whatever is asked of the controller
+- any plant, one door: `design_feedback`, whatever is asked of the controller, which returns a `FeedbackDesign`
 - static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`; for goals
   `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`,
   `MeasuredPlant`, `GainErrors`
@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # what type checkers and editors see
     from synth.analysis.sampled_norm import sampled_norm
     from synth.controller.controller import Controller
     from synth.design.descent.refine import refine
-    from synth.design.feedback import design_feedback
+    from synth.design.feedback import FeedbackDesign, design_feedback
     from synth.design.full_order.full_order import full_order_design
     from synth.design.full_order.preview import preview_design
     from synth.design.full_order.quadratic import h2_design, lqg_design, lqr_design
@@ -71,7 +71,7 @@ else:
             "synth.analysis.sampled_norm": "sampled_norm",
             "synth.controller.controller": "Controller",
             "synth.design.descent.refine": "refine",
-            "synth.design.feedback": "design_feedback",
+            "synth.design.feedback": "FeedbackDesign design_feedback",
             "synth.design.full_order.full_order": "full_order_design",
             "synth.design.full_order.preview": "preview_design",
             "synth.design.full_order.quadratic": "h2_design lqg_design lqr_design",

@@ -13,6 +13,8 @@ from models.common.errors import InputError
 from models.laws.law_structure import LawStructure
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.analysis.lower_bound import LowerBound
+from synth.analysis.norm import hinf_norm
 from synth.controller.controller import InterruptedDesign
 from synth.design.descent.landscape import Landscape
 from synth.design.feedback import design_feedback
@@ -24,6 +26,7 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError
 from synth.vehicle.designer import Designer
 from tests.commands import attacks
+from tests.test_bounds_hold import of_lists
 
 Posed = tuple[GeneralizedPlant, np.ndarray, np.ndarray]
 GRID = np.concatenate([[0.0], np.geomspace(1e-2, 1e2, 300)])  # rad/s
@@ -134,6 +137,26 @@ def test_a_gain_is_a_law_and_back():
     slopes = [(landscape.norm(x + step)[0] - landscape.norm(x - step)[0]) / 2e-6 for step in steps]
     assert np.isfinite(height)
     np.testing.assert_allclose(landscape.slope(x, at), slopes, rtol=1e-4, atol=1e-6 * height)  # differences of 1e-6
+
+
+@pytest.mark.parametrize("rows", [((True, False), (False, True)), *attacks([None])])
+def test_a_known_law_may_have_fewer_states(rows):
+    """A descent starts from a law of fewer states than it may have, one for all forces or one for each, and ends lower."""
+    plant, Cy, _ = posed(2, m=2, n=2)
+    nothing = LinearLaw(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.zeros((2, 2)))
+    found = fixed_order_design(plant, Cy, structure=LawStructure(1, rows), lower_bound=LowerBound(0.0), known=[nothing])
+    assert found.law.states == (1 if rows is None else 2)
+    assert found.certificate.failures == ()
+    assert found.certificate.norm.value < hinf_norm(plant).value
+
+
+@pytest.mark.parametrize(("order", "delay"), [(2, 0.0), *attacks([(1, 1.0), (2, 0.5)])])
+def test_any_order_is_designed_for_the_sampled_loop(order, delay):
+    """An order beside a sample period has a law; one of fewer states says that it has fewer, and why."""
+    oscillator = of_lists([[0, 1], [-4, -0.1]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
+    found = design_feedback(oscillator, np.array([[0.0, 1.0]]), order=order, sample_period=0.1, delay=delay)
+    assert found.value < hinf_norm(oscillator).value
+    assert (f"of at most {order} states" in found.remark) == (found.law.states < order), found.remark
 
 
 @pytest.mark.attack

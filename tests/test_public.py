@@ -75,6 +75,19 @@ def test_functions_teach():
                 assert "Args:" in (function.__doc__ or "") or len(inspect.signature(function).parameters) < 2, name
 
 
+def test_help_has_words():
+    """No signature of a public name has a condition's address or a default without a name."""
+    for package in PACKAGES:
+        for name in package.__all__:
+            value = getattr(package, name)
+            own = [each for each in vars(value).values() if inspect.isfunction(each)] if inspect.isclass(value) else []
+            for function in [*own, *[value] * callable(value)]:
+                text = str(inspect.signature(function))
+                assert "<lambda>" not in text, (name, text)
+                assert "Must(" not in text, (name, text)
+    assert "Annotated[float, 'a number above 0']" in str(inspect.signature(synth.design_feedback))
+
+
 EXAMPLES = [
     (package, name)
     for package in PACKAGES

@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import re
+from typing import Any
 
 import pytest
 from scipy.io import savemat
@@ -97,11 +98,35 @@ def test_unknown_kind_is_named(hopper):
 
 def test_any_plant(capsys):
     """The plant from matrices is designed and certified, in every way of the snippet."""
-    (snippet,) = site("Any plant").blocks("python")
+    (snippet,), (text,) = site("Any plant").blocks("python"), site("Any plant").blocks("text")
     exec(snippet, {})
     out = capsys.readouterr().out
-    assert "the two steps lead to a gain" in out
-    assert out.count("certificate: holds") == 3
+    assert out.startswith(text)
+    assert out.count("certificate: holds") == 4
+    assert "law: 2 states; poles of 0.09271 to 177.6 rad/s; stable by itself\n  A: [[" in out
+
+
+def test_a_saved_certificate_is_checked_with_numpy_alone(tmp_path, monkeypatch, capsys):
+    """The page's lines prove a saved bound and lower bound in plain floats, and do not prove a smaller bound."""
+    one = section("docs/explanation/bound-norm-lower-bound.md", "Check a saved certificate by yourself")
+    (snippet,) = one.blocks("python")
+    assert "python -m synth --controller I --refine --save my_car.toml" in one.text
+    monkeypatch.chdir(tmp_path)
+    assert main_of("synth")(["--controller", "I", "--refine", "--save", "my_car.toml"]) == 0
+    capsys.readouterr()
+    exec(snippet, names := dict[str, Any]())
+    norm, bound = (names["proof"][name] for name in ("norm", "bound"))
+    assert norm * (1 + 0.9e-4) < bound < norm * (1 + 1.1e-4)
+    printed = re.findall(r"(?:: |than |of )(-?\d\S*)", capsys.readouterr().out)
+    positive, negative, limit, below = map(float, printed)
+    assert positive > 1e-6
+    assert negative < -1e-9  # rounding of the products is 1e-14 of their size
+    assert limit == pytest.approx(below, rel=1e-12)
+    saved = tmp_path / "my_car.toml"
+    saved.write_text(saved.read_text().replace(f"\nbound = {bound!r}\n", f"\nbound = {0.999 * norm!r}\n"))
+    exec(snippet, {})
+    forged = re.findall(r"< 0: (-?\d\S*)", capsys.readouterr().out)
+    assert [float(number) > 1e-9 for number in forged] == [True]
 
 
 def test_a_discrete_plant(capsys):

@@ -221,6 +221,18 @@ def test_the_table_says_what_refine_would_gain(capsys, vehicle):
         assert row["refine_lowers_by_at_least"] is None
 
 
+def test_the_short_answer_has_gains_and_says_why_they_are_gains(tmp_path, capsys):
+    """Without `-v` several refined controllers have their gains, and a law of fewer states than it may have says why."""
+    assert main(["--refine", "--controller", "I", "--controller", "II"]) == 0
+    text = prose(capsys.readouterr().out)
+    assert all(line in text for line in ("I: gain [[9278.", "II: gain [[-13905.8]]", "I: refined: gamma", "II: refined: gamma"))
+    section = 'measured = ["suspension_deflection", "sprung_velocity"]\norder = 2'
+    (tmp_path / "car.toml").write_text(f"{read_vehicle('quarter_car').text}\n[controllers.two]\n{section}\n")
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "two"]) == 0
+    said = "two: of at most 2 states none is designed, beside any integral: the law comes to what no controller beats"
+    assert said in prose(capsys.readouterr().out)
+
+
 def test_what_cannot_be_refined_fails_as_it_is(tmp_path, capsys):
     """An unstable law that a file gives is not refined, and its claims fail with `--refine` as without."""
     (tmp_path / "car.toml").write_text(

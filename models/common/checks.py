@@ -35,6 +35,9 @@ class Must:
     words: str
     holds: Callable[[Any], bool]
 
+    def __repr__(self) -> str:  # in `help`, where the condition itself would be an address
+        return repr(self.words.removeprefix(", "))
+
 
 LONGEST_NAME = 60  # characters
 

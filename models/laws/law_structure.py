@@ -23,6 +23,7 @@ from models.laws.linear import LARGEST, MATRICES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
 SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
+FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 
@@ -46,6 +47,10 @@ class LawStructure:
     def text(self) -> str:
         """The structure as a vehicle file has it."""
         return f'structure = "{self.kind}"' if self.kind else f"order = {self.order}"
+
+    def states(self, forces: int) -> int:
+        """Returns how many states a law for so many forces has at most, without those of PI and PID."""
+        return self.order * (forces if self.rows is not None else 1)
 
 
 def pid_filter(kind: str, filter: float) -> LinearLaw:

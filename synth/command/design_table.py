@@ -243,7 +243,14 @@ def _refined_row(designer: Designer, name: str, zero_l: bool) -> Row:
     said = notes(refined.start) if refined.start is not None else ("the two steps find no gain",)
     judged = designer.judged(refined.controller)
     failures = (*judged.certificate.failures, *judged.unmet_specifications)
-    return Row(name, judged, (*said, *judged.remarks, refined.traded), failures, answers=(refined.traded.partition(";")[0],))
+    return Row(
+        name,
+        judged,
+        (*said, *judged.remarks, refined.traded),
+        failures,
+        answers=(refined.traded.partition(";")[0],),
+        refined=True,
+    )
 
 
 def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float | None]]:

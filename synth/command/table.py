@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
+from models.laws.law_structure import FEWER
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound
@@ -54,6 +55,7 @@ class Row:
         fragile: the tolerated errors, if requested.
         answers: sentences on what options have asked of it; the notes have them, too.
         ride: expected weighted acceleration on an average road [m/s2], or None.
+        refined: True for a controller that was refined, whose gain is the answer.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Row:
     fragile: "FragilityReport | None" = None
     answers: tuple[str, ...] = ()
     ride: float | None = None
+    refined: bool = False
 
     @property
     def sampled_gap(self) -> float | None:
@@ -201,12 +204,21 @@ def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
             alike.setdefault(each, []).append(row.name)
     if ahead := [row.name for row in rows if row.controller is not None and row.controller.preview is not None]:
         alike.setdefault(FEEDBACK_ALONE, []).extend(ahead)
-    lines = [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
+    lines = [line for row in rows if row.refined and row.controller is not None for line in _gain(row.controller)]
+    lines += [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
     return [*lines, *(line for row in rows for line in _failure_lines(row))]
 
 
+def _gain(controller: Controller) -> list[str]:
+    """Returns the line of a designed gain; empty where no line holds it."""
+    gain = gain_lines(controller.law.D, f"{controller.name}: gain ") if controller.designed and not controller.law.states else []
+    return gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
+
+
 def _answers(row: Row, checked: bool) -> list[str]:
+    remarks = row.controller.remarks if row.controller is not None else ()
     return [
+        *(part for remark in remarks for part in remark.split("; ") if part.startswith(FEWER)),
         *row.answers,
         *([row.witness.text] if row.witness is not None else []),
         *(row.notes[-1:] if checked else []),
@@ -228,14 +240,13 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     """
     if row.controller is None:
         return _failure_lines(row)
-    promises, law = row.controller.specifications, row.controller.law
+    promises = row.controller.specifications
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
         first = replace(promises[0], where="")  # at which frequency, and of which vehicle, is told by `-v`
         lines = wrapped(f"{first.text}{f'; {kept} more kept' if kept else ''}", f"{row.name}: ", 4)
     else:
-        gain = gain_lines(law.D, f"{row.name}: gain ") if gains and row.controller.designed and not law.states else []
-        lines = gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
+        lines = _gain(row.controller) if gains else []
     if row.controller.preview is not None:
         lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
     lines += [part for each in _answers(row, checked) for part in wrapped(each, f"{row.name}: ", 4)]

@@ -1,5 +1,7 @@
 """Static gains: the two steps, and where they cannot be gone to their end, descent on the norm. The result says which, and why.
 
+For any plant (`near_lower_bound`) descent also goes on from the two steps where they end above a proved lower bound.
+
 A central path may break off, or have no end at a finite gain, and problems may be too large for it. Problem (25) may have no
 solution from any X tried. None of that says that there is no gain: the strategy of `static.py` needs no path. What does say so is
 known first, and named: a mode that no force reaches or no measurement shows, or poles that no gain moves. And where there is a
@@ -27,6 +29,8 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
 NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
+NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
+BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
@@ -110,6 +114,74 @@ def two_steps_or_descent(
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
     return with_redundant_rows(Design(gain, certificate, instead=instead), kept, len(rows), 0.0)
+
+
+@numerics()
+def near_lower_bound(
+    plant: GeneralizedPlant,
+    Cy: Array,
+    lower_bound: LowerBound | None = None,
+    states: Sequence[str] = (),
+    Dyw: Array | None = None,
+    largest_gain: float = LARGEST_GAIN,
+) -> tuple[Design, str]:
+    """Returns the result of `two_steps_or_descent`, or of a descent from there, and what that descent found, in words.
+
+    Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
+    0.1 % of the norm. The lower norm is kept, unless it takes poles beyond any actuator.
+
+    Args:
+        plant, Cy, states, Dyw, largest_gain: as for `two_steps_or_descent`.
+        lower_bound: what no controller from these measurements beats; sought for plants of at most 20 states where it is None.
+
+    Returns:
+        The design, and the words: empty where nothing goes on from the two steps.
+
+    Raises:
+        InputError, InfeasibleError, DesignError: as `two_steps_or_descent`.
+    """
+    check_stabilisable(plant, Cy, states)
+    below = lower_bound
+    if below is None and len(plant.A) <= BOUNDED:
+        from synth.lmi.full_order_bound import find_lower_bound
+
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            below = find_lower_bound(plant, Cy, Dyw=Dyw)
+    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain)
+    gap = design.certificate.gap
+    if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
+        return design, ""
+    far = f", {percent(gap)} above the lower bound" if gap is not None else ""
+    came = f"the two steps come to {design.certificate.norm.value:.7g}{far}; descent from there"
+    lower, growth = _refined(plant, Cy, design, below, largest_gain)
+    if lower is None:
+        return design, f"{came} finds no lower norm"
+    if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
+        at = f"{lower.certificate.norm.value:.7g} with poles beyond any actuator"
+        return design, f"{came} comes to {at}, so that the gain of the two steps is kept"
+    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large"
+
+
+def _refined(
+    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float
+) -> tuple[Design | None, float]:
+    """Returns a design of a lower norm from the gain of another, and the growth of the gain; None if none is found."""
+    from synth.analysis.bounding import certify_tightly
+    from synth.design.descent.refine import SEEN, refine
+    from synth.design.static import descended
+
+    kept = [i for i in range(len(Cy)) if i not in design.redundant]
+    rows, start = Cy[kept], design.gain[:, kept]
+    with contextlib.suppress(InputError, np.linalg.LinAlgError):
+        gain = refine(plant, rows, start).gain
+        if np.abs(gain).max(initial=0.0) > largest_gain:
+            gain = descended(plant, rows, replace(design, gain=start), largest_gain, below).gain
+        certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
+        if not certificate.failures and certificate.norm.value < design.certificate.norm.value * (1 - SEEN):
+            whole = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
+            size = float(np.abs(start).max(initial=0.0))
+            return whole, float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
+    return None, 1.0
 
 
 def _known_gain(

@@ -1,8 +1,8 @@
 """One door to synthesis for any plant: the words of a controller's section as arguments, and the method found for them.
 
 What is asked is checked first, against the table of `models/laws/combinations.py` too. Without further words the two steps design
-a static gain, and descent on the norm where they lead to none (`fallback.py`). Of the other ways each has its file, and each can
-be called by itself.
+a static gain, and descent on the norm where they lead to none, or far above the lower bound (`fallback.py`). Of the other ways
+each has its file, and each can be called by itself.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import Bound, NotNegative, Positive
 from models.common.errors import InputError, listing, quoted
-from models.common.printed import Shown
+from models.common.printed import Shown, percent
 from models.laws.combinations import FULL, PATTERNS, QUADRATIC, STATIC, check_together, is_order, section_parts
 from models.laws.goals import REGRET
 from models.laws.law_structure import LawStructure, read_law_structure
@@ -24,15 +24,16 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.sampled_loop import SampledDataProblem, hold_intervals
-from synth.analysis.stability import stabilisability_failures
-from synth.design.fallback import check_stabilisable, two_steps_or_descent
+from synth.analysis.stability import is_stable, stabilisability_failures
+from synth.design.fallback import check_stabilisable, near_lower_bound, two_steps_or_descent
 from synth.design.two_step import LARGEST_GAIN
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_continuous, check_inputs, measured_with, real_matrix
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WHERE = "design_feedback:"
-TWO_STEPS, DESCENT = "the two steps", "descent on the norm"
+FEW = 4  # states; of more the matrices of a law are not shown
+TWO_STEPS, DESCENT, BOTH = "the two steps", "descent on the norm", "the two steps and descent on the norm"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,7 +41,8 @@ class FeedbackDesign(Shown):
     """A controller of a plant, with its certificate, and the method that led to it.
 
     Attributes:
-        law: from the q measurements to the m forces; a static one is u = K y.
+        law: from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, with u added as it
+            is, no minus sign; a static one is u = K y. With a sample period the next x_c is in place of x_c'.
         certificate: of its loop in continuous time, or of the discrete plant. With noise, that is a part of w.
         method: what the law was designed by.
         why: why by that method, in words.
@@ -72,13 +74,20 @@ class FeedbackDesign(Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns law, method, reason and certificate as text."""
         title, proved = self.certificate.shown
-        law = {"law": states_text(self.law)} if self.law.states else {"gain": gain_text(self.law.D)}
+        law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
         said = {"remark": self.remark} if self.remark else {}
         return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **said}
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() + self.certificate.figure
+
+
+def _law_shown(law: LinearLaw) -> dict[str, str]:
+    """Returns a law with states as text: how many, if they are stable by themselves, and its matrices if they are few."""
+    stable = is_stable(law.A, law.sample_period)
+    matrices = {name: gain_text(getattr(law, name)) for name in "ABCD"} if law.states <= FEW else {}
+    return {"law": f"{states_text(law)}; {'' if stable else 'not '}stable by itself"} | matrices
 
 
 @numerics()
@@ -105,9 +114,10 @@ def design_feedback(
 ) -> FeedbackDesign:
     """Returns a controller of any plant, with what is proved of it, the method that found it, and why that one.
 
-    Without more words it is a static gain of the least norm: by the two steps, or by descent where they lead to none. The words
-    are those of a controller's section in a vehicle file, and go together as there. A plant by itself has no names: its
-    measurements are y1, y2, ..., its forces u1, u2, ..., the rows of z are z1, z2, ...
+    Without more words it is a static gain for the least norm: by the two steps, by descent from there where they end more than
+    0.1 % above the lower bound, or by descent where they lead to none. The words are those of a controller's section in a
+    vehicle file, and go together as there. A plant by itself has no names: its measurements are y1, y2, ..., its forces u1,
+    u2, ..., the rows of z are z1, z2, ...
 
     Args:
         plant: n states, m inputs; continuous, or discrete by its dt.
@@ -130,6 +140,9 @@ def design_feedback(
         largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
         lower_bound: what no controller from these measurements beats, if known, for the certificate.
         states: names of the states, for messages.
+
+    Returns:
+        A `FeedbackDesign`: the law, u = +K y for a gain, its certificate, method, why and remark.
 
     Raises:
         InputError: a matrix does not fit the plant, it has no input, or two words do not go together; the message says why.
@@ -211,6 +224,15 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
+def _distance(certificate: Certificate) -> str:
+    """Returns how far a norm is from what no controller beats, in words; empty where it is zero."""
+    if certificate.gap is not None and percent(certificate.gap) == percent(0):
+        return "no controller beats its norm"
+    if certificate.gap is not None:
+        return f"its norm is {percent(certificate.gap)} above {certificate.lower_bound:.7g}, which no controller beats"
+    return "no lower bound of the norm is known" if certificate.norm.value > certificate.norm_rounding else ""
+
+
 class _Asked:
     """A plant with what is measured, checked, and every way to design for it."""
 
@@ -246,15 +268,15 @@ class _Asked:
         return wide, np.hstack([of_w, np.diag(self.noise)[:, some]])
 
     def static(self, largest_gain: float) -> FeedbackDesign:
-        """A static gain, by the two steps or by descent."""
+        """A static gain, by the two steps, and by descent from there or in their place."""
         plant, Dyw = self.loud
-        found = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, largest_gain)
-        left_out = [f"y{i + 1}" for i in found.redundant]
+        found, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
+        certificate, left_out = found.certificate, [f"y{i + 1}" for i in found.redundant]
         said = [found.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
-        why = found.instead or "the two steps lead to a gain whose certificate holds"
-        method = DESCENT if found.instead else TWO_STEPS
-        remark = "; ".join(text for text in said if text)
-        return FeedbackDesign(static_law(found.gain), found.certificate, method, why, remark, found.certificate.norm.value)
+        why = found.instead or went_on or "the two steps lead to a gain whose certificate holds"
+        method = DESCENT if found.instead else BOTH if went_on else TWO_STEPS
+        remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
+        return FeedbackDesign(static_law(found.gain), certificate, method, why, remark, certificate.norm.value)
 
     def full(self, stable: bool) -> FeedbackDesign:
         """A law of full order; where no such law of the least norm is found, that of the least mean square, or a gain."""
@@ -328,8 +350,9 @@ class _Asked:
         problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
         known, near = list[Array](), 1.0
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            ideal = self.static(LARGEST_GAIN)
-            known, near = [ideal.gain], ideal.value or 1.0
+            plant, Dyw = self.loud
+            ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+            known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         if full:
             from synth.design.full_order.sampled_data import sampled_full_order
             from synth.lmi.sampled_bound import find_sampled_bound

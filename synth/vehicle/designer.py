@@ -37,6 +37,10 @@ STATE_ALONE = (
 )
 
 
+def no_progress(goal: float, within: bool) -> None:
+    """Ignores what a search has reached."""
+
+
 NOT_REFINED = "and what is refined is a static gain, which has none; leave --refine out"
 
 
@@ -179,9 +183,7 @@ class Designer:
         return self._sampled_bounds[key]
 
     @at_the_door
-    def design(
-        self, name: str, zero_l: bool = False, on_progress: Callable[[float, bool], None] = lambda goal, within: None
-    ) -> Controller:
+    def design(self, name: str, zero_l: bool = False, on_progress: Callable[[float, bool], None] = no_progress) -> Controller:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:

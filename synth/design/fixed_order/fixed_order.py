@@ -21,7 +21,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.combinations import PID
-from models.laws.law_structure import GAINS, LawStructure
+from models.laws.law_structure import FEWER, GAINS, LawStructure
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
@@ -29,7 +29,7 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import stabilisability_failures
 from synth.design.fixed_order.pattern import LawUnits, StructuredGain, gains_on_filters, structured_gain
 from synth.design.fixed_order.reduction import reductions
-from synth.design.full_order.full_order import DEADBEAT, discrete_law, full_order_design
+from synth.design.full_order.full_order import DEADBEAT, as_designed, discrete_law, full_order_design
 from synth.design.full_order.riccati import LARGEST, WITHIN, RiccatiSearch
 from synth.design.full_order.stable import LIGHTLY, descend_stable
 from synth.design.multi_objective.design import multi_objective_design
@@ -88,7 +88,7 @@ def fixed_order_design(
     states: Sequence[str] = (),
     through: Array | None = None,
     stable: bool = False,
-    as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
+    as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
     known: Sequence[LinearLaw] = (),
     on_found: Callable[[LinearLaw], None] = lambda law: None,
 ) -> FixedOrderDesign:
@@ -104,7 +104,7 @@ def fixed_order_design(
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
-        known: laws of this structure to start from alone, in place of all other starts.
+        known: laws of this structure to start from alone, in place of all other starts; of fewer states, too.
         on_found: called with the best law of fewer states, each time that there is one of more.
 
     Raises:
@@ -140,9 +140,10 @@ def fixed_order_design(
 def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
     if structure.kind:
         return f"its gains: {gains_text(structure, law)}"
-    asked = structure.order * (m if structure.rows is not None else 1)
+    asked = structure.states(m)
     if law.states < asked:
-        return f"of at most {asked} states {law.states} are designed, beside any integral: it comes to what no controller beats"
+        designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
+        return f"{FEWER} {asked} states {designed} designed, beside any integral: the law comes to what no controller beats"
     return ""
 
 
@@ -224,7 +225,9 @@ class _Search:
         """Returns the law at the lowest end of the descents from known laws."""
         if structure.kind:
             return self.of_filters(structure, known)
-        return self.ended(structure, [(law, "a known law") for law in known], "", whole=False, sought=0)
+        states = structure.states(self.plant.B.shape[1])
+        filled = [each for law in known for each in ([law] if law.states == states else self.appended(structure, law))]
+        return self.ended(structure, [(law, "a known law") for law in filled], "", whole=False, sought=0)
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
         """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.

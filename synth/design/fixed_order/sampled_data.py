@@ -14,7 +14,7 @@ from models.laws.linear import LinearLaw
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
-from synth.design.fixed_order.fixed_order import fixed_order_design, gains_text
+from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.sampled_data import SampledFullOrderDesign, law_gain
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
@@ -43,7 +43,7 @@ def sampled_fixed_order(
         DesignError: no law was found.
     """
     goal = bound.level if bound is not None else 0.0
-    level, law, norm, failure = NEAR * (goal or near), None, np.inf, None
+    level, law, remark, norm, failure = NEAR * (goal or near), None, "", np.inf, None
     names = (*states, *(f"force_{k + 1}_of_{problem.remembered}_before" for k in range(problem.remembered))) if states else ()
     for _ in range(ROUNDS):
         plant = problem.at(level)
@@ -52,10 +52,9 @@ def sampled_fixed_order(
             continue
         try:
             known: list[LinearLaw] = [] if law is None or structure.kind else [law]
-            found = fixed_order_design(
-                plant, problem.rows, problem.Dyw(level), structure, None, names, stable=stable, known=known
-            ).law
-            reached = sampled_norm(problem.loop(law_gain(found)), level).value
+            given = plant, problem.rows, problem.Dyw(level), structure, None, names
+            found = fixed_order_design(*given, stable=stable, known=known)
+            reached = sampled_norm(problem.loop(law_gain(found.law)), level).value
         except InfeasibleError:
             raise
         except (DesignError, np.linalg.LinAlgError) as error:
@@ -63,12 +62,11 @@ def sampled_fixed_order(
             continue
         enough = reached > norm * (1 - WORTH)
         if reached < norm:
-            law, norm = found, reached
+            law, remark, norm = found.law, found.remark, reached
         if enough or not np.isfinite(reached):
             break
         level = norm
     if law is None:
         raise DesignError(str(failure) if failure else "no law was found whose sampled loop is stable")
     said = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
-    said += [f"its gains: {gains_text(structure, law)}"] if structure.kind else []
-    return SampledFullOrderDesign(law, norm, "; ".join(said))
+    return SampledFullOrderDesign(law, norm, "; ".join([*said, *[remark] * bool(remark)]))

@@ -37,6 +37,11 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 SINGULAR = 1e-12  # relative; what is this small is zero
 
 
+def as_designed(law: LinearLaw) -> LinearLaw:
+    """Returns the law itself, which is run as it is designed."""
+    return law
+
+
 def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
     """The law on what is measured of a discrete plant, whose loop is that of a law on y = C_y x + Dyw w of the mapped one.
 
@@ -167,7 +172,7 @@ def full_order_design(
     states: Sequence[str] = (),
     fastest: Positive = FASTEST,
     stable: bool = False,
-    as_run: Callable[[LinearLaw], LinearLaw] = lambda law: law,
+    as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
 ) -> FullOrderDesign:
     """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
 

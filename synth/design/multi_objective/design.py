@@ -69,12 +69,21 @@ class InterruptedSearch(KeyboardInterrupt):
         self.incumbent = best
 
 
+def no_progress(goal: float, within: bool) -> None:
+    """Ignores what a search has reached."""
+
+
+def no_more() -> Iterable[Array]:
+    """Returns no further starts."""
+    return ()
+
+
 @numerics()
 def multi_objective_design(
     problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    on_progress: Told = lambda goal, within: None,
-    otherwise: Callable[[], Iterable[Array]] = lambda: (),
+    on_progress: Told = no_progress,
+    otherwise: Callable[[], Iterable[Array]] = no_more,
     roughly: bool = False,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
