@@ -10,6 +10,7 @@ import re
 import numpy as np
 import pytest
 from scipy import optimize
+from scipy.linalg import expm
 
 from models.common.errors import InputError
 from models.figures.figure import Curve
@@ -32,8 +33,8 @@ from sim.studies.stability.report import _loop_lines
 from sim.studies.stability.robustness import robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
+    _products,
     _sign_changes,
-    _unstable,
     crossovers,
     gain_crossings,
     largest_sample_period,
@@ -272,6 +273,46 @@ def test_each_force_of_a_pid_has_margins():
         assert loop.sampled_growth(0.99 * found.sample_period) < 0 < loop.sampled_growth(1.01 * found.sample_period)
 
 
+@pytest.mark.parametrize("actuators", [[0, 1], [0], [1]])
+def test_a_law_with_states_is_sampled_where_it_is_cut(actuators):
+    """Behind filters of 10 kHz a gain has the sample period that it has without, also where its other force is not sampled."""
+    vehicle = read_vehicle("half_car")
+    controller = designed(vehicle, "I")
+    fast = 2e4 * np.pi * np.eye(4)
+    filtered = dataclasses.replace(controller, law=LinearLaw(-fast, fast, controller.gain, np.zeros((2, 4))))
+    plain, behind = (largest_sample_period(loop_transfer(vehicle, one, actuators)) for one in (controller, filtered))
+    assert behind == pytest.approx(plain, rel=5e-4)  # the filters' delay of 16 us, of a period of 62 ms
+    assert math.isinf(plain) == (actuators == [0])
+
+
+def test_one_force_sampled_in_physics():
+    """A lagging law's rear force alone bears a sample period of 85.4 ms, by 2.6 ms more than both do; so it is in MuJoCo."""
+    vehicle = read_vehicle("half_car")
+    controller, lags = designed(vehicle, "I"), np.diag([40.0, 60.0, 50.0, 70.0])
+    lagging = dataclasses.replace(controller, law=LinearLaw(-lags, lags, controller.gain, np.zeros((2, 4))))
+    assert largest_sample_period(loop_transfer(vehicle, lagging, [0, 1])) == pytest.approx(0.0828, abs=1e-4)
+    one = searches(vehicle, lagging, [1], 2e-3)
+    run_searches([one.sample_period], 2e-3)
+    assert one.predicted.sample_period == pytest.approx(0.0854, abs=1e-4)
+    assert 0 <= one.predicted.sample_period - one.found_sample_period < 2e-3  # a timestep
+    whole = dataclasses.replace(one, predicted=dataclasses.replace(one.predicted, all_sampled=True))
+    told = ["all forces sampled" in "\n".join(_loop_lines("the loop", each, None)) for each in (one, whole)]
+    assert told == [False, True]
+
+
+def test_integrators_that_two_forces_share_are_sampled_together():
+    """A force with an integrator of its own is sampled by itself; forces with a common one are all sampled."""
+    vehicle = read_vehicle("half_car")
+    measured = ("suspension_deflection_front", "suspension_deflection_rear")
+    A, B, D = np.zeros((2, 2)), np.eye(2), -2000 * np.eye(2)
+    for C, together in ((-500 * np.eye(2), False), (-500 * np.array([[1.0, 0.2], [0.2, 1.0]]), True)):
+        one = dataclasses.replace(designed(vehicle, "I"), measured=measured, law=LinearLaw(A, B, C, D))
+        alone, whole = (loop_transfer(vehicle, one, actuators) for actuators in ([0], [0, 1]))
+        assert alone.sampling is not None
+        assert alone.sampling.whole == together
+        assert (largest_sample_period(alone) == largest_sample_period(whole)) == together
+
+
 @pytest.mark.parametrize("gain", [-1e8, -1e9])
 def test_a_loop_far_stiffer_than_its_plant_has_no_period(paper, gain):
     """Where rounding hides if any period is stable, the largest one is next to none, and nothing is raised."""
@@ -287,7 +328,23 @@ def test_unstable_transitions_are_told_by_their_powers():
     some *= (rng.uniform(0.9, 1.1, 200) / np.abs(np.linalg.eigvals(some)).max(axis=1))[:, None, None]
     some[17, 0, 0] = np.inf
     expected = [i for i in range(200) if i == 17 or np.abs(np.linalg.eigvals(some[i])).max() > 1]
-    assert _unstable(some).tolist() == expected
+    assert [i for i, product in enumerate(_products(some)) if not product > 0] == expected
+
+
+def test_an_instability_shorter_than_a_step_is_found():
+    """A mode of 1360 rad/s that hardly decays is lost over 0.1 us, where it turns by half a turn, and held again beyond.
+
+    The search steps by 37 us. There a pole passes -1, which is where the pole's own equation says: by another route.
+    """
+    mode = np.array([[-0.002, 1360.0, 0.0], [-1360.0, -0.002, 0.0], [0.0, 0.0, -30.0]])
+    loop = LoopTransfer(mode, np.array([[0.0], [1.0], [1.0]]), np.array([[0.0, -0.05, -1.0]]), np.zeros((1, 1)))
+    found = largest_sample_period(loop)
+    growth = [loop.sampled_growth(found + shift) for shift in (-37e-6, -1e-9, 1e-9, 0.2e-6, 37e-6)]
+    assert [one > 0 for one in growth] == [False, False, True, False, False]
+    assert found == pytest.approx(np.pi / 1360, rel=1e-4)
+    exact = expm(mode * found)
+    held = np.linalg.solve(mode, exact - np.eye(3)) @ loop.B  # the integral of exp(A s) B, as A is regular
+    assert np.linalg.det(exact + held @ loop.G + np.eye(3)) == pytest.approx(0.0, abs=1e-9)  # of 4
 
 
 THROWN = """

@@ -8,15 +8,19 @@ controller's own. H is zero, but for a measured acceleration, which has the forc
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
+from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous, sampled, with_lag
 from synth.plant.discrete import held_inputs
+
+DECAYS = 1e-9  # of the fastest of a law: a mode that decays as slowly does not
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class LoopTransfer:
         """Transitions of the closed loop that is sampled, at the periods start + step, start + 2 step and so on [s].
 
         Returns:
-            Shape (count, N, N), N the n states, and with a controller of states the forces that are in their own measurement.
+            Shape (count, N, N): N is n, and for a law with states what `SampledLaw` adds.
         """
         if self.sampling is not None:
             return self.sampling.transitions(start, step, count)
@@ -73,8 +77,10 @@ class LoopTransfer:
 
     def sampled_growth(self, period: float) -> float:
         """Spectral radius of one of these, made by itself, less 1."""
-        if self.sampling is not None:
+        if self.sampling is not None and self.sampling.whole:
             Phi, Gamma, G = sampled_loop_transfer(self.sampling.vehicle, self.sampling.controller, period)
+        elif self.sampling is not None:
+            return float(np.abs(np.linalg.eigvals(self.sampling.transitions(0.0, period, 1)[0])).max() - 1)
         else:
             (Phi, Gamma), G = held_inputs(self.A, period, linalg.expm, self.B), self.G
         return float(np.abs(np.linalg.eigvals(Phi + Gamma @ G)).max() - 1)
@@ -104,7 +110,7 @@ def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[
         B[:, actuators] + B[:, others] @ through,
         G[actuators] + H[np.ix_(actuators, others)] @ closing,
         H[np.ix_(actuators, actuators)] + H[np.ix_(actuators, others)] @ through,
-        SampledLaw(vehicle, controller),
+        SampledLaw(vehicle, controller, tuple(actuators)),
     )
 
 
@@ -112,23 +118,53 @@ def loop_transfer(vehicle: Vehicle, controller: Controller, actuators: Sequence[
 class SampledLaw:
     """A controller with states, whose loop is sampled at one period or another.
 
+    The forces of the cut actuators are sampled by a copy of the law. The others are in continuous time, by a copy of their own.
+    Each copy has the states of the law that its forces depend on.
+
     Attributes:
         vehicle: the vehicle; what its `[implementation]` says does not count.
-        controller: the controller; all its forces are sampled and held.
+        controller: the controller.
+        actuators: at which the loop is cut.
     """
 
     vehicle: Vehicle
     controller: Controller
+    actuators: tuple[int, ...]
+
+    @cached_property
+    def whole(self) -> bool:
+        """True if all forces are sampled and held: if all are cut, if forces are measured, or if two copies would drift apart.
+
+        Copies drift apart if both have a mode that does not decay, as an integrator has: nothing measures their difference.
+        """
+        model, law = with_lag(self.vehicle), self.controller.law.continuous()
+        mine = np.isin(np.arange(len(law.D)), self.actuators)
+        if mine.all() or np.any(model.rows(self.controller.measured)[1]):
+            return True
+        both = _needed(law, mine) & _needed(law, ~mine)
+        return bool(np.any(np.linalg.eigvals(law.A[np.ix_(both, both)]).real >= -DECAYS * np.abs(law.A).max(initial=0.0)))
+
+    def _split(self) -> tuple[Array, Array, Array, Array, LinearLaw]:
+        """Returns A and B of what is not sampled, the measurements on its states and forces, and the sampled law."""
+        model, law = with_lag(self.vehicle), self.controller.law.continuous()
+        C, D = model.rows(self.controller.measured)
+        if self.whole:
+            return model.A, model.B, C, D, law
+        mine = np.isin(np.arange(len(law.D)), self.actuators)
+        own, others = (_part(law, each) for each in (mine, ~mine))
+        into, k = model.B[:, ~mine], others.states
+        A = np.block([[model.A + into @ others.D @ C, into @ others.C], [others.B @ C, others.A]])
+        B = np.vstack([model.B[:, mine], np.zeros((k, int(mine.sum())))])
+        return A, B, np.hstack([C, np.zeros((len(C), k))]), D[:, mine], own
 
     def transitions(self, start: float, step: float, count: int) -> Array:
-        """Returns `LoopTransfer.from_sample_to_sample`: the closed loop of `sampled_loop_transfer`, by powers of one exponential.
+        """Returns `LoopTransfer.from_sample_to_sample`: the loop of `sampled_loop_transfer`, by powers of one exponential.
 
         A discrete law counts as its continuous counterpart here, at its own sample period, too.
         """
-        model, law = with_lag(self.vehicle), self.controller.law.continuous()
-        C, D = model.rows(self.controller.measured)
-        (n, m), (k, q) = model.B.shape, law.B.shape
-        held = _held(model.A, model.B, start, step, count)
+        A_rest, B_rest, C, D, law = self._split()
+        (n, m), (k, q) = B_rest.shape, law.B.shape
+        held = _held(A_rest, B_rest, start, step, count)
         # As in `LinearLaw.sampled`, but for the ramp, which is not over the period yet.
         chain = np.zeros((k + 2 * q, k + 2 * q))
         chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
@@ -148,6 +184,20 @@ class SampledLaw:
         moved[:, n : n + k, n : n + k] += A
         moved[:, n + k :] = forces[:, :previous]
         return moved
+
+
+def _needed(law: LinearLaw, forces: Array) -> Array:
+    """Returns the mask of the states that some forces depend on, directly or through other states, shape (k,)."""
+    needed = np.any(law.C[forces] != 0, axis=0)
+    for _ in range(law.states):
+        needed = needed | np.any(law.A[needed] != 0, axis=0)
+    return needed
+
+
+def _part(law: LinearLaw, forces: Array) -> LinearLaw:
+    """Returns the law of some forces, with the states that they depend on."""
+    kept = _needed(law, forces)
+    return LinearLaw(law.A[np.ix_(kept, kept)], law.B[kept], law.C[np.ix_(forces, kept)], law.D[forces])
 
 
 def _held(A: Array, B: Array, start: float, step: float, count: int) -> Array:

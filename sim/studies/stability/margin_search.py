@@ -193,6 +193,10 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         coarse, fine = (min((factor**power for factor in factors if factor**power > 1), default=math.inf) for factors in sampled)
         return GainMargin(own, (coarse, fine), Bisection(trial, coarse, most=AMPLE), Bisection(trial, fine, most=AMPLE))
 
+    def sampled_at(period: float) -> Trial:
+        how = Implementation(sample_period=period)
+        return Trial(replace(vehicle, implementation=how), controller) if predicted.all_sampled else built(how)
+
     def built(how: Implementation) -> Trial:
         cut_out, rest = (replace(controller, law=controller.law.only(part)) for part in (mine, ~mine))
         return Trial(replace(vehicle, implementation=how), cut_out, rest if rest.law.acts else None)
@@ -211,7 +215,7 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
             lambda amount: with_gain(1 / amount), 1 / predicted.gain_lower if predicted.gain_lower else math.inf, -1
         ),
         delay=Bisection(lambda amount: built(Implementation(delay=round(amount / timestep))), late, most=SLOWEST, step=timestep),
-        sample_period=Bisection(lambda amount: built(Implementation(sample_period=amount)), period, most=SLOWEST, step=timestep),
+        sample_period=Bisection(sampled_at, period, most=SLOWEST, step=timestep),
         timestep=timestep,
         unseen=unseen,
     )

@@ -175,6 +175,8 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
     rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
     own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
+    if predicted.all_sampled:
+        own = "; ".join(filter(None, (own, "all forces sampled")))
     if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
         return [*_table(title, rows), f"  sample period: {own}"]
     if not one.sees_sample_period and math.isinf(one.found_sample_period):

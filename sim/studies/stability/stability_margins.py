@@ -34,8 +34,10 @@ ANGLES = 4001  # from no lag to a whole turn; odd, so that half a turn is among 
 MOST_QUADRATIC = 18  # states; the quadratic problem of more has a matrix of above 500 rows, and a grid is quicker
 FINER = 0.05  # radian that a pole turns by from one sample period that is tried to the next
 TOGETHER = 128  # sample periods of one batch
-SQUARED = 8  # times that a transition is, to see it contract
-CONTRACTS = 0.99  # norm that does, beyond rounding
+SQUARED = 4  # times that a transition is, to see it contract
+CONTRACTS = 0.4  # norm of a power that does: no eigenvalue comes near the unit circle within a step
+SHALLOW = 0.2  # of the parabola's rise over a step: a minimum that lies higher is none of an instability
+SMALL = 1e-3  # of a step: to so much a minimum is looked for
 WIDEST = 1.0  # s; the largest step from one sample period to the next, where nothing turns any more
 LONGEST = 100.0  # s; the longest sample period that is looked at where the vehicle does not settle without the loop
 
@@ -67,12 +69,14 @@ class Margins:
         gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is no such factor.
         crossovers: all crossovers, by increasing delay; the first is the margin.
         sample_period: shortest period at which the loop is unstable [s].
+        all_sampled: True if that is with all forces sampled, and not only those at which the loop is cut.
     """
 
     gain: float
     gain_lower: float
     crossovers: tuple[Crossover, ...]
     sample_period: float
+    all_sampled: bool = False
 
     @property
     def delay(self) -> float:
@@ -103,6 +107,7 @@ def margins(loop: LoopTransfer) -> Margins:
         gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
         crossovers=crossovers(loop),
         sample_period=largest_sample_period(loop),
+        all_sampled=loop.sampling is not None and loop.sampling.whole and len(loop.H) < len(loop.sampling.controller.law.D),
     )
 
 
@@ -217,9 +222,9 @@ def _refined(loop: LoopTransfer, theta: float, pole: complex) -> Crossover | Non
 def largest_sample_period(loop: LoopTransfer) -> float:
     """Returns the shortest sample period at which the loop is unstable [s], or infinity.
 
-    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. An instability
-    over less than a step, of a lightly damped mode, may be missed. The result is 0 if a force comes back as large through its own
-    measurement.
+    The search takes steps that turn no pole by more than a twentieth of a radian, until all motion has decayed. In between, the
+    product of 1 - z_i z_j over all pairs of eigenvalues is smooth, and negative where the loop is unstable: its minima show
+    instabilities over less than a step. The result is 0 if a force comes back as large through its own measurement.
     """
     if loop.comes_back >= 1:
         return 0.0
@@ -231,21 +236,44 @@ def largest_sample_period(loop: LoopTransfer) -> float:
             break
         h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
         count = min(TOGETHER, math.ceil((LONGEST - start) / h))
-        transitions = loop.from_sample_to_sample(start, h, count)
-        for i in _unstable(transitions):
-            first = start + h * (1 + int(i))
-            if loop.sampled_growth(first) > 0:  # not by rounding alone
+        begun = max(start - 2 * h, 0.0)  # for minima between two batches
+        products = _products(loop.from_sample_to_sample(begun, h, count))
+        for i in range(count):
+            first = begun + h * (1 + i)
+            if products[i] > 0:
+                low = 0 < i < count - 1 and np.inf > products[i - 1] > products[i] <= products[i + 1] < np.inf
+                first = _dip(loop, first, h, products[i - 1 : i + 2]) if low else None
+            if first is not None and loop.sampled_growth(first) > 0:  # not by rounding alone
                 before = max(first - h, 1e-3 * h)  # at zero itself every period is on the verge
                 if loop.sampled_growth(before) >= 0:  # a loop far faster than the plant: its rounding, or unstable before
                     return before
                 refined: Any = optimize.brentq(loop.sampled_growth, before, first, xtol=1e-13)
                 return float(refined)
-        start += count * h
+        start = begun + count * h
     return math.inf
 
 
-def _unstable(transitions: Array) -> Array:
-    """Returns the indices of transitions with an eigenvalue outside the unit circle, or with entries that are not finite."""
+def _dip(loop: LoopTransfer, period: float, h: float, products: Array) -> float | None:
+    """Returns the period next to one [s] at which the product is least, or None if the parabola through three is far above 0."""
+    bend = products[0] - 2 * products[1] + products[2]
+    lowest = products[1] - (products[2] - products[0]) ** 2 / (8 * bend)
+    if not lowest < SHALLOW * bend:
+        return None
+
+    def product(at: float) -> float:
+        return max(float(_products(loop.from_sample_to_sample(0.0, at, 1))[0]), -bend)
+
+    found: Any = optimize.minimize_scalar(
+        product, bounds=(period - h, period + h), method="bounded", options={"xatol": SMALL * h}
+    )
+    return float(found.x)
+
+
+def _products(transitions: Array) -> Array:
+    """Returns the product of 1 - z_i z_j over all pairs i <= j of eigenvalues; infinite if the transition contracts soon.
+
+    It is minus infinity if an eigenvalue lies outside the unit circle, and NaN if entries are not finite.
+    """
     # A power that is smaller than 1 in norm has no such eigenvalue, and costs less than these.
     left, power = np.arange(len(transitions)), transitions
     with np.errstate(over="ignore", invalid="ignore"):
@@ -253,10 +281,14 @@ def _unstable(transitions: Array) -> Array:
             open_ = ~(np.linalg.norm(power, axis=(1, 2)) < CONTRACTS)
             left, power = left[open_], power[open_]
             power = power @ power
+    products = np.full(len(transitions), np.inf)
     whole = np.isfinite(transitions[left]).all(axis=(1, 2))
-    radii = np.full(len(left), np.inf)
-    radii[whole] = np.abs(np.linalg.eigvals(transitions[left[whole]])).max(axis=1, initial=0.0)
-    return left[radii > 1]
+    products[left[~whole]] = np.nan
+    z = np.linalg.eigvals(transitions[left[whole]])
+    i, j = np.triu_indices(z.shape[-1])
+    outside = np.abs(z).max(axis=1, initial=0.0) > 1
+    products[left[whole]] = np.where(outside, -np.inf, (1 - z[:, i] * z[:, j]).prod(axis=1).real)
+    return products
 
 
 def _kronecker_sum(X: Array, Y: Array) -> Array:

@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
-from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
+from synth.design.uncertainty.multipliers import stable_with_errors
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import numerics, up_to_rounding
 
@@ -130,3 +130,20 @@ def multi_objective_design(
             MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)
         ) from error
     return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)
+
+
+@numerics()
+def improved_goal(
+    problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = lambda goal, within: None
+) -> float:
+    """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
+
+    The gain is found by descent from the design's, whose rounds are counted: it need not be the best.
+
+    Args:
+        problem: the design's own, but for the structure.
+        design: to start from.
+        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+    """
+    found = MinimaxSearch(problem, on_progress, roughly=True).improvement(design.gain, design.errors)
+    return design.goal if found is None else min(design.goal, found[1].goal)
