@@ -9,11 +9,14 @@ origin by sqrt(eps), and it is still marginal; it moves one at -1 as far, which 
 A mode that does not decay by itself must be controllable and observable, or no controller stabilises it.
 """
 
-from collections.abc import Sequence
+import itertools
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 
 from models.common.arrays import Array
 from synth.plant.generalized import GeneralizedPlant
@@ -21,6 +24,8 @@ from synth.plant.units import own_units
 
 STABLE, MARGINAL, UNSTABLE = "stable", "marginal", "unstable"
 FAR = 1e3  # times the first-order rounding: a pole further from the axis does not lie on it
+LARGE, SEVERAL = 64, 8  # states and points, above which a Schur form pays
+PART = 400  # rows of its parts, at most; a bound by more of them is soon worth nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +126,14 @@ def sampled_growth(Phi: Array) -> float:
     """
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
-    size, on_circle = np.abs(poles), _on_circle(Phi, poles, conditions)
-    if np.any(size[~on_circle] > 1):
+    size = np.abs(poles)
+    # The poles outside the circle come first: where one is outside by more than rounding, the hundreds of a delay do not matter.
+    outside = size > 1
+    on_circle = _on_circle(Phi, poles, conditions, outside)
+    if np.any(outside & ~on_circle):
         return float(size.max())
-    return 1.0 if np.any(on_circle) else float(size.max(initial=0.0))
+    marginal = np.any(on_circle) or np.any(_on_circle(Phi, poles, conditions, ~outside))
+    return 1.0 if marginal else float(size.max(initial=0.0))
 
 
 def is_stable(A: Array, dt: float | None = None) -> bool:
@@ -171,33 +180,91 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
     return poles[order].astype(complex), conditions[order], right[:, order].astype(complex)
 
 
-def _on_circle(A: Array, poles: Array, conditions: Array) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,)."""
-    return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), np.abs(np.abs(poles) - 1))
+def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
+    """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,).
+
+    Args:
+        asked: mask of those that matter; the others are False.
+    """
+    distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
+    return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
-    allowed, known = rounding(A), dict[tuple[float, float], bool]()
-    mask = np.zeros(len(A), dtype=bool)
+    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,).
+
+    Args:
+        distances: from there; infinite for an eigenvalue that is not asked about.
+    """
+    allowed = rounding(A)
     # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
-    for i in np.flatnonzero(distances <= FAR * allowed * conditions):
-        pair = (points[i].real, abs(points[i].imag))  # the same for its conjugate
-        if pair not in known:
-            known[pair] = _nearly_singular(A - points[i] * np.eye(len(A)), allowed)
-        mask[i] = known[pair]
+    near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
+    pairs = [(float(points[i].real), float(abs(points[i].imag))) for i in near]  # the same for a conjugate
+    known = _nearly_singular(A, dict.fromkeys(pairs), allowed)
+    mask = np.zeros(len(A), dtype=bool)
+    mask[near] = [known[pair] for pair in pairs]
     return mask
 
 
-def _nearly_singular(matrix: Array, distance: float) -> bool:
-    """Returns True if a singular matrix lies within a distance: if the smallest singular value is at most that."""
-    try:
-        # A lower bound on the smallest singular value, at a tenth of the time.
-        if 1 / np.linalg.norm(np.linalg.inv(matrix)) > 2 * distance:
-            return False
-    except np.linalg.LinAlgError:
-        return True
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= distance)
+def _nearly_singular(A: Array, points: Iterable[tuple[float, float]], distance: float) -> dict[tuple[float, float], bool]:
+    """Returns True for each point p, by its parts, if a singular matrix lies within a distance of A - p I.
+
+    That is so if the smallest singular value is at most the distance.
+    """
+    points = list(points)
+    # Of a delay's many states a Schur form is found once; then a bound at a point takes a small part of the time.
+    schur = len(A) > LARGE and len(points) > SEVERAL
+    inverse_size = _Triangle(A).inverse_size if schur else lambda p: float(np.linalg.norm(np.linalg.inv(A - p * np.eye(len(A)))))
+
+    def at(p: complex) -> bool:
+        try:
+            # A lower bound on the smallest singular value, at a tenth of the time.
+            if 1 / inverse_size(p) > 2 * distance:
+                return False
+        except np.linalg.LinAlgError:
+            return True
+        return bool(np.linalg.svd(A - p * np.eye(len(A)), compute_uv=False)[-1] <= distance)
+
+    return {pair: at(complex(*pair)) for pair in points}
+
+
+class _Triangle:
+    """A Schur form T of a matrix, in k by k parts."""
+
+    def __init__(self, A: Array) -> None:
+        T = linalg.rsf2csf(linalg.schur(A)[0], np.eye(len(A)))[0]
+        edges = np.linspace(0, len(A), 1 + -(-len(A) // PART)).astype(int)
+        slices = [slice(*pair) for pair in itertools.pairwise(edges)]
+        self.diagonal = [T[each, each] for each in slices]
+        # The geometric mean of the largest sums of a row and of a column is at least the largest singular value.
+        sizes = np.abs(T)
+        self.beside = np.array(
+            [[math.sqrt(sizes[i, j].sum(axis=0).max() * sizes[i, j].sum(axis=1).max()) for j in slices] for i in slices]
+        )
+
+    def inverse_size(self, p: complex) -> float:
+        """Returns an upper bound on the norm of (T - p I)^-1, by back substitution with the sizes of the parts.
+
+        Raises:
+            LinAlgError: T - p I is singular.
+        """
+        own = [float(np.linalg.norm(_inverse_of_triangle(part - p * np.eye(len(part))))) for part in self.diagonal]
+        bound = np.diag(own)
+        for i in range(len(own) - 2, -1, -1):
+            bound[i, i + 1 :] = own[i] * (self.beside[i, i + 1 :] @ bound[i + 1 :, i + 1 :])
+        return float(np.linalg.norm(bound))
+
+
+def _inverse_of_triangle(matrix: Array) -> Array:
+    """Returns the inverse of an upper triangular complex matrix.
+
+    Raises:
+        LinAlgError: it is singular.
+    """
+    inverse, singular = lapack.ztrtri(matrix)  # pyright: ignore[reportAttributeAccessIssue] - made by f2py, without stubs
+    if singular:
+        raise np.linalg.LinAlgError("a diagonal entry is 0")
+    return inverse
 
 
 def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
