@@ -439,7 +439,7 @@ def test_a_picture_is_of_the_signals():
                 if curve.marker:
                     assert (curve.x >= until).all() if curve.filled else (curve.x < until).all()
             if wild:
-                kept = run.physics.until(run.broke_off[1])
+                kept = run.physics.until(runs[2].broke_off[1])
                 outside = kept.time[(kept[name] < low) | (kept[name] > high)]
                 last = outside[0] if len(outside) else kept.time[-1]
                 assert panel.title.endswith(f"leaves the axis: wild at {last:.3g} s") == bool(len(outside))
