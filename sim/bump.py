@@ -63,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += comparison.short_lines(runs)
         lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         lines += ["", *standing_lines(standings, comparison.table_note(runs, options, "MuJoCo, all of the run"))]
+        lines += comparison.stop_lines(runs, options.verbose)
         say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1

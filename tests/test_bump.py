@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from models.common.errors import InputError
+from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
@@ -402,9 +403,10 @@ def test_with_noise_it_is_not_said_how_far_the_physics_holds(capsys, tmp_path, b
 
 
 def test_a_picture_is_of_the_signals():
-    """Every weighed signal has a panel: lines are the sampled response, markers MuJoCo, full ones after the lift-off.
+    """Every weighed signal has a panel: lines are the sampled response, and MuJoCo from the lift-off on, with full markers.
 
-    The axis holds both, and an unstable loop's line ends with the linear regime.
+    The sampled response goes on thinly. The axis holds all, and an unstable loop is drawn until it leaves it, as the title says.
+    MuJoCo's peaks are marked, and a silent signal is not drawn.
     """
     vehicle = read_vehicle("quarter_car")
     wild = f'{VEHICLE}\n[controllers.wild]\nmeasured = ["sprung_velocity"]\ngain = [[9e4]]\n'
@@ -413,18 +415,60 @@ def test_a_picture_is_of_the_signals():
     figure = history_figure(runs, "a bump")
     assert figure is not None
     assert figure.finding.startswith("I_printed has the lowest peak of sprung acceleration, ")
+    assert runs[2].broke_off is not None
+    assert figure.title.endswith(f". wild broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
+    assert "\nleaves the axis" in figure.panels[0].title
     weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
     for panel, name in zip(figure.panels, weighed, strict=True):
         assert panel.ylim is not None
+        assert panel.xlim == (0.0, 0.6)
+        low, high = panel.ylim
         for run in runs:
-            own = [curve for curve in panel.curves if curve.label == run.controller.name]
+            who, until = run.controller.name, run.agreement.until
+            own = [curve for curve in panel.curves if who in (curve.label, curve.name.partition(",")[0])]
+            if name == "control_force" and who == "passive":
+                assert not own
+                continue
+            wild, lines = who == "wild", {(curve.name, curve.width == 1.5): curve for curve in own if not curve.marker}
             for curve in own:
-                response = run.sampled if not curve.marker else run.physics
+                response = run.physics if curve.name.endswith("MuJoCo") else run.sampled
                 np.testing.assert_array_equal(curve.y, response[name][np.searchsorted(response.time, curve.x)])
-                assert panel.xlim == (0.0, 0.6)
-                if run.controller.name != "wild":
-                    assert panel.ylim[0] <= curve.y.min() <= curve.y.max() <= panel.ylim[1]
-                after = curve.x >= run.agreement.until
-                assert after.all() == curve.filled if curve.marker else run.controller.name != "wild" or not after.any()
-            assert {curve.filled for curve in own if curve.marker} == {False, True} or run.controller.name == "wild"
+                if not wild:
+                    assert low <= curve.y.min() <= curve.y.max() <= high
+                if curve.marker:
+                    assert (curve.x >= until).all() if curve.filled else (curve.x < until).all()
+            if wild:
+                kept = run.physics.until(runs[2].broke_off[1])
+                outside = kept.time[(kept[name] < low) | (kept[name] > high)]
+                last = outside[0] if len(outside) else kept.time[-1]
+                assert panel.title.endswith(f"leaves the axis: wild at {last:.3g} s") == bool(len(outside))
+                assert max(curve.x.max() for curve in own) == last
+                continue
+            assert lines["", True].x.max() <= until
+            assert lines[f"{who}, linear", False].x[[0, -1]].tolist() == [until, 0.6]
+            assert lines[f"{who}, MuJoCo", True].x[[0, -1]].tolist() == [until, 0.6]
+            marked = np.concatenate([curve.y for curve in own if curve.marker])
+            assert [marked.min(), marked.max()] == [run.physics[name].min(), run.physics[name].max()]
+            assert {curve.filled for curve in own if curve.marker} == {False, True}
+
+
+def test_a_long_road_is_drawn_whole_and_near():
+    """Beside each panel of a long random road stands its hardest stretch, with a line that can be followed and its peak."""
+    runs = ran(read_vehicle("quarter_car"), "passive", road=Iso8608("C", seed=0, speed=20.0), duration=6.0)
+    figure = history_figure(runs, "a road")
+    assert figure is not None
+    assert figure.columns == 2
+    for whole, near in zip(figure.panels[::2], figure.panels[1::2], strict=True):
+        assert near.title.startswith(whole.title + ", from ")
+        assert whole.xlim == (0.0, 6.0)
+        assert near.xlim is not None
+        assert near.xlim[1] - near.xlim[0] < 3.0
+    (line,) = (curve for curve in figure.panels[1].curves if not curve.marker)
+    (marked,) = (curve for curve in figure.panels[1].curves if curve.marker)
+    assert np.abs(marked.y).max() == runs[0].physics.peak("sprung_acceleration")
+    assert np.abs(line.y).max() == pytest.approx(np.abs(marked.y).max(), rel=1e-4)  # RK4's error
+    (line,) = (curve for curve in figure.panels[0].curves if not curve.marker)
+    drawn, own = np.interp(runs[0].sampled.time, line.x, line.y), runs[0].sampled["sprung_acceleration"]
+    peaks = 1 + np.flatnonzero((own[1:-1] > own[:-2]) & (own[1:-1] > own[2:]) & (own[1:-1] > own.std()))
+    assert np.abs(drawn - own)[peaks].max() < 0.1 * own.max()  # of two peaks within ten samples the lower may be cut

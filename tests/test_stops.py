@@ -20,13 +20,16 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.inspect.__main__ import main as inspect
 from sim.response.regime import reached
-from sim.runs.run import sample_times
+from sim.runs.report import run_object, verdict, verdict_lines
+from sim.runs.run import run_controllers, sample_times
+from sim.runs.stops import stop_lines
 from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import measure, metrics_of
 from synth.vehicle.designer import Designer
 from tests.analysed import energy, simulate
 from tests.commands import prose
 
+BUMP = Bump()
 UNLIKE = "\n[limits]\nsuspension_stroke = { bump = 0.05, rebound = 0.07 }\nstop_stiffness = "
 STOPS = {"linear": "1e5", "progressive": "[4e4, 2e6, 3e8]", "of each side": "{ bump = [4e4, 2e6, 3e8], rebound = 2e5 }"}
 
@@ -81,6 +84,81 @@ def test_energy_balances(kind, stiffness):
     assert deepest < -0.051  # it is in them
     found = energy(vehicle, runs, 0, road)
     assert found.residual < 1e-4  # kinks where a stop begins to act; measured up to 5.3e-5
+
+
+CAR = """type = "quarter_car"
+[parameters]
+sprung_mass = 420.0
+unsprung_mass = 45.0
+suspension_stiffness = 22e3
+suspension_damping = 1500.0
+tyre_stiffness = 210e3
+[performance]
+sprung_acceleration = 1.0
+[limits]
+suspension_stroke = %s
+stop_stiffness = 1e5
+"""
+
+
+def driven(kind, road=BUMP, duration=0.6):
+    """Returns the run of the passive vehicle, after what `sim.bump` prints of it and its object in JSON."""
+    (run,) = run_controllers(kind, [Designer(kind).design("passive")], road, sample_times(kind, duration, 1e-3))
+    return run, run_object(run), stop_lines([run], few=3)
+
+
+def test_each_stop_is_named_with_squeeze_force_and_time():
+    """Both stops of a car are named with what MuJoCo does there: its body's equation leaves over the same force."""
+    run, made, lines = driven(parse_vehicle(CAR % "0.06"))
+    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s; rebound 17.7 mm, 1773 N at 0.381 s"]
+    assert lines[0].strip() in verdict_lines(run)
+    assert verdict(run).startswith("agrees until 0.157 s (bump stop)")
+    of = {signal.name: run.physics[signal.name] for signal in run.physics.signals}
+    up = 420 * of["sprung_acceleration"] + 22e3 * of["suspension_deflection"]
+    up += 1500 * (of["sprung_velocity"] - of["unsprung_velocity"])
+    for side, force in {"bump": up.max(), "rebound": -up.min()}.items():
+        one = made["stops"]["suspension_deflection"][side]
+        assert one["force"] == pytest.approx(force, rel=1e-9)  # rounding
+        assert one["squeeze"] == pytest.approx(force / 1e5, rel=1e-9)
+        assert run.physics.time[np.abs(up).argmax() if side == "rebound" else up.argmax()] == one["time"]
+
+
+def test_a_side_that_is_left_out_has_no_stop():
+    """With `{ bump = 0.06 }`, or rebound alone, the other side never pushes, ends nothing, and is in no sentence."""
+    far = parse_vehicle(CAR % "{ bump = 0.06, rebound = 10.0 }")
+    one = parse_vehicle(CAR % "{ bump = 0.06 }")
+    apart, (run, made, lines) = driven(far)[0], driven(one)
+    np.testing.assert_array_equal(run.physics.values, apart.physics.values)  # a spring that is never reached adds nothing
+    assert run.passed
+    assert lines == ["  stops: bump 1.18 mm, 118 N at 0.169 s"]
+    assert set(made["stops"]["suspension_deflection"]) == {"bump"}
+    assert one.limits.phrases(one.kind.suspensions) == ("bump stops at -0.06 m in bump",)
+    written = json.loads(json.dumps(one.limits.record))
+    assert read_limits({key: value for key, value in written.items() if value is not None}, one.kind.suspensions) == one.limits
+    assert one.limits.written == {"suspension_stroke.bump": "0.06", "stop_stiffness": "100000"}
+    run, made, lines = driven(parse_vehicle(CAR % "{ rebound = 0.06 }"))
+    assert lines[0].startswith("  stops: rebound ")
+    assert "(rebound stop)" in verdict(run)
+    assert verdict_lines(run)[0].startswith("rebound stop: a suspension is at the end of its stroke first at ")
+    assert "bump" not in made["stops"]["suspension_deflection"]
+
+
+def test_stops_of_several_suspensions_and_runs():
+    """A run alone has a line of each suspension, runs together the hardest contact of each side, and many the hardest of all."""
+    vehicle = built("\n[limits]\nsuspension_stroke = 0.03\nstop_stiffness = 1e5", "half_car")
+    run, made, lines = driven(vehicle, Bump(height=0.15))
+    assert [line.split(":")[0] for line in lines if not line.startswith("    ")] == ["  stops of front", "  stops of rear"]
+    hardest = {
+        side: max((one[side]["force"], name.rpartition("_")[2]) for name, one in made["stops"].items())
+        for side in ("bump", "rebound")
+    }
+    two = " ".join(map(str.strip, stop_lines([run, run], few=3)))
+    assert two.startswith(f"stops, passive: bump {hardest['bump'][1]} ")
+    assert f"; rebound {hardest['rebound'][1]} " in two
+    side = max(hardest, key=lambda one: hardest[one][0])
+    many = " ".join(map(str.strip, stop_lines([run] * 4, few=3)))
+    assert many.startswith(f"stops, reached by 1 of 4, hardest by passive: {side} {hardest[side][1]} ")
+    assert f"{hardest[side][0]:.0f} N at " in many
 
 
 def test_a_stop_ends_the_regime_at_its_own_end(paper):

@@ -175,7 +175,11 @@ ADDED = {
         ("[limits.middle]\nsuspension_stroke = 0.1", "[limits.middle]", "no suspension", "front, front_left, front_right, rear"),
         ("[limits.rear]\nactuator_force = 100.0", "[limits.rear]", "'actuator_force'", "of all suspensions"),
         ("[limits.rear]\nsuspension_stroke = 0.1", "of rear_left", "give both or neither"),
-        ("[limits.rear]\nsuspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
+        ("[limits.rear]\nsuspension_stroke = { up = 0.1 }\nstop_stiffness = 1e5", "[limits.rear] suspension_stroke", "rebound"),
+        (
+            "[limits.rear]\nsuspension_stroke = { bump = 0.1, rebound = 0.1 }\nstop_stiffness = { bump = 1e5 }",
+            "of rear_left has rebound, stop_stiffness has none",
+        ),
         ("[[limits.rear]]\nsuspension_stroke = 0.1", "unknown key 'rear'"),
         ("[limits.rear.left]\nsuspension_stroke = 0.1", "[limits.rear] unknown key 'left'"),
     ],
@@ -183,7 +187,8 @@ ADDED = {
         ("rear = 0.1", "unknown key 'rear'"),
     ],
     ("quarter_car", "[limits]"): [
-        ("suspension_stroke = { bump = 0.1 }\nstop_stiffness = 1e5", "suspension_stroke", "bump = ..., rebound = ..."),
+        ("suspension_stroke = {}\nstop_stiffness = 1e5", "suspension_stroke", "bump = ..., rebound = ..."),
+        ("suspension_stroke = { bump = 0.1 }\nstop_stiffness = { rebound = 1e5 }", "has bump, stop_stiffness has none"),
         ("suspension_stroke = { up = 0.1, down = 0.1 }\nstop_stiffness = 1e5", "'up'", "bump = ..., rebound = ..."),
         ("suspension_stroke = { bump = 0.1, rebound = -0.1 }\nstop_stiffness = 1e5", "suspension_stroke rebound = -0.1"),
         ("suspension_stroke = 0.1\nstop_stiffness = [1e5, nan]", "stop_stiffness[1] = nan", "N/m2"),

@@ -1,7 +1,8 @@
 """Bump stops of `[limits]` in a vehicle file: linear or progressive, equal or unequal in bump and rebound, per corner or axle.
 
 A stop begins at the end of its stroke and pushes back with x (k_1 + k_2 x + k_3 x^2) if squeezed by x: a rubber stop's stiffness
-grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side.
+grows. One number is a linear stop, a list of up to three numbers a progressive one, and {bump, rebound} has one for each side. A
+side that is left out has no stop.
 
 A section has the name of a corner, or the common beginning of several names: `rear` is rear_left and rear_right. A key that it
 leaves out is taken from the section with more corners. So `[limits.rear]` may have its own stroke and the common stiffness.
@@ -28,7 +29,7 @@ Stiffness = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class StopPair:
-    """Different values for bump and rebound."""
+    """Different values for bump and rebound; None of a side without a stop."""
 
     bump: Any
     rebound: Any
@@ -39,7 +40,7 @@ class Stop:
     """Bump stop of one side.
 
     Attributes:
-        stroke: travel from rest to its beginning [m].
+        stroke: travel from rest to its beginning [m]; infinite without a stop.
         stiffness: k_1, k_2 and k_3 [N/m, N/m2, N/m3].
     """
 
@@ -65,6 +66,12 @@ class Stops:
     rebound: Stop
 
     @property
+    def sides(self) -> dict[str, tuple[float, Stop]]:
+        """Returns sign of the deflection and stop of each side that has one, by `SIDES`."""
+        both = zip(SIDES, ((-1.0, self.bump), (1.0, self.rebound)), strict=True)
+        return {side: (sign, stop) for side, (sign, stop) in both if math.isfinite(stop.stroke)}
+
+    @property
     def acts(self) -> bool:
         """True if they push back at all."""
         return any(any(stop.stiffness) for stop in (self.bump, self.rebound))
@@ -83,9 +90,8 @@ class Stops:
         return sum((stop.work(beyond) for _, stop, beyond in self._squeezed(deflection)), np.zeros_like(deflection))
 
     def _squeezed(self, deflection: Array) -> tuple[tuple[float, Stop, Array], ...]:
-        """Returns sign, stop and how far it is squeezed [m] for both sides."""
-        sides = ((-1.0, self.bump), (1.0, self.rebound))
-        return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in sides)
+        """Returns sign, stop and how far it is squeezed [m] for each side that has one."""
+        return tuple((sign, stop, np.maximum(sign * deflection - stop.stroke, 0.0)) for sign, stop in self.sides.values())
 
     def springs(self, rest: float) -> dict[str, tuple[tuple[float, float], tuple[float, float, float]]]:
         """Returns the springs by name: the ends of the dead band, and the coefficients, f = -(a x + b x^2 + c x^3).
@@ -98,7 +104,11 @@ class Stops:
             return {"stop": ((low, high), self.bump.stiffness)}
         first, second, third = self.bump.stiffness
         # Beyond the bump's end the spring's x is below 0.
-        return {"stop_bump": ((low, SLACK), (first, -second, third)), "stop_rebound": ((-SLACK, high), self.rebound.stiffness)}
+        both = {
+            "stop_bump": ((low, SLACK), (first, -second, third)),
+            "stop_rebound": ((-SLACK, high), self.rebound.stiffness),
+        }
+        return {name: both[name] for side in self.sides if (name := f"stop_{side}")}
 
     @property
     def words(self) -> str:
@@ -106,7 +116,7 @@ class Stops:
         if self.bump.stroke == self.rebound.stroke:
             where = f"±{self.bump.stroke:g} m"
         else:
-            where = f"-{self.bump.stroke:g} m in bump and +{self.rebound.stroke:g} m in rebound"
+            where = " and ".join(f"{sign * stop.stroke:+g} m in {side}" for side, (sign, stop) in self.sides.items())
         progressive = any(stop.stiffness[1:] != (0.0, 0.0) for stop in (self.bump, self.rebound))
         return f"{'progressive ' * progressive}bump stops at {where}"
 
@@ -133,7 +143,12 @@ def stops(stroke: float | StopPair, stiffness: Stiffness | StopPair) -> Stops:
     """Returns the stops of a suspension, from the results of `read_stroke` and `read_stiffness`."""
     lengths = [getattr(stroke, side) if isinstance(stroke, StopPair) else stroke for side in SIDES]
     springs = [getattr(stiffness, side) if isinstance(stiffness, StopPair) else stiffness for side in SIDES]
-    return Stops(*(Stop(length, _coefficients(spring)) for length, spring in zip(lengths, springs, strict=True)))
+    return Stops(
+        *(
+            Stop(math.inf, (0.0, 0.0, 0.0)) if length is None or spring is None else Stop(length, _coefficients(spring))
+            for length, spring in zip(lengths, springs, strict=True)
+        )
+    )
 
 
 def _coefficients(stiffness: Stiffness) -> tuple[float, float, float]:
@@ -144,11 +159,12 @@ def _coefficients(stiffness: Stiffness) -> tuple[float, float, float]:
 def _of_sides(where: str, value: Any, read: Any) -> Any:
     if not isinstance(value, Mapping):
         return read(where, value)
-    if set(value) != set(SIDES):
+    given = {side: one for side, one in value.items() if one is not None}  # a log has null for a side without a stop
+    if not given or not set(given) <= set(SIDES):
         raise InputError(
-            f"{where} = {quoted(dict(value))} is not for both sides; give {{ bump = ..., rebound = ... }}, or one for both"
+            f"{where} = {quoted(dict(value))} is of no side; give {{ bump = ..., rebound = ... }}, one of these, or a number"
         )
-    return StopPair(*(read(f"{where} {side}", value[side]) for side in SIDES))
+    return StopPair(*(read(f"{where} {side}", given[side]) if side in given else None for side in SIDES))
 
 
 def _stiffness(where: str, value: Any) -> Stiffness:
@@ -184,7 +200,7 @@ class Place:
 
     Attributes:
         name: of the corner or axle; empty for all.
-        suspension_stroke: travel either way before the bump stop [m], or one for each side; None: that of more corners.
+        suspension_stroke: travel either way before the bump stop [m], or one for each or one side; None: that of more corners.
         stop_stiffness: stiffness of the stop [N/m], or the coefficients of a progressive one, or these for each side; likewise.
     """
 
@@ -230,6 +246,11 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             raise InputError(
                 f"[limits] suspension_stroke [m] and stop_stiffness [N/m]{where} make a bump stop together; give both or neither"
             )
+        if isinstance(stroke, StopPair) and isinstance(stiffness, StopPair):
+            for side in SIDES:
+                if getattr(stroke, side) is not None and getattr(stiffness, side) is None:
+                    where = f" of {corner}" if corner else ""
+                    raise InputError(f"[limits] suspension_stroke{where} has {side}, stop_stiffness has none; give it there, too")
     return tuple(places)
 
 

@@ -73,7 +73,7 @@ class Limits:
         flat = {}
         for name, value in given.items():
             flat |= (
-                {f"{name}.{side}": one_side for side, one_side in vars(value).items()}
+                {f"{name}.{side}": one_side for side, one_side in vars(value).items() if one_side is not None}
                 if isinstance(value, StopPair)
                 else {name: value}
             )

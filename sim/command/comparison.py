@@ -291,6 +291,15 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
     return ["", *lines] if lines else []
 
 
+def stop_lines(runs: Sequence[Run], full: bool) -> list[str]:
+    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` has them with each run."""
+    if full or not runs[0].vehicle.limits.stopped:
+        return []
+    from sim.runs import stops
+
+    return stops.stop_lines(runs, FEW)
+
+
 def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:
     """Returns the note below the table of standings; it names `-v` where no line of a controller's claims stands above."""
     short = len(runs) > FEW and not (options.verbose or options.brief)

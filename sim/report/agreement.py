@@ -17,7 +17,7 @@ from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
-from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_panels
+from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_panels, lines_text
 from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
@@ -65,18 +65,14 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]
     simple = scope.prompt and not scope.is_nonlinear
     panels = history_panels(runs, scope.styles, lambda run: _bounded(scope, run), continuous=simple)
-    early = "; where a loop is unstable or a run breaks off, until the linear regime ends"
-    early = "" if all(_bounded(scope, run) for run in runs) else early
     lines = f"linear analysis of the continuous loop{scope.lag}"
     if scope.is_nonlinear:
         lines = f"{scope.analysis}, {scope.as_it_runs}"
     elif not scope.prompt:
         lines = f"linear analysis of the loop as it runs, {scope.as_it_runs}"
-    ended = "; full ones once the linear regime has ended" if any(one.filled for panel in panels for one in panel.curves) else ""
     title = (
         f"Response to the bump of {road.height:g} m height and {road.length:g} m length at {road.speed:g} m/s. "
-        f"Lines: {lines}{early}. "
-        f"Markers: MuJoCo at {1e3 * scope.timestep:g} ms{ended}"
+        f"{lines_text(panels, lines, all(_bounded(scope, run) for run in runs))} at {1e3 * scope.timestep:g} ms"
     )
     figure = Figure("bump", title, tuple(panels), columns=2 if len(panels) <= 4 else 3, finding=_least_peak(scope, runs))
     columns: tuple[Column[tuple[str, Run]], ...] = (

@@ -100,9 +100,9 @@ def _either_way(
 
 
 def _at_the_stops(vehicle: Vehicle) -> list[Threshold]:
-    """Returns thresholds on every suspension's deflection, one to each side, if it has stops."""
+    """Returns thresholds on every suspension's deflection, one to each side that has a stop."""
     stops = vehicle.limits.stops(vehicle.kind.suspensions).items()
-    return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in ((-1.0, both.bump), (1.0, both.rebound))]
+    return [Threshold(name, sign, stop.stroke) for name, both in stops for sign, stop in both.sides.values()]
 
 
 def over(vehicle: Vehicle, fitted: "SuspensionCurve") -> str:

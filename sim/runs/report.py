@@ -15,6 +15,7 @@ from models.laws.semi_active import SemiActive
 from models.vehicle.vehicle import Vehicle
 from sim.physics.energy import Energy
 from sim.response.regime import (
+    BUMP_STOP,
     CURVE,
     DEMAND_CLIPPED,
     FLAT,
@@ -103,6 +104,7 @@ def run_object(run: Run) -> dict[str, Any]:
         "lift_off": [list(interval) for interval in agreement.lift_off],
         "agrees": agreement.agrees,
         "steps": steps_object(agreement.steps),
+        **_stops_object(run),
         **_dampers_object(run),
         **rounding_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
@@ -136,6 +138,22 @@ def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] 
     if steps is None:
         return None
     return {"agrees": steps.agrees, **{name: finite(getattr(steps, name)) for name in ("error", "allowed", "since", "until")}}
+
+
+def _stops_object(run: Run) -> dict[str, Any]:
+    """Returns how far each bump stop is squeezed under their own key; empty without stops."""
+    if not run.vehicle.limits.stopped:
+        return {}
+    from sim.runs.stops import stops_object
+
+    return {"stops": stops_object(run)}
+
+
+def _stop_names(run: Run, when: float) -> str:
+    """Returns the name of the stops that a run reaches at a time [s]."""
+    from sim.runs.stops import stop_names
+
+    return stop_names(run, when)
 
 
 def _dampers_object(run: Run) -> dict[str, Any]:
@@ -223,6 +241,7 @@ def verdict(run: Run) -> str:
     agreement = run.agreement
     if math.isfinite(agreement.until):
         ended = [name for name, when in agreement.ended.items() if when == agreement.until]
+        ended = [_stop_names(run, agreement.until) if name == BUMP_STOP.name else name for name in ended]
         other = LOST if agreement.lost else broken_by(run.physics) if run.diverged == agreement.until else LIFT_OFF.name
         why = ended or [other]
         when = f"until {agreement.until:.4g} s ({' and '.join(why)})"
@@ -313,7 +332,13 @@ def verdict_lines(run: Run) -> list[str]:
     said = {end: end.verdict for end in REGIME_ENDS if end.verdict}
     if run.vehicle.limits.actuator_bandwidth is not None and has_anti_windup(run.controller):
         said[SATURATION] = DEMAND_CLIPPED
+    if math.isfinite(when := times[BUMP_STOP.name]):
+        said[BUMP_STOP] = said[BUMP_STOP].replace(BUMP_STOP.name, _stop_names(run, when), 1)
     lines += [line.format(when=times[end.name]) for end, line in said.items() if math.isfinite(times[end.name])]
+    if run.vehicle.limits.stopped:
+        from sim.runs.stops import run_stop_lines
+
+        lines += run_stop_lines(run)
     left = departures(run.vehicle, run.physics) if math.isfinite(times[CURVE.name]) else {}
     lines += [f"{name} is off its line at rest by up to {percent(share)} of its largest force" for name, share in left.items()]
     if run.vehicle.dampers:

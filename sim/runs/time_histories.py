@@ -1,37 +1,109 @@
-"""Signals of runs over time, drawn: MuJoCo's points over the lines of analysis."""
+"""Signals of runs over time, drawn: lines of analysis with MuJoCo's points, and MuJoCo's own lines where the two part."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.figures.axis import axis_of
+from models.figures.axis import Axis, axis_of
 from models.figures.figure import Curve, Figure, Panel, Style, styles, thinned
+from sim.response.response import Response
 from sim.runs.run import Run
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
+LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # widths [points]; `FAINT` is a share
+MOST_SWINGS = 80  # of a line that can be followed; a run with more has panels of its hardest stretch, too
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
-    """Curves of one run in a panel.
+class _Trace:
+    """One signal of one run over a stretch of time.
 
     Attributes:
-        curves: its line and its points.
-        values: values that the axis should hold.
-        bounded: True if they have a bound.
+        run: the run.
+        name: of the signal.
+        bounded: True if its motion stays a vehicle's.
+        line: linear response, until the end of the linear regime where the run is not bounded.
+        physics: MuJoCo's response until the run broke off.
     """
 
-    curves: tuple[Curve, ...]
-    values: Array
+    run: Run
+    name: str
     bounded: bool
+    line: Response
+    physics: Response
+
+    @property
+    def until(self) -> float:
+        """End of the linear regime [s]."""
+        return self.run.agreement.until
+
+    @property
+    def values(self) -> Array:
+        """Values that the axis should hold: without bound, those up to the end of the linear regime."""
+        physics = self.physics if self.bounded else self.physics.until(self.until)
+        return np.concatenate([self.line[self.name], physics[self.name]])
+
+    def left(self, axis: Axis) -> float:
+        """Returns the time at which MuJoCo first leaves the axis [s], or infinity."""
+        values = self.physics[self.name]
+        outside = ~((axis.low <= values) & (values <= axis.high))
+        return float(self.physics.time[outside.argmax()]) if outside.any() else math.inf
+
+    def curves(self, style: Style, width: float, every: int, left: float) -> list[Curve]:
+        """Returns its lines and its points, about one of `every` samples, up to and with that at which it leaves the axis.
+
+        The line is the linear response until its regime ends, and MuJoCo from there on; the linear response goes on thinly.
+        """
+        who, curves = self.run.controller.name, []
+        line, physics = (response.until(np.nextafter(left, math.inf)) for response in (self.line, self.physics))
+        after = physics.time >= self.until
+        for over, wide, label, name in (
+            (line.time <= self.until, width, who, ""),
+            (line.time >= self.until, FAINT * width, "", f"{who}, linear"),
+        ):
+            if over.any():
+                curves.append(_line(line.time[over], line[self.name][over], style, wide, label, name))
+        if after.any():
+            values = physics[self.name][after]
+            curves.append(_line(physics.time[after], values, style, width, who, f"{who}, MuJoCo"))
+        marked = _marked(physics[self.name], every)
+        for filled in (False, True):
+            some = marked[after[marked] == filled]
+            if len(some):
+                points = physics.time[some], physics[self.name][some], who
+                curves.append(Curve(*points, style.color, "none", style.marker, name=f"{who}, MuJoCo", filled=filled))
+        return curves
+
+
+def _line(time: Array, values: Array, style: Style, width: float, label: str, name: str) -> Curve:
+    """Returns a line of at most about `OF_LINE` points, with all its peaks."""
+    some = thinned(values, -(-len(time) // OF_LINE))
+    return Curve(time[some], values[some], label, style.color, style.dash, width=width, name=name)
+
+
+def _marked(values: Array, every: int) -> Array:
+    """Returns the indices of samples to mark: every so many, but at a peak where one is near, and both extremes."""
+    if not len(values):
+        return np.zeros(0, dtype=int)
+    marked = [int(values.argmax()), int(values.argmin())]
+    for k in range(0, len(values), every):
+        first, last = max(0, k - every // 2), min(len(values), k + every // 2 + 1)
+        near = values[first:last]
+        peaks = [at for at in (int(near.argmax()), int(near.argmin())) if 0 < at < len(near) - 1]
+        marked.append(first + max(peaks, key=lambda at, near=near: abs(float(near[at]))) if peaks else k)
+    return np.unique(marked)
 
 
 def history_panels(
-    runs: Sequence[Run], looks: Mapping[str, Style], bounded: Callable[[Run], bool], continuous: bool
+    runs: Sequence[Run],
+    looks: Mapping[str, Style],
+    bounded: Callable[[Run], bool],
+    continuous: bool,
+    during: tuple[float, float] | None = None,
 ) -> list[Panel]:
     """Returns a panel for each weighed signal that moves.
 
@@ -39,22 +111,66 @@ def history_panels(
         runs: over one road.
         looks: of the controllers, by name.
         bounded: returns False of a run whose motion after the linear regime is no vehicle's: an unstable loop, or one that broke
-            off. Its line ends with its linear regime, its points where it breaks off.
+            off. It does not widen the axis from there on, and is drawn until it leaves it, which the title says.
         continuous: True for lines of the continuous loop; else of the sampled one.
+        during: stretch of time that is drawn [s]; None for all.
     """
     vehicle, panels = runs[0].vehicle, []
+    start, end = during or (0.0, _end(runs))
+    every = max(1, round((end - start) / (POINTS * runs[0].prediction.timestep)))
     for name in (name for name, weight in vehicle.performance.items() if weight > 0):
-        drawn = [one for run in runs if (one := _drawn(run, name, looks[run.controller.name], bounded(run), continuous))]
-        curves = [curve for one in drawn for curve in one.curves]
-        if not curves:
+        traces = [_trace(run, name, bounded(run), continuous, start, end) for run in runs if _moves(run, name)]
+        if not any(len(trace.values) for trace in traces):
             continue
         signal = vehicle.kind.signal(name)
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
-        seen = axis_of(_seen(drawn), None, log=False)
-        limits = (0.0, float(runs[0].prediction.time[-1])), (seen.low, seen.high)
+        axis = axis_of(_seen(traces), None, log=False)
+        dense = during is None and max(_swings(trace.physics[name]) for trace in traces) > MOST_SWINGS
+        left = [trace.left(axis) for trace in traces]
+        curves = [
+            curve
+            for trace, at in zip(traces, left, strict=True)
+            for curve in trace.curves(looks[trace.run.controller.name], DENSE if dense else LINE, every, at)
+        ]
         title = f"{words}, {signal.symbol}"
-        panels.append(Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=limits[0], ylim=limits[1]))
+        title += f", from {start:.4g} to {end:.4g} s" if during else ""
+        gone = [f"{trace.run.controller.name} at {at:.3g} s" for trace, at in zip(traces, left, strict=True) if at < math.inf]
+        title += f"\nleaves the axis: {', '.join(gone)}" if gone and not during else ""
+        panels.append(
+            Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(axis.low, axis.high))
+        )
     return panels
+
+
+def _end(runs: Sequence[Run]) -> float:
+    """Returns the end of the last run [s], where all broke off, or of the road."""
+    whole = float(runs[0].prediction.time[-1])
+    return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
+
+
+def _moves(run: Run, name: str) -> bool:
+    """Returns False if a signal is silent: no control force, or no roll on a symmetric road."""
+    peak = float(run.physics.peak(name))
+    return peak != 0 and not peak < run.physics.scale(name)
+
+
+def _trace(run: Run, name: str, bounded: bool, continuous: bool, start: float, end: float) -> _Trace:
+    """Returns what is drawn of one signal of one run between two times [s]."""
+    line = run.continuous if continuous else run.sampled
+    broken = run.broke_off[1] if run.broke_off is not None else math.inf
+    both = (line if bounded else line.until(run.agreement.until)), run.physics.until(broken)
+    return _Trace(run, name, bounded, *(_between(response, start, end) for response in both))
+
+
+def _between(response: Response, start: float, end: float) -> Response:
+    """Returns the samples of one run between two times [s]."""
+    some = (response.time >= start) & (response.time <= end)
+    return response if some.all() else replace(response, time=response.time[some], values=response.values[some])
+
+
+def _swings(values: Array) -> int:
+    """Returns how often a signal crosses its mean."""
+    return int(np.count_nonzero(np.diff(values > values.mean()))) if len(values) else 0
 
 
 def columns_of(panels: Sequence[Panel]) -> int:
@@ -62,20 +178,63 @@ def columns_of(panels: Sequence[Panel]) -> int:
     return min(len(panels), 2 if len(panels) <= 4 else 3)
 
 
+def lines_text(panels: Sequence[Panel], line: str, bounded: bool) -> str:
+    """Returns what lines and markers are, in words.
+
+    Args:
+        line: linear response that the lines are.
+        bounded: True if all runs are.
+    """
+    if not any(curve.filled for panel in panels for curve in panel.curves):
+        return f"Lines: {line}. Markers: MuJoCo"
+    ended = "and MuJoCo once the linear regime has ended (full markers); thin: how that response goes on"
+    ended += "" if bounded else ", if the loop is stable and the run does not break off"
+    return f"Lines: {line}, {ended}. Markers: MuJoCo"
+
+
 def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
+
+    Beside the panels of a long run, whose lines swing too often to be told apart, stand those of its hardest stretch.
 
     Args:
         where: the road in words, after "over".
     """
-    panels = history_panels(runs, styles(tuple(run.controller.name for run in runs)), _bounded, continuous=False)
+    looks = styles(tuple(run.controller.name for run in runs))
+    panels = history_panels(runs, looks, _bounded, continuous=False)
     if not panels:
         return None
-    full = any(curve.filled for panel in panels for curve in panel.curves)
-    ended = "; full ones once the linear regime has ended" if full else ""
+    columns, size, note = columns_of(panels), (5.0, 3.2), ""
+    if (during := _hardest_stretch(runs)) is not None:
+        near = history_panels(runs, looks, _bounded, continuous=False, during=during)
+        panels, columns, size = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2, (6.5, 2.6)
+        note = f". Right: {during[0]:.4g} to {during[1]:.4g} s"
+    broken = [
+        f"{run.controller.name} broke off at {off[1]:.3g} s ({off[0]})" for run in runs if (off := run.broke_off) is not None
+    ]
+    note += f". {', '.join(broken)}" if broken else ""
     kind = runs[0].vehicle.kind.name.replace("_", " ")
-    title = f"{kind} over {where}. Lines: exact sampled response. Markers: MuJoCo{ended}"
-    return Figure("runs", title, tuple(panels), columns_of(panels), (5.0, 3.2), finding=_least(runs))
+    title = f"{kind} over {where}. {lines_text(panels, 'exact sampled response', all(map(_bounded, runs)))}{note}"
+    return Figure("runs", title, tuple(panels), columns, size, finding=_least(runs))
+
+
+def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
+    """Returns the stretch of time [s] around the largest peak of the first weighed signal, or None of a run that needs none.
+
+    It has about `MOST_SWINGS` of the signal that swings most often.
+    """
+    weighed = [name for name, weight in runs[0].vehicle.performance.items() if weight > 0]
+    kept = [run for run in runs if _bounded(run)]
+    swings = max((_swings(run.physics[name]) for run in kept for name in weighed if _moves(run, name)), default=0)
+    if swings <= MOST_SWINGS:
+        return None
+    time = runs[0].prediction.time
+    first = next(name for name in weighed if any(_moves(run, name) for run in kept))
+    hardest = max(kept, key=lambda run: float(run.physics.peak(first)))
+    at, whole = float(time[int(np.abs(hardest.physics[first]).argmax())]), float(time[-1])
+    length = whole * MOST_SWINGS / swings
+    start = min(max(0.0, at - length / 2), whole - length)
+    return start, start + length
 
 
 def _bounded(run: Run) -> bool:
@@ -103,35 +262,11 @@ def _least(runs: Sequence[Run]) -> str:
     return f"{least} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {most} has {peaks[most]:.3g}"
 
 
-def _drawn(run: Run, name: str, style: Style, bounded: bool, continuous: bool) -> _Drawn | None:
-    """Draws one signal of one run, or returns None if the signal is silent: no control force, or no roll on a symmetric road."""
-    if float(run.physics.peak(name)) < run.physics.scale(name):
-        return None
-    until = run.agreement.until
-    end = run.broke_off[1] if run.broke_off is not None else math.inf
-    every = max(1, len(run.physics.time) // POINTS)
-    curves, seen = [], [np.zeros(0)]
-    line = (run.continuous if continuous else run.sampled).until(math.inf if bounded else until)
-    if len(line.time):
-        thin = thinned(line[name], max(1, len(line.time) // OF_LINE))
-        curves.append(Curve(line.time[thin], line[name][thin], run.controller.name, style.color, style.dash))
-        seen.append(line[name])
-    time, values = run.physics.time[::every], run.physics[name][::every]
-    for filled, some in ((False, time < until), (True, (until <= time) & (time < end))):
-        if some.any():
-            seen_as = f"{run.controller.name}, MuJoCo"
-            points = time[some], values[some], run.controller.name
-            curves.append(Curve(*points, style.color, "none", style.marker, name=seen_as, filled=filled))
-        if bounded or not filled:
-            seen.append(values[some])
-    return _Drawn(tuple(curves), np.concatenate(seen), bounded)
-
-
-def _seen(drawn: Sequence[_Drawn]) -> list[Array]:
+def _seen(traces: Sequence[_Trace]) -> list[Array]:
     """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far."""
-    within = [one.values for one in drawn if one.bounded]
+    within = [one.values for one in traces if one.bounded and len(one.values)]
     if not within:
-        return [one.values for one in drawn]
+        return [one.values for one in traces]
     low, high = (float(end(np.concatenate(within))) for end in (np.min, np.max))
     size = high - low
-    return [one.values if one.bounded else np.clip(one.values, low - size, high + size) for one in drawn]
+    return [one.values if one.bounded else np.clip(one.values, low - size, high + size) for one in traces]
