@@ -75,7 +75,7 @@ def test_table(capsys):
 
 
 def test_modes():
-    """A pair of poles has its undamped natural frequency and damping ratio beside it: of s^2 + 2 s + 4 they are 2 rad/s and 1/2."""
+    """A pair of poles has its natural frequency and damping ratio beside it: of s^2 + 2 s + 4 they are 2 rad/s and 1/2."""
     poles = [complex(-1, 3**0.5), complex(-1, -(3**0.5)), complex(-2), complex(-30)]
     assert _pole_lines(poles) == ["  poles -1 +- 1.732j  0.318 Hz, damping 0.5", "        -2  -30"]
 
