@@ -23,7 +23,6 @@ from models.laws.linear import LARGEST, MATRICES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
 SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
-FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
 

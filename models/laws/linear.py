@@ -11,6 +11,7 @@ from models.common.checks import Positive, check
 from models.common.errors import InputError
 from models.common.lean_scipy import linalg
 
+FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 MATRICES = ("A", "B", "C", "D")
 PREVIEW_MATRICES = ("A", "B", "H", "C")  # of `models.laws.preview`
 MOST_STATES = 200  # of a law; a controller of a vehicle has some dozens

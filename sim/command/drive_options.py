@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
-from models.common.printed import wrapped
+from models.common.printed import percent, wrapped
 from models.vehicle.names import CLASSES, ROAD_SYNTAX, named_file, split_off
 from sim.command.road_options import add_loads, add_run_options, without_loads
 
@@ -108,7 +108,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     if road.points is None or math.isclose(ends, duration, rel_tol=NEARLY):
         return []
     if ends > duration:
-        return wrapped(f"{100 * duration / ends:.3g} % of the road is driven: --duration {ends:.4g} drives all of it")
+        return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
     lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is level from there on, which lowers every rms"
     return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 

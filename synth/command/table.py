@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
-from models.laws.law_structure import FEWER
+from models.laws.linear import FEWER
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound

@@ -21,8 +21,8 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.combinations import PID
-from models.laws.law_structure import FEWER, GAINS, LawStructure
-from models.laws.linear import LinearLaw
+from models.laws.law_structure import GAINS, LawStructure
+from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
 from synth.analysis.lower_bound import LowerBound
