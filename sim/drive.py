@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines += ["", *step_lines(runs, steps, options.band, options.verbose)]
         settled = ", when all have settled" if 0 < time[first] < options.duration / 2 else ""
         about = comparison.table_note(runs, options, f"MuJoCo, from {time[first]:.4g} s on{settled}")
-        lines += ["", *standing_lines(standings, about), *comparison.stop_lines(runs, options.verbose)]
+        lines += ["", *standing_lines(standings, about), *comparison.stop_lines(runs, options.verbose, first > 0)]
         say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
     return 0 if all(run.passed for run in runs) else 1

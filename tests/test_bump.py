@@ -472,3 +472,16 @@ def test_a_long_road_is_drawn_whole_and_near():
     drawn, own = np.interp(runs[0].sampled.time, line.x, line.y), runs[0].sampled["sprung_acceleration"]
     peaks = 1 + np.flatnonzero((own[1:-1] > own[:-2]) & (own[1:-1] > own[2:]) & (own[1:-1] > own.std()))
     assert np.abs(drawn - own)[peaks].max() < 0.1 * own.max()  # of two peaks within ten samples the lower may be cut
+
+
+def test_a_law_that_is_not_linear_is_drawn_whole():
+    """Of a loop without poles the axis holds all of the run: only one that is known to be unstable leaves it."""
+    (run,) = runs = ran(read_vehicle("quarter_car_semi_active"), "skyhook", road=Bump(height=0.15), duration=1.0)
+    assert np.isnan(run.prediction.radius)
+    assert run.agreement.until < 1.0
+    figure = history_figure(runs, "a bump")
+    assert figure is not None
+    for panel in figure.panels:
+        assert "leaves the axis" not in panel.title
+        assert panel.ylim is not None
+        assert all(panel.ylim[0] < curve.y.min() < curve.y.max() < panel.ylim[1] for curve in panel.curves)

@@ -291,13 +291,18 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
     return ["", *lines] if lines else []
 
 
-def stop_lines(runs: Sequence[Run], full: bool) -> list[str]:
-    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` has them with each run."""
+def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str]:
+    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` has them with each run.
+
+    Args:
+        full: True with `-v`.
+        later: True if the table above begins later than the runs.
+    """
     if full or not runs[0].vehicle.limits.stopped:
         return []
     from sim.runs import stops
 
-    return stops.stop_lines(runs, FEW)
+    return stops.stop_lines(runs, FEW, "stops in all of the run" if later else "stops")
 
 
 def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:

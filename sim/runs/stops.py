@@ -61,35 +61,36 @@ def stops_object(run: Run) -> dict[str, dict[str, dict[str, float | None] | None
     }
 
 
-def run_stop_lines(run: Run) -> list[str]:
-    """Returns a line on each suspension of a run that reaches a stop."""
+def run_stop_lines(run: Run, what: str = "stops") -> list[str]:
+    """Returns a line on each suspension of a run that reaches a stop, which begins with what it is about."""
     corners = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}
     reached = {name: [touch for touch in sides.values() if touch is not None] for name, sides in touches(run).items()}
     return [
-        f"stops{f' of {corners[name]}' if corners[name] else ''}: {'; '.join(f'{one.side} {one.words}' for one in some)}"
+        f"{what}{f' of {corners[name]}' if corners[name] else ''}: {'; '.join(f'{one.side} {one.words}' for one in some)}"
         for name, some in reached.items()
         if some
     ]
 
 
-def stop_lines(runs: Sequence[Run], few: int) -> list[str]:
+def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
     """Returns lines on the stops that runs reach: of one run each suspension's, of a few the hardest contact of each side.
 
     Args:
         few: number of runs up to which each has a line; of more there is one line, on the hardest contact of all.
+        what: beginning of each line.
     """
     if len(runs) == 1:
-        return [line for words in run_stop_lines(runs[0]) for line in wrapped(words, "  ", 4)]
+        return [line for words in run_stop_lines(runs[0], what) for line in wrapped(words, "  ", 4)]
     hardest = [(run.controller.name, side, one) for run in runs for side in SIDES if (one := _hardest(run, side))]
     if len(runs) > few and hardest:
         name, side, (corner, touch) = max(hardest, key=lambda each: (each[2][1].force, each[2][1].squeeze))
         some = len({name for name, *_ in hardest})
-        words = f"stops, reached by {some} of {len(runs)}, hardest by {name}: {side}{corner} {touch.words}"
+        words = f"{what}, reached by {some} of {len(runs)}, hardest by {name}: {side}{corner} {touch.words}"
         return wrapped(words, "  ", 4)
     lines: list[str] = []
     for run in runs:
         said = [f"{side}{one[0]} {one[1].words}" for name, side, one in hardest if name == run.controller.name]
-        lines += wrapped(f"stops, {run.controller.name}: {'; '.join(said)}", "  ", 4) if said else []
+        lines += wrapped(f"{what}, {run.controller.name}: {'; '.join(said)}", "  ", 4) if said else []
     return lines
 
 

@@ -14,6 +14,7 @@ from sim.runs.run import Run
 
 POINTS = 24  # of MuJoCo
 OF_LINE = 600  # points of a line
+NAMED = 2  # runs that leave an axis, in its title
 LINE, DENSE, FAINT = 1.5, 0.6, 0.4  # widths [points]; `FAINT` is a share
 MOST_SWINGS = 80  # of a line that can be followed; a run with more has panels of its hardest stretch, too
 
@@ -134,8 +135,10 @@ def history_panels(
         ]
         title = f"{words}, {signal.symbol}"
         title += f", from {start:.4g} to {end:.4g} s" if during else ""
-        gone = [f"{trace.run.controller.name} at {at:.3g} s" for trace, at in zip(traces, left, strict=True) if at < math.inf]
-        title += f"\nleaves the axis: {', '.join(gone)}" if gone and not during else ""
+        gone = sorted((at, trace.run.controller.name) for trace, at in zip(traces, left, strict=True) if at < math.inf)
+        named = ", ".join(f"{who} at {at:.3g} s" for at, who in gone[:NAMED])
+        more = f" and {len(gone) - NAMED} more" if len(gone) > NAMED else ""
+        title += f"\nleaves the axis: {named}{more}" if gone and not during else ""
         panels.append(
             Panel(title, "time [s]", f"{words} [{unit}]", tuple(curves), None, xlim=(start, end), ylim=(axis.low, axis.high))
         )
@@ -238,8 +241,8 @@ def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
 
 
 def _bounded(run: Run) -> bool:
-    """Returns True if a run has not broken off and its loop is stable."""
-    return run.broke_off is None and run.prediction.radius < 1
+    """Returns True if a run has not broken off and its loop is not known to be unstable."""
+    return run.broke_off is None and not run.prediction.radius >= 1  # NaN of a loop that is not linear
 
 
 def acceleration_peaks(runs: Sequence[Run]) -> tuple[str, dict[str, float]]:
@@ -263,10 +266,16 @@ def _least(runs: Sequence[Run]) -> str:
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
-    """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far."""
+    """Returns the values that an axis has to hold: all bounded ones, and others up to three times as far.
+
+    Without bounded ones, those of the linear regime take their place.
+    """
     within = [one.values for one in traces if one.bounded and len(one.values)]
-    if not within:
-        return [one.values for one in traces]
+    alone = not within
+    within = within or [one.values for one in traces]
     low, high = (float(end(np.concatenate(within))) for end in (np.min, np.max))
     size = high - low
-    return [one.values if one.bounded else np.clip(one.values, low - size, high + size) for one in traces]
+    return [
+        one.values if one.bounded else np.clip(one.physics[one.name] if alone else one.values, low - size, high + size)
+        for one in traces
+    ]
