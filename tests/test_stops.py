@@ -147,7 +147,7 @@ def test_stops_of_several_suspensions_and_runs():
     """A run alone has a line of each suspension, runs together the hardest contact of each side, and many the hardest of all."""
     vehicle = built("\n[limits]\nsuspension_stroke = 0.03\nstop_stiffness = 1e5", "half_car")
     run, made, lines = driven(vehicle, Bump(height=0.15))
-    assert [line.split(":")[0] for line in lines if not line.startswith("    ")] == ["  stops of front", "  stops of rear"]
+    assert [line.split(":")[0] for line in lines if not line.startswith("    ")] == ["  stops, front", "  stops, rear"]
     hardest = {
         side: max((one[side]["force"], name.rpartition("_")[2]) for name, one in made["stops"].items())
         for side in ("bump", "rebound")

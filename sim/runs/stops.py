@@ -66,7 +66,7 @@ def run_stop_lines(run: Run, what: str = "stops") -> list[str]:
     corners = {part.deflection: part.corner for part in run.vehicle.kind.suspensions}
     reached = {name: [touch for touch in sides.values() if touch is not None] for name, sides in touches(run).items()}
     return [
-        f"{what}{f' of {corners[name]}' if corners[name] else ''}: {'; '.join(f'{one.side} {one.words}' for one in some)}"
+        f"{what}{f', {corners[name]}' if corners[name] else ''}: {'; '.join(f'{one.side} {one.words}' for one in some)}"
         for name, some in reached.items()
         if some
     ]
