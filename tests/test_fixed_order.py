@@ -173,7 +173,7 @@ def test_a_known_law_may_have_fewer_states(rows):
 
 
 def test_an_order_of_which_a_law_of_full_order_needs_less():
-    """A reduced law of full order may have fewer states than asked, for one force or for each; the descent starts all the same."""
+    """A law of fewer states than asked is filled with states that do not act, and one of as many is left as it is."""
     plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
     small = LinearLaw(*(np.array([[entry]]) for entry in (-12.4, 33.0, 33.0, -100.0)))
