@@ -140,13 +140,18 @@ def test_a_gain_is_a_law_and_back():
     np.testing.assert_allclose(landscape.slope(x, at), slopes, rtol=1e-4, atol=1e-6 * height)  # differences of 1e-6
 
 
+def of_entries(A: float, B: float, C: float, D: float) -> LinearLaw:
+    """A law of one state, one measurement and one force."""
+    return LinearLaw(np.array([[A]]), np.array([[B]]), np.array([[C]]), np.array([[D]]))
+
+
 def test_a_limit_on_entries_does_not_end_a_descent():
     """From where a limit on entries stops it, descent for a double integrator goes on to larger ones: 0.1313 to below 0.1022.
 
     A law with A = -93.9, B C = 4.34e5, D = -4674 has 0.1022: found by simplexes from many starts.
     """
     plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
-    law = LinearLaw(*(np.array([[entry]]) for entry in (-12.3705, 33.0421, 33.0421, -100.0)))
+    law = of_entries(-12.3705, 33.0421, 33.0421, -100.0)
     search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
     posed = structured_gain(LawStructure(1), plant, search.Cy, None, None)
     landscape = search.of(posed, 1, 100.0).landscape
@@ -176,7 +181,7 @@ def test_an_order_of_which_a_law_of_full_order_needs_less():
     """A law of fewer states than asked is filled with states that do not act, and one of as many is left as it is."""
     plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
-    small = LinearLaw(*(np.array([[entry]]) for entry in (-12.4, 33.0, 33.0, -100.0)))
+    small = of_entries(-12.4, 33.0, 33.0, -100.0)
     [*filled] = search.filled(LawStructure(2), small)
     assert {law.states for law in filled} == {2}
     for law in filled:
