@@ -18,10 +18,11 @@ from synth.analysis.norm import hinf_norm
 from synth.controller.controller import InterruptedDesign
 from synth.design.descent.landscape import Landscape
 from synth.design.feedback import design_feedback
-from synth.design.fixed_order.fixed_order import FixedOrderDesign, fixed_order_design
+from synth.design.fixed_order.fixed_order import FixedOrderDesign, _Search, fixed_order_design
 from synth.design.fixed_order.pattern import structured_gain
 from synth.design.fixed_order.reduction import bilinear, reductions
-from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.full_order import as_designed, full_order_design
+from synth.design.static import Candidate
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import InfeasibleError
 from synth.vehicle.designer import Designer
@@ -139,6 +140,32 @@ def test_a_gain_is_a_law_and_back():
     np.testing.assert_allclose(landscape.slope(x, at), slopes, rtol=1e-4, atol=1e-6 * height)  # differences of 1e-6
 
 
+def of_entries(A: float, B: float, C: float, D: float) -> LinearLaw:
+    """A law of one state, one measurement and one force."""
+    return LinearLaw(np.array([[A]]), np.array([[B]]), np.array([[C]]), np.array([[D]]))
+
+
+def test_a_limit_on_entries_does_not_end_a_descent():
+    """From where a limit on entries stops it, descent for a double integrator goes on to larger ones: 0.1313 to below 0.1022.
+
+    A law with A = -93.9, B C = 4.34e5, D = -4674 has 0.1022: found by simplexes from many starts.
+    """
+    plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
+    law = of_entries(-12.3705, 33.0421, 33.0421, -100.0)
+    search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
+    posed = structured_gain(LawStructure(1), plant, search.Cy, None, None)
+    landscape = search.of(posed, 1, 100.0).landscape
+    x = landscape.point(posed.gain(law))
+    start = Candidate(x, landscape.norm(x)[0], "known")
+    assert start.norm == pytest.approx(0.1313465, rel=1e-5)  # six digits of the entries
+    further, _ = search.further(posed, 1, start, 100.0, (law, "known"))
+    found = search.certified(further)
+    assert found.failures == ()
+    assert found.speed_up <= search.most
+    assert found.norm.value < 0.1022
+    assert search.capped == bool(np.abs(further.D).max() > 9.9e3)  # a hundred times the limit
+
+
 @pytest.mark.parametrize("rows", [((True, False), (False, True)), *attacks([None])])
 def test_a_known_law_may_have_fewer_states(rows):
     """A descent starts from a law of fewer states than it may have, one for all forces or one for each, and ends lower."""
@@ -150,13 +177,25 @@ def test_a_known_law_may_have_fewer_states(rows):
     assert found.certificate.norm.value < hinf_norm(plant).value
 
 
+def test_an_order_of_which_a_law_of_full_order_needs_less():
+    """A law of fewer states than asked is filled with states that do not act, and one of as many is left as it is."""
+    plant = of_lists([[0, 1], [0, 0]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
+    search = _Search(plant, np.array([[1.0, 0.0]]), None, None, LowerBound(0.1), False, as_designed)
+    small = of_entries(-12.4, 33.0, 33.0, -100.0)
+    [*filled] = search.filled(LawStructure(2), small)
+    assert {law.states for law in filled} == {2}
+    for law in filled:
+        np.testing.assert_allclose(law.response(1.0), small.response(1.0), rtol=1e-12)  # the state that is added does not act
+    assert search.filled(LawStructure(1), small) == [small]
+
+
 @pytest.mark.parametrize(("order", "delay"), [(2, 0.0), *attacks([(1, 1.0), (2, 0.5)])])
 def test_any_order_is_designed_for_the_sampled_loop(order, delay):
     """An order beside a sample period has a law; one of fewer states says that it has fewer, and why."""
     oscillator = of_lists([[0, 1], [-4, -0.1]], [[0], [1]], [[0], [1]], [[1, 0], [0, 0]], [[0], [0.1]])
     found = design_feedback(oscillator, np.array([[0.0, 1.0]]), order=order, sample_period=0.1, delay=delay)
     assert found.value < hinf_norm(oscillator).value
-    assert (f"of at most {order} states" in found.remark) == (found.law.states < order), found.remark
+    assert (f"of at most {order} state" in found.remark) == (found.law.states < order), found.remark
 
 
 @pytest.mark.attack

@@ -43,6 +43,8 @@ from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import speed
 
 LIMITS = (100.0, 10.0, 3.0)  # on a gain's entries, in units in which 1 moves poles as fast as the plant's: the first not too fast
+AT_LIMIT = 0.999  # of a limit; an entry this large is stopped by it
+WIDER = (1e4, 100.0, 10.0)  # times a limit that stops a descent: how far it goes on
 POLES = (0.1, 1.0, 10.0)  # of an appended state, times the plant's speed
 READS = 0.1  # what it reads, in these units
 SHARES = (1e-1, 1e-2, 1e-3)  # of noise and cost, with which laws of full order are made,
@@ -52,6 +54,7 @@ FEW = 2  # stabilising starts of a static gain, where a law may have states
 SHIFTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # of the poles of a law, times the plant's speed
 SEED = 20261126
 NO_LAW = "no law of this structure was found whose loop is stable; measure more signals, or allow more states"
+CAPPED = "an entry of the law is at the largest that the search allows: a larger one may have a lower norm, and faster poles"
 ONE_STATE = LawStructure(1)
 Start = tuple[LinearLaw, str]
 
@@ -134,7 +137,8 @@ def fixed_order_design(
     search = _Search(plant, Cy, noise if np.any(noise) else None, felt, lower_bound, stable, as_run)
     search.check_stabilisable(structure, states)
     best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
-    return FixedOrderDesign(best, search.certified(best), origin, _remark(structure, best, m))
+    said = [_remark(structure, best, m), CAPPED if search.capped else ""]
+    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in said if text))
 
 
 def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
@@ -142,8 +146,9 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
         return f"its gains: {gains_text(structure, law)}"
     asked = structure.states(m)
     if law.states < asked:
+        few = f"{asked} states" if asked > 1 else "1 state"
         designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
-        return f"{FEWER} {asked} states {designed} designed, beside any integral: the law comes to what no controller beats"
+        return f"{FEWER} {few} {designed} designed, beside any integral: the law comes to what no controller beats"
     return ""
 
 
@@ -174,6 +179,7 @@ class _Search:
         self.below = lower_bound if lower_bound is not None else find_lower_bound(plant, Cy, Dyw=Dyw)
         self.stable, self.as_run = stable, as_run
         self.fastest, _ = speed(plant)
+        self.capped = False
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
@@ -225,9 +231,7 @@ class _Search:
         """Returns the law at the lowest end of the descents from known laws."""
         if structure.kind:
             return self.of_filters(structure, known)
-        states = structure.states(self.plant.B.shape[1])
-        filled = [each for law in known for each in ([law] if law.states == states else self.appended(structure, law))]
-        return self.ended(structure, [(law, "a known law") for law in filled], "", whole=False, sought=0)
+        return self.ended(structure, [(law, "a known law") for law in known], "", whole=False, sought=0)
 
     def of_filters(self, structure: LawStructure, known: Sequence[LinearLaw]) -> Start:
         """Returns the law of PI or PID at the end of a descent that keeps a tenth of the decay of its start.
@@ -286,7 +290,8 @@ class _Search:
         m, rows = len(full.D), np.array(structure.rows, dtype=float)
         each = [
             [
-                *reduce(
+                self.filled(replace(structure, rows=None), law)[0]
+                for law in reduce(
                     replace(full.only(np.arange(m) == i), B=full.B * rows[i], D=full.D * np.outer(np.arange(m) == i, rows[i])),
                     structure.order,
                 )
@@ -294,6 +299,10 @@ class _Search:
             for i in range(m)
         ]
         return [_beside(laws) for laws in zip(*each, strict=False)]
+
+    def filled(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
+        """Returns laws of a structure from one of as many states or fewer, as a law of full order that needs none has."""
+        return [law] if law.states == structure.states(len(law.D)) else self.appended(structure, law)
 
     def appended(self, structure: LawStructure, law: LinearLaw) -> list[LinearLaw]:
         """Returns laws of the same loop with further states, which read what is measured and do not act."""
@@ -350,7 +359,7 @@ class _Search:
         """Returns the law at the lowest end, not too fast if may be.
 
         Args:
-            starts: laws of this structure; where none of them is stable, others are sought.
+            starts: laws of this structure, or of fewer states; where none of them is stable, others are sought.
             origin: name of the start, where the search finds its own.
             whole: True for a search to its end, False for heats alone.
             sought: number of stabilising starts that are tried where no start is stable.
@@ -360,6 +369,7 @@ class _Search:
         """
         posed = structured_gain(structure, self.plant, self.Cy, self.Dyw, self.through)
         states = len(posed.plant.A) - len(self.plant.A) if posed.filters is None else 0
+        starts = [(each, name) for law, name in starts for each in self.filled(structure, law)]
         slowest: tuple[float, Start] | None = None
         for limit in LIMITS:
             search = self.of(posed, states, limit)
@@ -381,11 +391,28 @@ class _Search:
                 continue
             fast, end = certificate.speed_up, (law, origin or best.origin)
             if fast <= self.most:
-                return end
+                at_limit = whole and not search.reached(best) and bool(np.any(np.abs(best.x) >= AT_LIMIT * limit))
+                return self.further(posed, states, best, limit, end) if at_limit else end
             slowest = min([slowest, (fast, end)] if slowest else [(fast, end)], key=lambda each: each[0])
         if slowest is None:
             raise DesignError(NO_LAW)
         return slowest[1]
+
+    def further(self, posed: StructuredGain, states: int, best: Candidate, limit: float, end: Start) -> Start:
+        """Returns the law of a descent beyond the limit on entries that one stopped at, if it is lower and not too fast.
+
+        A pole of a chain of integrators moves as a root of the entry, so that larger entries need not make it too fast.
+        """
+        for wider in WIDER:
+            search = self.of(posed, states, wider * limit)
+            moved = search.followed(best)
+            law, certificate = self.beyond_rounding(posed.law(search.landscape.gain(moved.x)))
+            lower = moved.norm < best.norm * (1 - WITHIN) and not certificate.failures and certificate.speed_up <= self.most
+            if lower and not (self.stable and self.as_run(law).growth):
+                self.capped = bool(np.any(np.abs(moved.x) >= AT_LIMIT * wider * limit))
+                return law, end[1]
+        self.capped = True
+        return end
 
     def beyond_rounding(self, law: LinearLaw) -> tuple[LinearLaw, Certificate]:
         """Returns a law and its certificate; where a pole of no effect stays at 0, the law's poles move left a little."""

@@ -30,7 +30,9 @@ def cost_lines(one: Cost, lag: str = "") -> list[str]:
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
     designs = _has_designs(one)
-    rows: list[tuple[str, ...]] = [("sample", "rate", "at once", "loses", "late", "loses", *("designed", "loses")[: 2 * designs])]
+    rows: list[tuple[str, ...]] = [
+        ("sample", "rate", "at once", "change", "late", "change", *("designed", "change")[: 2 * designs])
+    ]
     for at in one.rates:
         norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
         cells = [text for norm in norms for text in (_cells(one, norm) if norm is not None else ("-", ""))]
@@ -43,7 +45,7 @@ def cost_lines(one: Cost, lag: str = "") -> list[str]:
 def short_lines(costs: Sequence[Cost]) -> list[str]:
     """Returns a row for each of many controllers: what the slowest cheap rate costs, and at which rates the loop is lost."""
     designs = any(_has_designs(one) for one in costs)
-    headings = ("controller", "norm", "cheap at", "loses", "late", *("anew",) * designs, "lost at", "late")
+    headings = ("controller", "norm", "cheap at", "change", "late", *("anew",) * designs, "lost at", "late")
     rows: list[tuple[str, ...]] = [headings]
     for one in costs:
         at = _spoken(one)
@@ -54,7 +56,7 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
         rows.append((one.controller.name, ideal, f"{1 / at.period:.4g} Hz", *(loss or norm for norm, loss in losses), *lost))
     about = (
         f"cheap at: the slowest of these rates that costs {percent(LITTLE)} or less at once, or else the fastest; "
-        f"late: the forces act {late(costs[0])}; {'anew: designed for the loop of that rate; ' if designs else ''}"
+        f"late: the forces act {late(costs[0])}; {'anew: designed for the loop of that rate, at once; ' if designs else ''}"
         f"%: of the norm in continuous time; lost at: the highest rate at which the loop is unstable, -: none down to "
         f"{1 / LONGEST_PERIOD:g} Hz; -v: every rate"
     )
@@ -84,11 +86,11 @@ def _undesigned_lines(one: Cost) -> list[str]:
 def about_lines(costs: Sequence[Cost], lag: str = "") -> list[str]:
     """Returns the explanation of the columns; `lag` is that of the actuators in words, empty without."""
     designs = any(_has_designs(one) for one in costs)
-    more = "; designed: anew, for the loop of that rate" if designs else ""
-    loses = "loses: by how much the norm lies above that in continuous time, with a minus below it, which is a gain"
+    more = "; designed: anew, for the loop of that rate with forces that act at once" if designs else ""
+    change = "change: by how much the norm lies above that in continuous time, with a minus below it"
     plain = any(one.controller.hardware.bandwidth is None for one in costs)
     table_is = "; the design table of `python -m synth` has norms without that lag" if lag and plain else ""
-    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {loses}{table_is}", hang=2)]
+    return [line for one in costs[:1] for line in wrapped(f"late: the forces act {late(one)}{more}; {change}{table_is}", hang=2)]
 
 
 def late(one: Cost) -> str:
