@@ -7,12 +7,12 @@ import pytest
 
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.uncertainty_box import Box, ParameterDependentKYP, ScaledGain
+from synth.design.uncertainty.multipliers import stable_with_errors
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
 from synth.design.uncertainty.parameter_dependent_lyapunov import (
     bound_throughout,
     moving_x,
     stable_throughout,
-    stable_with_errors,
 )
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstCaseNormFunction, local_maximum, norm_at

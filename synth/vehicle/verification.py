@@ -21,8 +21,9 @@ from synth.design.multi_objective.band_norm import EVERYWHERE, Band
 from synth.design.multi_objective.peak import peak_over_road
 from synth.design.multi_objective.problem import GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.worst_case import worst_of_norm
+from synth.design.uncertainty.multipliers import all_stable, bound_in_band, stable_with_errors
 from synth.design.uncertainty.parameter_dependent_kyp import proof_in_band
-from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout, stable_throughout, stable_with_errors
+from synth.design.uncertainty.parameter_dependent_lyapunov import bound_throughout
 from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.design.uncertainty.worst_case import WorstNorm, worst_norm
 from synth.plant.augmented import on_larger_plant
@@ -232,11 +233,24 @@ def member_text(i: int, member) -> str:
 
 
 def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
-    """Returns the proved bound on a norm in a band by parameter-dependent matrices; infinite if nothing is proved."""
+    """Returns the proved bound on a norm in a band by multipliers, or else by matrices that move with the errors.
+
+    Args:
+        unit: the largest norm found.
+
+    Returns:
+        Infinity if nothing is proved.
+    """
+    if not all_stable(gain, box):
+        return np.inf
+    constant = bound_in_band(gain, box, *band, unit)
+    proved = constant.gamma if constant is not None else np.inf
+    if proved <= NEAR * unit:
+        return proved
     if band == EVERYWHERE:
-        return bound_throughout(gain, box, unit)
-    proof = proof_in_band(gain, box, *band, unit) if stable_throughout(gain, box) is not None else None
-    return proof.gamma if proof is not None else np.inf
+        return min(proved, bound_throughout(gain, box, unit))
+    moving = proof_in_band(gain, box, *band, unit)
+    return min(proved, moving.gamma) if moving is not None else proved
 
 
 def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:

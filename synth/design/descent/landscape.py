@@ -54,6 +54,7 @@ class Loop:
         poles: shape (n,).
         residues: C v w' Bw of every mode, with its right and left eigenvectors v and w, shape (n, d r), which make frequency
             responses cheap; None if eigenvectors lose too many digits.
+        vectors: the right eigenvectors, and the left ones as the rows of their inverse, shapes (n, n); None likewise.
     """
 
     A: Array
@@ -62,6 +63,7 @@ class Loop:
     Dw: Array
     poles: Array
     residues: Array | None
+    vectors: tuple[Array, Array] | None = None
 
     @cached_property
     def far(self) -> Array:
@@ -245,13 +247,13 @@ class Landscape:
             if not all(np.isfinite(part).all() for part in (A, C, Bw, Dw)):
                 return Loop(A, Bw, C, Dw, np.full(len(A), np.nan), None)
             poles, V = np.linalg.eig(A)
-            residues = None
+            residues = vectors = None
             with contextlib.suppress(np.linalg.LinAlgError):
                 inverse = np.linalg.inv(V)
                 if np.linalg.norm(V) * np.linalg.norm(inverse) < ILL_CONDITIONED:
                     seen, driven = (C @ V).T, inverse @ Bw
-                    residues = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1)
-            self.last = key, Loop(A, Bw, C, Dw, poles, residues)
+                    residues, vectors = (seen[:, :, None] * driven[:, None, :]).reshape(len(poles), -1), (V, inverse)
+            self.last = key, Loop(A, Bw, C, Dw, poles, residues, vectors)
         return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:

@@ -105,15 +105,31 @@ class BandLandscape(Landscape):
         low, high = self.band
         return super().moving(omega) & (omega > low * (1 + NEAR)) & (omega < high * (1 - NEAR))
 
+    def slowest(self, x: Array) -> float:
+        """Returns the largest real part of a pole that a gain moves [rad/s]; infinite if the loop is not finite."""
+        if self.own == len(self.A):
+            poles = self._closed(x).poles
+        else:
+            A = self.loop(x)[0][: self.own, : self.own]
+            poles = np.linalg.eigvals(A) if np.isfinite(A).all() else np.array([np.nan])
+        largest = float(np.real(poles).max())
+        return largest if np.isfinite(largest) else np.inf
+
     def decays(self, x: Array) -> tuple[Array, Array]:
         """Returns the real parts of the poles that a gain moves [rad/s], one per pair, shape (P,), and slopes, shape (P, m q).
 
         Poles of filters are left out, as no gain moves them. The states of filters are the last ones.
         """
-        A, ports, own = self.loop(x)[0][: self.own, : self.own], self.ports(x), slice(self.own)
-        poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
-        kept = np.imag(poles) >= 0
-        left, right = left[:, kept].conj().T, right[:, kept].T
+        ports, own, known = self.ports(x), slice(self.own), self._closed(x) if self.own == len(self.A) else None
+        if known is not None and known.vectors is not None:
+            poles, (right, left) = known.poles, known.vectors
+            kept = np.imag(poles) >= 0
+            left, right = left[kept], right[:, kept].T
+        else:
+            A = self.loop(x)[0][own, own]
+            poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
+            kept = np.imag(poles) >= 0
+            left, right = left[:, kept].conj().T, right[:, kept].T
         along = np.sum(left * right, axis=1)
         along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
         driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T

@@ -12,7 +12,7 @@ from models.common.errors import InputError
 from synth.analysis.stability import is_stable
 from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProblem
 from synth.design.multi_objective.search import MinimaxSearch, Told
-from synth.design.uncertainty.parameter_dependent_lyapunov import stable_with_errors
+from synth.design.uncertainty.multipliers import stable_with_errors
 from synth.plant.generalized import Feedback
 from synth.plant.numerics import numerics, up_to_rounding
 
@@ -75,7 +75,6 @@ def multi_objective_design(
     starts: Iterable[Array],
     on_progress: Told = lambda goal, within: None,
     otherwise: Callable[[], Iterable[Array]] = lambda: (),
-    roughly: bool = False,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
@@ -84,7 +83,6 @@ def multi_objective_design(
         starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
         on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
-        roughly: True for a goal that may be a thousandth above its minimum, in half the time.
 
     Raises:
         InputError: a decay is required for a discrete plant.
@@ -109,7 +107,7 @@ def multi_objective_design(
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
-    search = MinimaxSearch(problem, on_progress, roughly)
+    search = MinimaxSearch(problem, on_progress)
     try:
         x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
@@ -121,3 +119,20 @@ def multi_objective_design(
             MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)
         ) from error
     return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)
+
+
+@numerics()
+def improved_goal(
+    problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = lambda goal, within: None
+) -> float:
+    """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
+
+    The gain is found by descent from the design's, whose rounds are counted: it need not be the best.
+
+    Args:
+        problem: the design's own, but for the structure.
+        design: to start from.
+        on_progress: called with the goal, and True if all bounds are kept, at every new point.
+    """
+    found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
+    return design.goal if found is None else min(design.goal, found[1].goal)

@@ -107,9 +107,7 @@ class Decay(Objective):
 
     def value(self, x: Array, above: float = np.inf) -> float:
         """Returns the value of the slowest pole."""
-        if not np.all(np.isfinite(self.landscape.loop(x)[0])):
-            return np.inf
-        return 2 + float(self.landscape.decays(x)[0].max()) / self.rate
+        return 2 + self.landscape.slowest(x) / self.rate
 
     def support(self, x: Array, value: float, depth: float) -> Linearisation:
         """Returns the real parts of all poles near the bound."""

@@ -246,12 +246,13 @@ def objectives_of(
     for i, member in enumerate(problem.members):
         unit = problem.bests[i] if problem.bests is not None else 1.0
         for each in errors:
-            goals.append(NormObjective(problem.landscape(i, which, band, each, full), unit))
+            minimised = problem.landscape(i, which, band, each, full)
+            goals.append(NormObjective(minimised, unit))
             for norm in problem.norms:
                 landscape = problem.landscape(i, norm.which, norm.band, each, full)
                 bounds.append(NormObjective(landscape, norm.at_most * (1 - TIGHTER), norm.name))
             if rate:
-                bounds.append(decay(problem, problem.landscape(i, which, band, each, full), rate))
+                bounds.append(decay(problem, minimised, rate))  # of the same loop, whose poles are known then
         for signal in member.signals:
             landscape = problem.landscape(i, which, band, problem.no_errors, full)
             bounds.append(EnergyPeak(landscape, signal, signal.at_most * (1 - TIGHTER)))

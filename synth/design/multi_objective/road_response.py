@@ -164,9 +164,12 @@ class RoadResponse:
             return self._step_by_step(A, E)
         from scipy.signal import lfilter  # half a second
 
-        driven = inverse @ E
+        # Of a pair of conjugate modes one is computed, and counts twice.
+        kept = np.imag(values) >= 0
+        twice = np.where(np.imag(values[kept]) > 0, 2.0, 1.0)
+        values, vectors, driven = values[kept], vectors[:, kept] * twice, inverse[kept] @ E
         forcing = self._modal(values, driven)
-        ends, state, into = np.zeros((len(self.pieces), len(A)), complex), np.zeros(len(A), complex), -1
+        ends, state, into = np.zeros((len(self.pieces), len(values)), complex), np.zeros(len(values), complex), -1
         decays = np.exp(self.piece_lengths[:, None] * values)
         kernel = self.piece_lengths[:, None, None] * self._kernel(values, self.piece_lengths[:, None, None])
         of_road = ((self.piece_nodes @ driven.T) * kernel).sum(axis=1)
@@ -174,9 +177,9 @@ class RoadResponse:
             self.piece_steps
         ):  # from rest at the beginning of its step; the motion from before is added later
             if step != into:
-                into, state = step, np.zeros(len(A), complex)
+                into, state = step, np.zeros(len(values), complex)
             ends[i] = forcing[step] = state = decays[i] * state + of_road[i]
-        modes = np.zeros((len(self.time), len(A)), complex)
+        modes = np.zeros((len(self.time), len(values)), complex)
         for i, factor in enumerate(np.exp(values * self.h)):
             modes[1:, i] = lfilter([1.0], [1.0, -factor], forcing[:, i])
         ends += np.exp(self.piece_ends[:, None] * values) * modes[self.piece_steps]

@@ -59,6 +59,7 @@ GLANCE, ROUNDS = 15, 80  # rounds
 STAGES = 20  # twofold growths of the gain
 WORTH = 1e-3  # relative decrease of the goal that justifies a larger gain
 TURNS = 12  # limit of descents, each with more active errors
+TURNS_ON = 6  # descents of some rounds by which a given gain is improved
 MET = 1e-6  # relative: errors with a smaller effect are ignored
 ROUGHLY, CLOSELY = 1e-3, 1e-6  # relative: what a descent still gains where it ends, while errors violate it, and at last
 SLOWER = 0.1  # share of the best start's decay that is kept if no decay is required
@@ -74,8 +75,8 @@ Told = Callable[[float, bool], None]  # called with the goal, and True if all bo
 class MinimaxSearch:
     """The search for one problem."""
 
-    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told, roughly: bool = False) -> None:
-        self.problem, self.full, self.roughly = problem, problem.nominal(), roughly
+    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
+        self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
         self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
@@ -85,7 +86,7 @@ class MinimaxSearch:
         self.free = np.flatnonzero(problem.structure.ravel())
         self.active_errors = problem.corners(MOST_VERTICES)
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
-        self.settled = ROUGHLY if problem.has_errors or roughly else CLOSELY
+        self.settled = ROUGHLY if problem.has_errors else CLOSELY
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
         """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
@@ -102,10 +103,9 @@ class MinimaxSearch:
                 x, evaluation = self.converge(x, evaluation)
             else:
                 x, evaluation, refused = self.staged_descent(x, evaluation)
-            if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
-                x, evaluation = self.incumbent
+            x, evaluation = self.better(x, evaluation)
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
-                if self.roughly or self.settled == CLOSELY:
+                if self.settled == CLOSELY:
                     break
                 self.settled = CLOSELY  # no further error violates it: now to its last digits
                 continue
@@ -119,6 +119,37 @@ class MinimaxSearch:
             raise DesignError(UNSTABLE)
         return x, evaluation, refused
 
+    def improvement(self, gain: Array, errors: Sequence[GainErrors]) -> tuple[Array, Evaluation] | None:
+        """Descends from a gain for some rounds. Returns the best point, or None if none is within the bounds.
+
+        The rounds are counted, `TURNS_ON` times `GLANCE`, and not timed: the result is the same everywhere.
+
+        Args:
+            gain: of stable loops, shape (m, q).
+            errors: active from the beginning, beside no errors.
+        """
+        self.settled = ROUGHLY
+        self.activate(self.new_errors(errors))
+        (x,) = self.points([gain])
+        if not self.rate:
+            self.keep_decay(x)
+        self.safe_point, best = x, None
+        for _ in range(TURNS_ON):
+            moved, evaluation = self.brief_descent(x)
+            moved, evaluation = self.better(moved, evaluation)
+            if self.add_violating_errors(moved, evaluation) or self.tighten_peak_bounds(moved):
+                self.incumbent, evaluation = None, self.minimax.evaluate(moved)
+            x = moved if np.isfinite(evaluation.goal) else x
+            if evaluation.within and np.isfinite(evaluation.goal) and (best is None or evaluation.goal < best[1].goal):
+                best = moved, evaluation
+        return best
+
+    def keep_decay(self, x: Array) -> None:
+        """Requires a share of the decay that a point has with errors."""
+        self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(x))[0] for i in range(len(self.problem.members)))
+        self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
+        self.incumbent = None  # the stored point may decay more slowly
+
     def interrupted(self) -> tuple[Array, Evaluation] | None:
         """Returns the best feasible point that no error found so far destabilises, or None."""
         for x in (self.incumbent[0] if self.incumbent is not None else None, self.safe_point):
@@ -131,6 +162,12 @@ class MinimaxSearch:
         evaluation = self.minimax.evaluate(x)
         self.update_incumbent(x, evaluation)
         return evaluation
+
+    def better(self, x: Array, evaluation: Evaluation) -> tuple[Array, Evaluation]:
+        """Returns the stored point if it is better than this one, or this one."""
+        if self.incumbent is not None and (not evaluation.within or self.cost(*self.incumbent) < self.cost(x, evaluation)):
+            return self.incumbent
+        return x, evaluation
 
     def update_incumbent(self, x: Array, evaluation: Evaluation) -> None:
         """Stores a point if it is the best within all bounds."""
@@ -173,10 +210,7 @@ class MinimaxSearch:
         ranked = self.stable_with_errors(points, otherwise)
         self.stable_starts = ranked
         if not self.rate:
-            usual = next((x for x in ranked if x.tobytes() in given), ranked[0])  # others may rank best by being slow
-            self.rate = -SLOWER * max(self.worst.slowest(i, self.full.gain(usual))[0] for i in range(len(self.problem.members)))
-            self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
-            self.incumbent = None  # the stored point may decay more slowly
+            self.keep_decay(next((x for x in ranked if x.tobytes() in given), ranked[0]))  # others may rank best by being slow
         self.safe_point = ranked[0]
         return min((self.brief_descent(x) for x in ranked[:ENTERED]), key=lambda each: self.cost(*each))
 

@@ -1,4 +1,4 @@
-"""Search for the worst errors of a loop: for a norm from vertex to vertex of their box, for the slowest pole in the whole box.
+"""Search for the worst errors of a loop: for a norm at the vertices of their box, for the slowest pole in the whole box.
 
 A loop with errors is the loop without them under the gain that acts, (1 + forces) K (1 + sensors).
 """
@@ -14,7 +14,7 @@ from synth.design.multi_objective.problem import GainErrors, MultiObjectiveProbl
 
 TURNS = 4  # passes through all errors
 NOT_STABLE = 1e6  # value that stands for a bound's excess by an unstable loop
-CORNERS = 8  # number of errors up to which all vertices are tried for the slowest pole; with more errors, as many vertices
+CORNERS = 8  # number of errors up to which all vertices are tried; for the slowest pole, with more errors, as many vertices
 INSIDE = 64  # points tried inside the box
 SEED = 20261122
 
@@ -47,13 +47,18 @@ class WorstCaseErrors:
                 yield self.of_decay(i, rate, K)
 
     def of_norm(self, i: int, norm: NormSpecification, unit: float, K: Array) -> tuple[float, GainErrors]:
-        """Returns the largest norm of a member in a unit, found from vertex to vertex, one error at a time."""
+        """Returns the largest norm of a member in a unit, at all vertices, or of many found from one to the next."""
         landscape = self.landscape(i, norm.which, norm.band)
 
         def at(signs: Array) -> float:
             return min(landscape.norm(landscape.point(self._acting(K, signs)))[0] / unit, NOT_STABLE)
 
         best, worst = at(np.zeros_like(self.sides)), np.zeros_like(self.sides)
+        if len(self.free) <= CORNERS:
+            for signs in self._vertices():
+                if (value := at(signs)) > best:
+                    best, worst = value, signs
+            return best, self._errors(worst)
         for start in (1.0, -1.0):
             signs = np.full_like(self.sides, start)
             value = at(signs)
@@ -90,11 +95,11 @@ class WorstCaseErrors:
         It is infinite if a loop has no solution. Poles of a discrete plant are those of its continuous image.
         """
         count, rng = len(self.free), np.random.default_rng(SEED)
-        tried = np.zeros((2**CORNERS if count > CORNERS else 2**count, len(self.sides)))
         if count > CORNERS:
+            tried = np.zeros((2**CORNERS, len(self.sides)))
             tried[:, self.free] = rng.choice((-1.0, 1.0), (len(tried), count))
         else:
-            tried[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
+            tried = self._vertices()
         inside = np.zeros((INSIDE + 1, len(self.sides)))  # the first point is without errors
         inside[1:, self.free] = rng.uniform(-1, 1, (INSIDE, count))
         tried = np.concatenate([tried, inside])
@@ -109,6 +114,13 @@ class WorstCaseErrors:
             tried[np.arange(2 * count), np.tile(self.free, 2)] = np.repeat((-1.0, 1.0), count)
             if not count:
                 return best, self._errors(worst)
+
+    def _vertices(self) -> Array:
+        """Returns all vertices of the box, in its units, shape (2^k, q + m)."""
+        count = len(self.free)
+        vertices = np.zeros((2**count, len(self.sides)))
+        vertices[:, self.free] = 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1) - 1
+        return vertices
 
     def _slowest(self, i: int, K: Array, signs: Array) -> Array:
         """Returns the largest real parts, shape (N,), for errors in units of their box, shape (N, q + m)."""

@@ -12,11 +12,8 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.laws.linear import LinearLaw
 from synth.analysis.uncertainty_box import Box, Loops, ParameterDependentLyapunov, ScaledGain, left_side
-from synth.design.uncertainty.problem import box_of, scaled_gain
 from synth.lmi.barrier import Barrier, newton
-from synth.plant.generalized import GeneralizedPlant
 
 MOST_UNKNOWNS = 700  # of one problem: a second
 CLOSER = (1e-3, 1e-2, 0.1)  # relative; how far above the largest norm met a bound is tried
@@ -24,14 +21,6 @@ PARTS = 12  # into which a box may fall
 BEGIN = 0.1  # G at the start, in the coordinates of the middle
 FASTER, CENTRES, NEAR = 8.0, 16, 1e-2  # of the path, as in `worst_case.py`
 LARGEST = 1e3  # of X, F and G, where the middle's X is I: the inequality is homogeneous, and they would grow without end
-
-
-def stable_with_errors(
-    plant: GeneralizedPlant, Cy: Array, K: Array | LinearLaw, d: Array, e: Array, through: Array | None = None
-) -> bool:
-    """Returns True if the loop is proved stable for all errors; arguments as for `worst_norm`."""
-    gain = scaled_gain(plant, Cy, K, None, through)
-    return stable_throughout(gain, box_of(gain, d, e)) is not None
 
 
 def unknowns(gain: ScaledGain, box: Box) -> int:
