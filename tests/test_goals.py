@@ -386,7 +386,9 @@ def test_what_a_structure_costs_at_least_takes_so_many_rounds(paper):
     _, of_whole = designed(f"measured = {TWO}\nbounds = [{{ gain = 1.2e4 }}]")
     assert of_whole["norm"] * (1 - 1e-6) <= whole <= 1.01 * of_whole["norm"]
     vehicle = vehicle_with(f"measured = {TWO}\nbounds = [{{ gain = 1.2e4 }}]")
-    problem = goal_problem(vehicle, vehicle.controllers["goal"], vehicle.controllers["goal"].goals)
+    entry = vehicle.controllers["goal"]
+    assert entry.goals is not None
+    problem = goal_problem(vehicle, entry, entry.goals)
     begun, heard = MultiObjectiveDesign(controller.gain, promises["norm"], None, (), problem), []
     assert improved_goal(problem, begun, lambda goal, within: heard.append(goal)) == pytest.approx(whole, rel=1e-6)  # 7 digits
     assert 0 < len(heard) <= GLANCE * TURNS_ON

@@ -82,9 +82,8 @@ def no_more() -> Iterable[Array]:
 def multi_objective_design(
     problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    on_progress: Told = no_progress,
-    otherwise: Callable[[], Iterable[Array]] = no_more,
-    roughly: bool = False,
+    on_progress: Told = lambda goal, within: None,
+    otherwise: Callable[[], Iterable[Array]] = lambda: (),
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
@@ -93,7 +92,6 @@ def multi_objective_design(
         starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
         on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
-        roughly: True for a goal that may be a thousandth above its minimum, in half the time.
 
     Raises:
         InputError: a decay is required for a discrete plant.
@@ -118,7 +116,7 @@ def multi_objective_design(
         raise InputError("a discrete plant has no decay in rad/s; leave decay out, and bound a norm instead")
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
-    search = MinimaxSearch(problem, on_progress, roughly)
+    search = MinimaxSearch(problem, on_progress)
     try:
         x, evaluation, refused = search.result(starts, otherwise)
     except KeyboardInterrupt as error:
@@ -145,5 +143,5 @@ def improved_goal(
         design: to start from.
         on_progress: called with the goal, and True if all bounds are kept, at every new point.
     """
-    found = MinimaxSearch(problem, on_progress, roughly=True).improvement(design.gain, design.errors)
+    found = MinimaxSearch(problem, on_progress).improvement(design.gain, design.errors)
     return design.goal if found is None else min(design.goal, found[1].goal)

@@ -75,8 +75,8 @@ Told = Callable[[float, bool], None]  # called with the goal, and True if all bo
 class MinimaxSearch:
     """The search for one problem."""
 
-    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told, roughly: bool = False) -> None:
-        self.problem, self.full, self.roughly = problem, problem.nominal(), roughly
+    def __init__(self, problem: MultiObjectiveProblem, on_progress: Told) -> None:
+        self.problem, self.full = problem, problem.nominal()
         self.on_progress = on_progress
         self.incumbent: tuple[Array, Evaluation] | None = None
         self.safe_point: Array | None = None  # the last point that was checked, and is stable with all active errors
@@ -86,7 +86,7 @@ class MinimaxSearch:
         self.free = np.flatnonzero(problem.structure.ravel())
         self.active_errors = problem.corners(MOST_VERTICES)
         self.minimax = self.minimax_problem([problem.no_errors, *self.active_errors])
-        self.settled = ROUGHLY if problem.has_errors or roughly else CLOSELY
+        self.settled = ROUGHLY if problem.has_errors else CLOSELY
 
     def result(self, starts: Iterable[Array], otherwise: Callable[[], Iterable[Array]]) -> tuple[Array, Evaluation, float | None]:
         """Runs the search. Returns its last point, and the refused decrease of `MultiObjectiveDesign`."""
@@ -105,7 +105,7 @@ class MinimaxSearch:
                 x, evaluation, refused = self.staged_descent(x, evaluation)
             x, evaluation = self.better(x, evaluation)
             if not self.add_violating_errors(x, evaluation) and not self.tighten_peak_bounds(x):
-                if self.roughly or self.settled == CLOSELY:
+                if self.settled == CLOSELY:
                     break
                 self.settled = CLOSELY  # no further error violates it: now to its last digits
                 continue
@@ -128,6 +128,7 @@ class MinimaxSearch:
             gain: of stable loops, shape (m, q).
             errors: active from the beginning, beside no errors.
         """
+        self.settled = ROUGHLY
         self.activate(self.new_errors(errors))
         (x,) = self.points([gain])
         if not self.rate:
