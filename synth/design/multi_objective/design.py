@@ -69,15 +69,6 @@ class InterruptedSearch(KeyboardInterrupt):
         self.incumbent = best
 
 
-def no_progress(goal: float, within: bool) -> None:
-    """Ignores what a search has reached."""
-
-
-def no_more() -> Iterable[Array]:
-    """Returns no further starts."""
-    return ()
-
-
 @numerics()
 def multi_objective_design(
     problem: MultiObjectiveProblem,
