@@ -69,12 +69,21 @@ class InterruptedSearch(KeyboardInterrupt):
         self.incumbent = best
 
 
+def no_progress(goal: float, within: bool) -> None:
+    """Ignores what a search has reached."""
+
+
+def no_more() -> Iterable[Array]:
+    """Returns no further starts."""
+    return ()
+
+
 @numerics()
 def multi_objective_design(
     problem: MultiObjectiveProblem,
     starts: Iterable[Array],
-    on_progress: Told = lambda goal, within: None,
-    otherwise: Callable[[], Iterable[Array]] = lambda: (),
+    on_progress: Told = no_progress,
+    otherwise: Callable[[], Iterable[Array]] = no_more,
 ) -> MultiObjectiveDesign:
     """Searches the best gain of a multi-objective problem.
 
@@ -122,9 +131,7 @@ def multi_objective_design(
 
 
 @numerics()
-def improved_goal(
-    problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = lambda goal, within: None
-) -> float:
+def improved_goal(problem: MultiObjectiveProblem, design: MultiObjectiveDesign, on_progress: Told = no_progress) -> float:
     """Returns the goal of a better gain for a problem that a design's gain is within the bounds of, or the design's own.
 
     The gain is found by descent from the design's, whose rounds are counted: it need not be the best.
