@@ -7,6 +7,7 @@ import math
 import pkgutil
 import re
 
+import control
 import numpy as np
 import pytest
 from scipy import optimize
@@ -36,6 +37,7 @@ from sim.studies.stability.stability_margins import (
     _products,
     _sign_changes,
     crossovers,
+    disk_margin,
     gain_crossings,
     largest_sample_period,
     margins,
@@ -67,14 +69,62 @@ def test_scalar_loop(a, k):
     found = margins(scalar(a, k))
     assert found.gain == math.inf
     assert found.gain_lower == pytest.approx(max(a / k, 0), rel=1e-12)
+    assert found.disk.size == pytest.approx(2 / max(1, (k + a) / (k - a)), rel=1e-6)  # S - I / 2 is (s - a - k) / (s - a + k) / 2
     if k > abs(a):
         w = math.sqrt(k**2 - a**2)
         assert found.frequency == pytest.approx(w, rel=1e-9)
         assert found.delay == pytest.approx(math.acos(a / k) / w, rel=1e-9)
+        assert found.lead == pytest.approx(2 * math.pi - math.acos(a / k), rel=1e-9)
         assert found.sample_period == pytest.approx(math.log((k + a) / (k - a)) / a, rel=1e-9)
     else:  # |L| < 1 everywhere: any delay, any sample period
         assert found.crossovers == ()
-        assert found.delay == found.sample_period == found.smallest_phase == math.inf
+        assert found.delay == found.sample_period == found.smallest_phase == found.lead == math.inf
+
+
+@pytest.mark.parametrize("name", ["state", "I", "II"])
+def test_phase_and_disk_margins_are_those_of_python_control(paper, designer, name):
+    """The smaller one of lag and lead is the phase margin of python-control, and the disk margin is its own; II leads by more."""
+    loop = loop_transfer(paper, designer.design(name), [0])
+    found, open_ = margins(loop), control.ss(loop.A, loop.B, -loop.G, 0)
+    _, phase, _, _, frequency, _ = control.stability_margins(open_)
+    assert min(found.smallest_phase, found.lead) == pytest.approx(math.radians(abs(phase)), rel=1e-6)
+    assert frequency == pytest.approx(found.frequency if name == "II" else found.lead_frequency, rel=1e-6)
+    grid = np.concatenate([[0.0], np.geomspace(0.1, 100, 2000)])
+    size, gain, phase = control.disk_margins(open_, grid)
+    assert found.disk.size == pytest.approx(size, rel=1e-4)  # of its grid
+    assert found.disk.phase == pytest.approx(math.radians(phase), rel=1e-4)
+    assert found.disk.gain[1] == pytest.approx(10 ** (gain / 20), rel=1e-3)  # near 2 it is steep
+
+
+def test_a_lead_makes_the_loop_unstable(paper, designer):
+    """A lead of 0.398 rad is controller I's phase margin, by the poles of a turned gain and of a causal filter."""
+    loop = loop_transfer(paper, designer.design("I"), [0])
+    found = margins(loop)
+    assert found.lead == pytest.approx(0.39806, abs=1e-5)
+    assert found.lead_frequency == pytest.approx(1.80846, abs=1e-5)
+    corner = found.lead_frequency * math.tan(found.lead / 2)
+    for side in (1 - 1e-6, 1 + 1e-6):
+        poles = np.linalg.eigvals(loop.closed(np.exp(1j * side * found.lead)))
+        assert (poles.real.max() > 0) == (side > 1)
+        # u = (s - a) / (s + a) v has magnitude 1 and leads by 2 atan(a / w). At rest it changes the sign: |L(0)| < 1 bears that.
+        a = side * corner
+        filtered = np.block([[loop.A + loop.M, -2 * a * loop.B], [loop.G, np.array([[-a]])]])
+        assert (np.linalg.eigvals(filtered).real.max() > 0) == (side > 1)
+
+
+def test_factors_within_the_disk_of_each_force():
+    """A loop of two forces bears any complex factor of each within its disk margin, which is the peak of S - I / 2."""
+    vehicle = read_vehicle("half_car")
+    loop = loop_transfer(vehicle, designed(vehicle, "I"), [0, 1])
+    disk, forces = disk_margin(loop), 2
+    rng = np.random.default_rng(20261126)
+    inside = disk.size / 2 * 0.999 * np.exp(2j * np.pi * rng.uniform(size=(200, forces)))
+    factors = (1 + inside) / (1 - inside)
+    assert np.linalg.eigvals(loop.A + (loop.B * factors[:, None, :]) @ loop.G).real.max() < 0
+    assert disk.gain[1] <= min(factor for factor in gain_crossings(loop) if factor > 1)
+    omega = np.concatenate([[0.0], np.geomspace(0.05, 500, 2000)])
+    S = np.linalg.inv(np.eye(forces) - loop.transfer(omega))
+    assert 1 / disk.size == pytest.approx(np.linalg.norm(S - np.eye(forces) / 2, 2, axis=(1, 2)).max(), rel=1e-3)  # of the grid
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -712,6 +762,10 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
         assert [float(word) for word in line] == pytest.approx(
             [scale * result[key][of] for of in ("predicted", "found")], rel=1e-5
         )
+    assert result["phase"]["smallest"] == result["phase"]["lead"]["predicted"] < result["phase"]["predicted"]
+    for label, value in (("phase lead, rad", result["phase"]["lead"]["predicted"]), ("disk margin", result["disk"]["margin"])):
+        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", brief, re.M)
+        assert (float(line[0]), line[1]) == (pytest.approx(value, rel=1e-5), "-")  # predicted alone
     (line,) = re.findall(r"^  sample period, ms +(\S+) +(\S+)", printed, re.M)
     assert [float(word) for word in line] == pytest.approx(
         [1e3 * result["sample_period"][of] for of in ("predicted", "found")], rel=1e-5

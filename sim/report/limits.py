@@ -48,9 +48,11 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
         pairs = [
             ("gain, factor", predicted.gain, loop.gain.found),
-            ("phase [rad]", predicted.phase, loop.found_phase),
+            ("phase lag [rad]", predicted.phase, loop.found_phase),
+            ("phase lead [rad]", predicted.lead, math.nan),
             ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable),
             ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period),
+            ("disk margin", predicted.disk.size, math.nan),
             ("error of each reading and force [%]", *(100 * value for value in errors)),
         ]
         for name, first, second in pairs:
@@ -87,7 +89,9 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
     text = (
         "How much more gain, phase lag, delay or sample period the loop bears, all its actuators at once: predicted from the "
         f"loop transfer function, and confirmed in MuJoCo at {1e3 * timestep:g} ms, which decays on one side of that and grows "
-        "on the other; where it does not, bisection finds where decay ends. Other vehicles, with the ideal loop: "
+        "on the other; where it does not, bisection finds where decay ends. Phase lead and disk margin are predicted alone: "
+        "no run has a lead at every frequency, or a complex factor. Of gain and phase at once the disk margin alone speaks: "
+        "each force bears any complex factor f with |f - 1| / |f + 1| below half of it. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
     text = (*text, *(f"{one.name}: {promise.text}." for one in scope.active for promise in one.robustness))
@@ -188,4 +192,4 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
 
 
 def _margin(value: float) -> str:
-    return "any" if math.isinf(value) else f"{value:.5g}"
+    return "any" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.5g}"

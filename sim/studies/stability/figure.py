@@ -68,9 +68,13 @@ def margins_figure(
     ]
     predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
     edges = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
+    phases = f" (phase: {lag:.4g} rad lag, {lead:.4g} rad lead)" if math.isfinite(lead) else ""
     panels = []
     for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
+        if search is loop.delay:
+            title += phases
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))
     panels.append(_fragile_panel(fragile))
@@ -81,7 +85,9 @@ def margins_figure(
     delay, period = edges[1:]
     bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
     bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
-    finding = f"{controller.name} bears {bears[0]}, or {bears[1]}, before its loop is unstable."
+    if math.isfinite(lead):
+        bears.append(f"a phase of {min(lag, lead):.3g} rad" + (" (a lead)" if lead < lag else " (a lag)"))
+    finding = f"{controller.name} bears {', or '.join(bears)}, before its loop is unstable."
     return Figure("margins", title, tuple(panels), finding=finding)
 
 

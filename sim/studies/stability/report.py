@@ -9,6 +9,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
+from sim.studies.stability.stability_margins import DiskMargin
 from synth.controller.controller import Controller
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
@@ -49,11 +50,20 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
         "predicted": finite(predicted.phase),
         "found": finite(one.found_phase),
         "frequency": finite(predicted.frequency),
-        "smallest": finite(predicted.smallest_phase),
+        "smallest_lag": finite(predicted.smallest_phase),
+        "lead": {"predicted": finite(predicted.lead), "frequency": finite(predicted.lead_frequency)},
+        "smallest": finite(min(predicted.smallest_phase, predicted.lead)),
     }
+    disk = predicted.disk
     return {
         "gain": gain,
         "phase": phase,
+        "disk": {
+            "margin": disk.size,
+            "gain": [disk.gain[0], finite(disk.gain[1])],
+            "phase": disk.phase,
+            "frequency": finite(disk.frequency),
+        },
         "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
         "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
     }
@@ -162,14 +172,20 @@ def _called(name: str, count: int) -> str:
 def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     """A loop's margins as a table; `fixed` is the sample period of a discrete law [s]."""
     predicted, h = one.predicted, one.timestep
-    rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
-    if predicted.gain_lower or one.found_gain_lower:
+    lower = predicted.gain_lower or one.found_gain_lower
+    rows = [
+        ("gain, factor", predicted.gain, one.gain.found, "" if lower else "and any down to 0"),
+        *_sampled_rows(one.gain, h, 1),
+    ]
+    if lower:
         rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
         rows += _sampled_rows(one.gain_lower, h, -1)
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
         where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
     rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
+    where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
+    rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
     samples = ""
     if math.isfinite(one.delay.unstable):
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
@@ -184,6 +200,13 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
         own = "; ".join(filter(None, (own, tried)))
     rows.append(("sample period, ms", 1e3 * predicted.sample_period, 1e3 * one.found_sample_period, own))
     return _table(title, rows)
+
+
+def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
+    """Returns the disk margin as a row: which factors, and which turns, are on its edge."""
+    low, high = disk.gain
+    factors = f"{low:.3g} to {high:.3g}" if math.isfinite(high) else "any factor"
+    return "disk margin", disk.size, math.nan, f"{factors}; or {disk.phase:.3g} rad"
 
 
 def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
@@ -211,4 +234,5 @@ def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, flo
 
 
 def _cell(value: float) -> str:
-    return f"{'any' if math.isinf(value) else format(value, '.6g'):>{CELL}}"
+    """Returns a number in its column: `any` of an infinite one, and nothing of one that no run can show."""
+    return f"{'any' if math.isinf(value) else '-' if math.isnan(value) else format(value, '.6g'):>{CELL}}"
