@@ -39,13 +39,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.stability.growth_test import LONGEST
     from sim.studies.stability.margin_search import find_margins
     from sim.studies.stability.report import margins_lines, margins_object, verdict
-    from sim.studies.stability.robustness import robustness
+    from sim.studies.stability.robustness import read_variations, robustness
     from synth.vehicle.designer import Designer
 
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
+    variations = read_variations(vehicle, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages(
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("fragility")
     fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
-    (box,) = robustness(vehicle, [controller], options.timestep, stage)
+    (box,) = robustness(vehicle, [controller], options.timestep, stage, variations)
     stage("picture and logs")
     if options.picture is not None:
         from models.figures.picture import write_picture

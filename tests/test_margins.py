@@ -31,7 +31,7 @@ from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.report import _loop_lines
-from sim.studies.stability.robustness import robustness, varied_text
+from sim.studies.stability.robustness import read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
     _products,
@@ -480,6 +480,44 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
+def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
+    """The box is the one that is asked for, and its worst norm is the largest of as many vehicles as it says, no other."""
+    norms = []
+
+    def counted(system):
+        norms.append(hinf_norm(system))
+        return norms[-1]
+
+    monkeypatch.setattr("sim.studies.stability.robustness.hinf_norm", counted)
+    variations = read_variations(paper, ["suspension_damping:0.5:1.25"])
+    (box,) = robustness(paper, [designer.design("I")], 4e-3, variations=variations)
+    assert box is not None
+    assert box.holds
+    assert box.text == "suspension damping -50 to +25 %"
+    assert [corner.parameters for corner in box.corners] == [{"suspension_damping": 200.0}, {"suspension_damping": 500.0}]
+    assert box.computed == len(norms) > 81  # a grid, refined
+    assert box.norm == max(norm.value for norm in norms)
+    both = read_variations(read_vehicle("half_car"), ["tyre_stiffness:0.9:1.1"])
+    assert list(both.values()) == [("tyre_stiffness_front", "tyre_stiffness_rear")]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["mass:0.8:1.2"], "'mass' is no parameter"),
+        (["sprung_mass:0.8"], "not name:low:high"),
+        (["sprung_mass:0.8:x"], "not name:low:high"),
+        (["sprung_mass:1.1:1.2"], "give one above 0 and at most 1"),
+        (["sprung_mass:0.8:1.2"] * 2, "sprung_mass is varied twice"),
+        (["sprung_mass:0.8:1e12"], "--vary reaches|sprung mass varies"),
+    ],
+)
+def test_ranges_that_are_none(paper, asked, words):
+    """What cannot vary, or not so far, is refused in one line that says what may."""
+    with pytest.raises(InputError, match=words):
+        read_variations(paper, asked)
+
+
 def search_that_found(amount: float) -> Bisection:
     """A search that has ended there; nowhere if it is infinite."""
     tried = {1.0: Growth(False)} if math.isinf(amount) else {0.9995 * amount: Growth(False), 1.0005 * amount: Growth(True)}
@@ -771,6 +809,7 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
         [1e3 * result["sample_period"][of] for of in ("predicted", "found")], rel=1e-5
     )
     _check_fragility(printed, result["fragility"])
+    assert f"of {result['robustness']['computed']} vehicles computed, not proved between" in " ".join(brief.split())
     ranges = re.findall(r"([\w ]+?) (-\d+) to \+(\d+) %", printed)
     varied = {name.strip(): [1 + float(low) / 100, 1 + float(high) / 100] for name, low, high in ranges}
     assert varied == result["robustness"]["varied"] == {"sprung mass": [0.7, 1.4], "tyre stiffness": [0.75, 1.25]}

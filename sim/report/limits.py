@@ -61,10 +61,10 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
             statements.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
-        others = ("-", "-", "-")
+        others = ("-", "-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
-            others = (cell(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
+            others = (cell(box.norm, ".5g"), f"{box.computed}", at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
                 statements.append(Statement(text, "fails"))
@@ -81,8 +81,9 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         ),
         Table(
             "robustness",
-            "The worst norm on other vehicles, where that is, and whether MuJoCo settles there as the analysis says.",
-            ("controller", "norm", "worst norm", "at", "corners: MuJoCo and analysis say the", "margins"),
+            "The largest norm of so many other vehicles, where that is, and whether MuJoCo settles as the analysis says. Nothing "
+            "is proved of vehicles between those that were computed.",
+            ("controller", "norm", "worst norm", "of vehicles", "at", "corners: MuJoCo and analysis say the", "margins"),
             tuple(robust),
         ),
     )

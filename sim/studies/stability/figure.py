@@ -143,7 +143,7 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
     verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
     nominal = controller.certificate.norm.value
-    title = f"other vehicles: worst norm {box.norm:.4g}, designed {nominal:.4g}\nMuJoCo {verdict}"
+    title = f"other vehicles: worst norm {box.norm:.4g} of {box.computed} computed, designed {nominal:.4g}\nMuJoCo {verdict}"
     if len(percent) == 1:
         curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
         heights = np.array([corner.norm for corner in box.corners])

@@ -34,7 +34,13 @@ def margins_object(
         {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
         for corner in box.corners
     ]
-    result["robustness"] = {"varied": varied, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
+    result["robustness"] = {
+        "varied": varied,
+        "computed": box.computed,
+        "worst_norm": finite(box.norm),
+        "at": box.at,
+        "corners": corners,
+    }
     return result
 
 
@@ -109,8 +115,9 @@ def margins_lines(
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
-    worst = f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g}"
-    lines += ["", f"{worst} at {at}"] if verbose else [f"{worst}; -v: at which, and more"]
+    worst = f"{box.text}: worst norm {box.norm:.6g}"
+    sure = f"of {box.computed} vehicles computed, not proved between"
+    lines += ["", f"{worst} at {at}; the largest {sure}"] if verbose else [f"{worst} {sure}; -v: at which, and more"]
     for corner in box.corners:
         if corner.agrees and corner.decays and not verbose:
             continue
