@@ -124,6 +124,7 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
     """The controller, if its loop is one that has margins."""
     from sim.studies.stability.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
+    from synth.controller.report import sign_note
 
     name = controller.name
     if not controller.law.acts:
@@ -131,7 +132,7 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
     if not controller.certificate.stable:
         raise InputError(
             f"controller {name!r} has no margin, for without a computer its loop is not stable as it is "
-            f"({controller.certificate.stability.words}); give one that makes it stable"
+            f"({controller.certificate.stability.words}); give one that makes it stable{sign_note(controller)}"
         )
     times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:

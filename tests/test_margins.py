@@ -30,7 +30,7 @@ from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
-from sim.studies.stability.report import _loop_lines
+from sim.studies.stability.report import _loop_lines, _loop_object
 from sim.studies.stability.robustness import read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
@@ -541,6 +541,21 @@ def test_gain_margin_is_held_against_both_loops(own, sampled, found, agrees):
     """The margin in physics must be the sampled loop's at every step, and tend to the loop's own: one is not enough."""
     search, finer = (search_that_found(amount) for amount in found)
     assert GainMargin(own, sampled, search, finer).agrees is agrees
+
+
+@pytest.mark.parametrize("step", [False, True])
+def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
+    """A gain that MuJoCo has at no step of its own is said to be extrapolated, in words and in --json; one that it ran is not."""
+    one = searches(paper, designer.design("I"), [0], 1e-3)
+    coarse, fine = (search_that_found(one.predicted.gain + away) for away in ((-0.02, -0.01) if step else (0.0, 0.0)))
+    fine = fine if step else dataclasses.replace(fine, tried={})
+    gain = GainMargin(one.predicted.gain, (coarse.found, fine.found), coarse, fine)
+    lower = dataclasses.replace(one.gain_lower, search=search_that_found(math.inf))
+    one = dataclasses.replace(one, gain=gain, gain_lower=lower)
+    (row,) = (line for line in _loop_lines("the loop", one, None) if line.startswith("  gain, factor"))
+    assert gain.found == pytest.approx(one.predicted.gain, rel=1e-6)
+    assert row.endswith("  extrapolated; down to 0, too" if step else "1.21014  down to 0, too")
+    assert _loop_object(one)["gain"]["extrapolated"] == step
 
 
 @pytest.mark.attack

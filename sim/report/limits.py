@@ -47,16 +47,16 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
         errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
         pairs = [
-            ("gain, factor", predicted.gain, loop.gain.found),
-            ("phase lag [rad]", predicted.phase, loop.found_phase),
-            ("phase lead [rad]", predicted.lead, math.nan),
-            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable),
-            ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period),
-            ("disk margin", predicted.disk.size, math.nan),
-            ("error of each reading and force [%]", *(100 * value for value in errors)),
+            ("gain, factor", predicted.gain, loop.gain.found, loop.gain.extrapolated),
+            ("phase lag [rad]", predicted.phase, loop.found_phase, False),
+            ("phase lead [rad]", predicted.lead, math.nan, False),
+            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable, False),
+            ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period, False),
+            ("disk margin", predicted.disk.size, math.nan, False),
+            ("error of each reading and force [%]", *(100 * value for value in errors), fragile.edge.extrapolated),
         ]
-        for name, first, second in pairs:
-            rows.append((one.name, name, _margin(first), _margin(second)))
+        for name, first, second, limit in pairs:
+            rows.append((one.name, name, _margin(first), f"{_margin(second)}{' (extrapolated)' * limit}"))
         agrees = loop.agrees and fragile.agrees
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:

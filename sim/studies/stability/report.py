@@ -24,7 +24,11 @@ def margins_object(
     loops = {name: _loop_object(one) for name, one in margins.items() if name}
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
-    edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
+    edge = {
+        "mujoco": finite(fragile.edge.found),
+        "extrapolated": fragile.edge.extrapolated,
+        "sampled": _sampled_object(fragile.edge, fragile.timestep),
+    }
     weighted = {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
     result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge | weighted
     if box is None:
@@ -50,6 +54,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
         "predicted": finite(predicted.gain),
         "found": finite(one.gain.found),
         "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "extrapolated": one.gain.extrapolated,
         "sampled": _sampled_object(one.gain, one.timestep),
     }
     phase = {  # lag: what a delay makes
@@ -146,7 +151,7 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     names = controller.measured, vehicle.linear_model.inputs
     worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
     told = verbose or len(worst) <= WIDTH - 6
-    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, worst if told else "")]
+    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, _noted(edge, worst if told else ""))]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
     rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
     proved = proved_text(predicted)
@@ -181,11 +186,11 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     predicted, h = one.predicted, one.timestep
     lower = predicted.gain_lower or one.found_gain_lower
     rows = [
-        ("gain, factor", predicted.gain, one.gain.found, "" if lower else "and any down to 0"),
+        ("gain, factor", predicted.gain, one.gain.found, _noted(one.gain, "" if lower else "down to 0, too")),
         *_sampled_rows(one.gain, h, 1),
     ]
     if lower:
-        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, _noted(one.gain_lower)))
         rows += _sampled_rows(one.gain_lower, h, -1)
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
@@ -226,6 +231,11 @@ def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[st
         beside = f"{row}  {note}".rstrip()
         lines += [beside] if len(beside) <= WIDTH else [row, *wrapped(note, "      ")]
     return lines
+
+
+def _noted(gain: GainMargin, note: str = "") -> str:
+    """Returns a note on a margin, which says before all if what MuJoCo has of it is none of its runs."""
+    return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else "", note)))
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
