@@ -44,11 +44,12 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
         "done",
         "complete",
         "cells",
+        "edges",
         "csv",
         "picture",
     ),
 }
-LATER = ("fragility", "disk", "iri", "loads")  # keys that older logs of this format lack
+LATER = ("fragility", "disk", "iri", "loads", "edges")  # keys that older logs of this format lack
 WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 

@@ -69,19 +69,17 @@ def margins_figure(
     predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
     edges = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
     lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
-    phases = f" (phase: {lag:.4g} rad lag, {lead:.4g} rad lead)" if math.isfinite(lead) else ""
+    phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
     panels = []
     for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
-        if search is loop.delay:
-            title += phases
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))
     panels.append(_fragile_panel(fragile))
     if box is not None:
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
-    title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
+    title = f"{about}.{phases} Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
     delay, period = edges[1:]
     bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
     bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")

@@ -61,7 +61,7 @@ class GainMargin:
 
     @property
     def extrapolated(self) -> bool:
-        """Returns True if the margin found is none that was run: the limit of two."""
+        """Returns True if the margin found is the limit of two runs' margins."""
         return bool(self.finer.tried) and math.isfinite(self.found)
 
     @property

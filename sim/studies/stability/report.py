@@ -234,7 +234,7 @@ def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[st
 
 
 def _noted(gain: GainMargin, note: str = "") -> str:
-    """Returns a note on a margin, which says before all if what MuJoCo has of it is none of its runs."""
+    """Returns a note on a margin; it begins with the word for one that is extrapolated from MuJoCo's runs."""
     return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else "", note)))
 
 
