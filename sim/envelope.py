@@ -1,4 +1,4 @@
-"""`python -m sim.envelope`: the map of validity, over any two of a bump's height, length and the speed."""
+"""`python -m sim.envelope`: the map of validity, over one or two of a bump's height, length and the speed."""
 
 import functools
 import json
@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.vehicle.vehicle import read_vehicle
     from sim.command.comparison import log_lines, recorded, say_false_claims
     from sim.runs.run import sample_times
+    from sim.studies.validity.edges import edge_lines, edges, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
     from sim.studies.validity.regime_map import InterruptedMap, loaded, validity
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
@@ -63,15 +64,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not cells.done.any():
             raise
     stage("picture and logs")
+    fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
+    along, found = edges(cells, axes, proportional=not (loads or vehicle.is_curved))
     if options.csv is not None:
         write_csv(options.csv, cells, options.threshold)
     if options.picture is not None:
         from models.figures.picture import write_picture
         from sim.studies.validity.report import envelope_figure
 
-        fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
         write_picture(envelope_figure(vehicle, controller, cells, axes, fixed, options.threshold, loads), options.picture)
-    result = envelope_object(cells, axes, name, options.threshold) | loads_object(options.loads) | written(outputs)
+    result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges_object(along, found)}
+    result |= loads_object(options.loads) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
     logs = recorded(options, vehicle, [controller.name], nearest, result)
     stage.end()
@@ -81,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
         about = f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}{under}"
         lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
-        say([*lines, *written_lines(outputs), *log_lines(logs), "", *envelope_lines(cells, options.threshold)])
+        ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
+        say([*lines, *written_lines(outputs), *log_lines(logs), "", *ends, "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():
         complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")
         return interrupt.code()

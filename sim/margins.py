@@ -39,13 +39,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.stability.growth_test import LONGEST
     from sim.studies.stability.margin_search import find_margins
     from sim.studies.stability.report import margins_lines, margins_object, verdict
-    from sim.studies.stability.robustness import robustness
+    from sim.studies.stability.robustness import read_variations, robustness
     from synth.vehicle.designer import Designer
 
     # What is asked is how much the loop bears beyond an ideal implementation.
     as_built = read_vehicle(options.vehicle)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
     name = one_chosen(vehicle.controller_names, options.controller)
+    variations = read_variations(vehicle, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
     stage = Stages(
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("fragility")
     fragile = find_fragility(vehicle, controller, options.timestep, stage)
     stage("other vehicles")
-    (box,) = robustness(vehicle, [controller], options.timestep, stage)
+    (box,) = robustness(vehicle, [controller], options.timestep, stage, variations)
     stage("picture and logs")
     if options.picture is not None:
         from models.figures.picture import write_picture
@@ -123,6 +124,7 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
     """The controller, if its loop is one that has margins."""
     from sim.studies.stability.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
+    from synth.controller.report import sign_note
 
     name = controller.name
     if not controller.law.acts:
@@ -130,7 +132,7 @@ def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) ->
     if not controller.certificate.stable:
         raise InputError(
             f"controller {name!r} has no margin, for without a computer its loop is not stable as it is "
-            f"({controller.certificate.stability.words}); give one that makes it stable"
+            f"({controller.certificate.stability.words}); give one that makes it stable{sign_note(controller)}"
         )
     times = loop_transfer(vehicle, controller, range(len(vehicle.linear_model.inputs))).comes_back
     if times >= 1:

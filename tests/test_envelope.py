@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from sim.response.regime import (
 )
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers
+from sim.studies.validity.edges import travel_line
 from sim.studies.validity.grid import grid, read_axes
 from sim.studies.validity.regime_map import InterruptedMap, validity
 from sim.studies.validity.report import envelope_figure, envelope_lines, write_csv
@@ -294,6 +296,55 @@ def test_command(capsys, tmp_path):
         assert row["map_complete"] == "True"
     assert picture.read_text().startswith("<?xml")
     assert recorded_runs(result["logs"]["mcap"]) == {"II_nothing_breaks", "II_lift_off"}
+
+
+def test_edges_along_the_height(capsys, tmp_path):
+    """One axis will do: words and --json say up to which height nothing breaks, and where one linear run has the end."""
+    pytest.importorskip("matplotlib")
+    arguments = ["--controller", "I", "--vary", "height:0.1:0.6:6", "--speed", "12.5", "--timestep", "0.002"]
+    assert main([*arguments, "--picture", str(tmp_path / "line.svg")]) == 0
+    printed = prose(capsys.readouterr().out)
+    end = "with a length of 5 m and a speed of 12.5 m/s: nothing up to 0.4 m, lift-off from 0.5 m; predicted from 0.4544 m"
+    assert f"where the linear regime ends along the height, {end}" in printed
+    travel = re.search(r"no bump stops in the file: where nothing breaks a suspension moves up to (\d+) mm", printed)
+    assert travel is not None
+    (run,) = run_controllers(*_of_paper("I"), Bump(0.4, 5.0, 12.5), TIME)
+    assert float(travel[1]) == pytest.approx(1e3 * run.physics.peak("suspension_deflection"), abs=0.5)  # of a rounded millimetre
+    predicted = [1 / utilisation(_of_paper("I")[0], one).max() for one in (_metre("I", 12.5),)]
+    assert predicted == pytest.approx([0.4544], abs=5e-5)  # of four digits
+    assert (tmp_path / "line.svg").read_text().startswith("<?xml")
+    assert main([*arguments[:2], "--vary", "height:0.3:0.6:2", "--vary", "speed:6:12:2", *arguments[-2:], "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["edges"]
+    assert found["along"] == "height"
+    assert [line["speed"] for line in found["lines"]] == [6.0, 12.0]
+    slow, fast = found["lines"]
+    assert [part["end"] for part in slow["breaks_first"]] == [None]
+    assert [part["end"] for part in fast["breaks_first"]] == [None, "lift-off"]
+    assert fast["breaks_first"][0]["to"] < fast["predicted_from"] < fast["breaks_first"][1]["from"]
+
+
+def _of_paper(name):
+    vehicle = read_vehicle("quarter_car")
+    return vehicle, [Designer(vehicle, search=False).design(name)]
+
+
+def _metre(name, speed):
+    vehicle, (controller,) = _of_paper(name)
+    return sampled_response(vehicle, controller, Bump(1.0, 5.0, speed), TIME)
+
+
+def test_a_suspension_with_stops_has_no_line_on_its_travel(limited, paper, cells):
+    """How far a suspension moves is said where no stop ends it, and nothing without a cell that breaks nothing."""
+    assert travel_line(limited, cells) == []
+    assert len(travel_line(paper, cells)) == 1
+    assert travel_line(paper, dataclasses.replace(cells, first=np.zeros_like(cells.first))) == []
+
+
+@pytest.mark.parametrize("axes", [[], ["height:0.1:0.2:2", "speed:3:5:2", "length:1:2:2"], ["speed:12.5:12.5:1"]])
+def test_axes_that_are_none(axes):
+    """A map has one axis or two, and one value of a quantity is an option, not an axis."""
+    with pytest.raises(InputError, match=r"a map has one axis or two|give low < high"):
+        read_axes(axes)
 
 
 def test_words_are_the_cells(tmp_path, capsys, of_one_map):

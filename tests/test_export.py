@@ -346,6 +346,12 @@ def test_margins_of_the_loop_as_implemented(name, period, delay):
     before, after = (LoopModel(one, controller, h).radius for one in late)
     assert before < 1 <= after
     assert found.phase == found.delay * found.frequency
+    kept = LoopModel(vehicle, controller, h).closed_loop
+    forces = LoopModel(vehicle, controller, h).open_loop
+    F = np.hstack([forces.asked, np.zeros((forces.forces, len(kept.transition) - forces.asked.shape[1]))])
+    for side in (1 - 1e-4, 1 + 1e-4):  # crossovers are between points of a grid, a four-millionth apart
+        turned = kept.transition + (np.exp(1j * side * found.lead) - 1) * kept.added[:, : forces.forces] @ F
+        assert (np.abs(np.linalg.eigvals(turned)).max() > 1) == (side > 1)
 
 
 SOFT = re.compile(rb"__aeabi_(?:[ui]?l?2)?(d|f)[a-z0-9]+|__aeabi_[ui]?l?2(d|f)")  # routines for numbers of 64 and 32 bits

@@ -10,12 +10,16 @@ import pytest
 from scipy import linalg, optimize
 
 from models.common.errors import InputError
-from models.laws.law_structure import LawStructure
+from models.common.printed import wrapped
+from models.laws.law_structure import LawStructure, pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from sim.margins import _with_loop
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
+from synth.command.table import Row, short_lines
 from synth.controller.controller import InterruptedDesign
+from synth.controller.report import pid_line, sign_note
 from synth.design.descent.landscape import Landscape
 from synth.design.feedback import design_feedback
 from synth.design.fixed_order.fixed_order import FixedOrderDesign, _Search, fixed_order_design
@@ -266,6 +270,8 @@ def test_a_designed_pid_is_the_one_that_its_gains_make(sampled):
     written = said[said.index("pid = {") :].split("}")[0] + "}"
     given = quarter_car(f'measured = ["suspension_deflection"]\n{written}', more).vehicle.controllers["mine"].law
     assert given is not None
+    assert pid_line(found) == written.replace("  ", " ")
+    assert short_lines(Row("mine", found, (), ())) == wrapped(written, "mine: ", 4)
     period = 0.01 if sampled else None
     mine, own = (law.sampled(0.01) if sampled else law for law in (given, found.law))
     assert own.sample_period == period
@@ -282,6 +288,38 @@ def test_corners_have_controllers_of_their_own():
     assert law is not None
     np.testing.assert_array_equal(law.D, [[0, -300], [-400, 0]])
     np.testing.assert_allclose(law.response(1.0), [[0, -300 + 10j], [-400 + 10j, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("gains", [{"ki": -10.0}, {"kp": -3.0, "kd": 40.0}, {"kp": 1.5, "ki": 2.0, "kd": -4.0}])
+def test_a_pid_law_is_told_by_its_numbers(gains):
+    """A law's matrices say which PID made them, on one force or on each of two; a law of an order is none."""
+    numbers = {**gains, "filter": 0.03} if "kd" in gains else gains
+    pid = f"pid = {{ {', '.join(f'{name} = {value}' for name, value in numbers.items())} }}"
+    law = quarter_car(f'measured = ["suspension_deflection"]\n{pid}').vehicle.controllers["mine"].law
+    text = f'[controllers.mine]\nmeasured = ["suspension_deflection_front", "suspension_deflection_rear"]\n{pid}'
+    both = parse_vehicle(f"{read_vehicle('half_car').text}\n{text}").controllers["mine"].law
+    assert law is not None
+    assert both is not None
+    tables = [*pid_gains(law), *pid_gains(both)]
+    assert len(tables) == 3
+    for found in tables:
+        given = {name: value for name, value in found.items() if value}
+        assert given == pytest.approx(numbers, rel=1e-9)  # a handful of operations
+    assert pid_gains(LinearLaw(np.array([[-5.0]]), np.array([[1.0]]), np.array([[30.0]]), np.zeros((1, 1)))) == []
+
+
+def test_an_unstable_pid_says_what_its_signs_mean():
+    """Positive gains on an extension push with it: where such a loop is unstable synth and sim.margins say so, of others not."""
+    designer = quarter_car(pid_section(kp=2000.0, ki=500.0))
+    wrong = designer.design("mine")
+    (line,) = short_lines(Row("mine", wrong, (), wrong.certificate.failures))
+    assert line.startswith(
+        "mine FAILS: unstable: a pole at 0.04497 1/s; a positive kp, ki or kd gives a force that lifts the body"
+    )
+    with pytest.raises(InputError, match="against it gains are negative"):
+        _with_loop(designer.vehicle, wrong, 1e-3)
+    right = quarter_car(pid_section(kp=-2000.0, ki=-500.0)).design("mine")
+    assert sign_note(right) == ""
 
 
 def test_an_integral_that_nothing_moves_is_said():

@@ -7,6 +7,7 @@ import math
 import pkgutil
 import re
 
+import control
 import numpy as np
 import pytest
 from scipy import optimize
@@ -29,13 +30,14 @@ from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
-from sim.studies.stability.report import _loop_lines
-from sim.studies.stability.robustness import robustness, varied_text
+from sim.studies.stability.report import _loop_lines, _loop_object
+from sim.studies.stability.robustness import read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
     _products,
     _sign_changes,
     crossovers,
+    disk_margin,
     gain_crossings,
     largest_sample_period,
     margins,
@@ -67,14 +69,62 @@ def test_scalar_loop(a, k):
     found = margins(scalar(a, k))
     assert found.gain == math.inf
     assert found.gain_lower == pytest.approx(max(a / k, 0), rel=1e-12)
+    assert found.disk.size == pytest.approx(2 / max(1, (k + a) / (k - a)), rel=1e-6)  # S - I / 2 is (s - a - k) / (s - a + k) / 2
     if k > abs(a):
         w = math.sqrt(k**2 - a**2)
         assert found.frequency == pytest.approx(w, rel=1e-9)
         assert found.delay == pytest.approx(math.acos(a / k) / w, rel=1e-9)
+        assert found.lead == pytest.approx(2 * math.pi - math.acos(a / k), rel=1e-9)
         assert found.sample_period == pytest.approx(math.log((k + a) / (k - a)) / a, rel=1e-9)
     else:  # |L| < 1 everywhere: any delay, any sample period
         assert found.crossovers == ()
-        assert found.delay == found.sample_period == found.smallest_phase == math.inf
+        assert found.delay == found.sample_period == found.smallest_phase == found.lead == math.inf
+
+
+@pytest.mark.parametrize("name", ["state", "I", "II"])
+def test_phase_and_disk_margins_are_those_of_python_control(paper, designer, name):
+    """The smaller one of lag and lead is the phase margin of python-control, and the disk margin is its own; II leads by more."""
+    loop = loop_transfer(paper, designer.design(name), [0])
+    found, open_ = margins(loop), control.ss(loop.A, loop.B, -loop.G, 0)
+    _, phase, _, _, frequency, _ = control.stability_margins(open_)
+    assert min(found.smallest_phase, found.lead) == pytest.approx(math.radians(abs(phase)), rel=1e-6)
+    assert frequency == pytest.approx(found.frequency if name == "II" else found.lead_frequency, rel=1e-6)
+    grid = np.concatenate([[0.0], np.geomspace(0.1, 100, 2000)])
+    size, gain, phase = control.disk_margins(open_, grid)
+    assert found.disk.size == pytest.approx(size, rel=1e-4)  # of its grid
+    assert found.disk.phase == pytest.approx(math.radians(phase), rel=1e-4)
+    assert found.disk.gain[1] == pytest.approx(10 ** (gain / 20), rel=1e-3)  # near 2 it is steep
+
+
+def test_a_lead_makes_the_loop_unstable(paper, designer):
+    """A lead of 0.398 rad is controller I's phase margin, by the poles of a turned gain and of a causal filter."""
+    loop = loop_transfer(paper, designer.design("I"), [0])
+    found = margins(loop)
+    assert found.lead == pytest.approx(0.39806, abs=1e-5)
+    assert found.lead_frequency == pytest.approx(1.80846, abs=1e-5)
+    corner = found.lead_frequency * math.tan(found.lead / 2)
+    for side in (1 - 1e-6, 1 + 1e-6):
+        poles = np.linalg.eigvals(loop.closed(np.exp(1j * side * found.lead)))
+        assert (poles.real.max() > 0) == (side > 1)
+        # u = (s - a) / (s + a) v has magnitude 1 and leads by 2 atan(a / w). At rest it changes the sign: |L(0)| < 1 bears that.
+        a = side * corner
+        filtered = np.block([[loop.A + loop.M, -2 * a * loop.B], [loop.G, np.array([[-a]])]])
+        assert (np.linalg.eigvals(filtered).real.max() > 0) == (side > 1)
+
+
+def test_factors_within_the_disk_of_each_force():
+    """A loop of two forces bears any complex factor of each within its disk margin, which is the peak of S - I / 2."""
+    vehicle = read_vehicle("half_car")
+    loop = loop_transfer(vehicle, designed(vehicle, "I"), [0, 1])
+    disk, forces = disk_margin(loop), 2
+    rng = np.random.default_rng(20261126)
+    inside = disk.size / 2 * 0.999 * np.exp(2j * np.pi * rng.uniform(size=(200, forces)))
+    factors = (1 + inside) / (1 - inside)
+    assert np.linalg.eigvals(loop.A + (loop.B * factors[:, None, :]) @ loop.G).real.max() < 0
+    assert disk.gain[1] <= min(factor for factor in gain_crossings(loop) if factor > 1)
+    omega = np.concatenate([[0.0], np.geomspace(0.05, 500, 2000)])
+    S = np.linalg.inv(np.eye(forces) - loop.transfer(omega))
+    assert 1 / disk.size == pytest.approx(np.linalg.norm(S - np.eye(forces) / 2, 2, axis=(1, 2)).max(), rel=1e-3)  # of the grid
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -430,6 +480,44 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
+def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
+    """The box is the one that is asked for, and its worst norm is the largest of as many vehicles as it says, no other."""
+    norms = []
+
+    def counted(system):
+        norms.append(hinf_norm(system))
+        return norms[-1]
+
+    monkeypatch.setattr("sim.studies.stability.robustness.hinf_norm", counted)
+    variations = read_variations(paper, ["suspension_damping:0.5:1.25"])
+    (box,) = robustness(paper, [designer.design("I")], 4e-3, variations=variations)
+    assert box is not None
+    assert box.holds
+    assert box.text == "suspension damping -50 to +25 %"
+    assert [corner.parameters for corner in box.corners] == [{"suspension_damping": 200.0}, {"suspension_damping": 500.0}]
+    assert box.computed == len(norms) > 81  # a grid, refined
+    assert box.norm == max(norm.value for norm in norms)
+    both = read_variations(read_vehicle("half_car"), ["tyre_stiffness:0.9:1.1"])
+    assert list(both.values()) == [("tyre_stiffness_front", "tyre_stiffness_rear")]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (["mass:0.8:1.2"], "'mass' is no parameter"),
+        (["sprung_mass:0.8"], "not name:low:high"),
+        (["sprung_mass:0.8:x"], "not name:low:high"),
+        (["sprung_mass:1.1:1.2"], "give one above 0 and at most 1"),
+        (["sprung_mass:0.8:1.2"] * 2, "sprung_mass is varied twice"),
+        (["sprung_mass:0.8:1e12"], "--vary reaches|sprung mass varies"),
+    ],
+)
+def test_ranges_that_are_none(paper, asked, words):
+    """What cannot vary, or not so far, is refused in one line that says what may."""
+    with pytest.raises(InputError, match=words):
+        read_variations(paper, asked)
+
+
 def search_that_found(amount: float) -> Bisection:
     """A search that has ended there; nowhere if it is infinite."""
     tried = {1.0: Growth(False)} if math.isinf(amount) else {0.9995 * amount: Growth(False), 1.0005 * amount: Growth(True)}
@@ -453,6 +541,21 @@ def test_gain_margin_is_held_against_both_loops(own, sampled, found, agrees):
     """The margin in physics must be the sampled loop's at every step, and tend to the loop's own: one is not enough."""
     search, finer = (search_that_found(amount) for amount in found)
     assert GainMargin(own, sampled, search, finer).agrees is agrees
+
+
+@pytest.mark.parametrize("step", [False, True])
+def test_a_limit_of_two_runs_is_no_run(paper, designer, step):
+    """A gain that MuJoCo has at no step of its own is said to be extrapolated, in words and in --json; one that it ran is not."""
+    one = searches(paper, designer.design("I"), [0], 1e-3)
+    coarse, fine = (search_that_found(one.predicted.gain + away) for away in ((-0.02, -0.01) if step else (0.0, 0.0)))
+    fine = fine if step else dataclasses.replace(fine, tried={})
+    gain = GainMargin(one.predicted.gain, (coarse.found, fine.found), coarse, fine)
+    lower = dataclasses.replace(one.gain_lower, search=search_that_found(math.inf))
+    one = dataclasses.replace(one, gain=gain, gain_lower=lower)
+    (row,) = (line for line in _loop_lines("the loop", one, None) if line.startswith("  gain, factor"))
+    assert gain.found == pytest.approx(one.predicted.gain, rel=1e-6)
+    assert row.endswith("  extrapolated; down to 0, too" if step else "1.21014  down to 0, too")
+    assert _loop_object(one)["gain"]["extrapolated"] == step
 
 
 @pytest.mark.attack
@@ -712,11 +815,16 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
         assert [float(word) for word in line] == pytest.approx(
             [scale * result[key][of] for of in ("predicted", "found")], rel=1e-5
         )
+    assert result["phase"]["smallest"] == result["phase"]["lead"]["predicted"] < result["phase"]["predicted"]
+    for label, value in (("phase lead, rad", result["phase"]["lead"]["predicted"]), ("disk margin", result["disk"]["margin"])):
+        (line,) = re.findall(rf"^  {label} +(\S+) +(\S+)", brief, re.M)
+        assert (float(line[0]), line[1]) == (pytest.approx(value, rel=1e-5), "-")  # predicted alone
     (line,) = re.findall(r"^  sample period, ms +(\S+) +(\S+)", printed, re.M)
     assert [float(word) for word in line] == pytest.approx(
         [1e3 * result["sample_period"][of] for of in ("predicted", "found")], rel=1e-5
     )
     _check_fragility(printed, result["fragility"])
+    assert f"of {result['robustness']['computed']} vehicles computed, not proved between" in " ".join(brief.split())
     ranges = re.findall(r"([\w ]+?) (-\d+) to \+(\d+) %", printed)
     varied = {name.strip(): [1 + float(low) / 100, 1 + float(high) / 100] for name, low, high in ranges}
     assert varied == result["robustness"]["varied"] == {"sprung mass": [0.7, 1.4], "tyre stiffness": [0.75, 1.25]}

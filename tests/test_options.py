@@ -144,7 +144,7 @@ REFUSED = [
     ("sim.sweep", ["--picture", "/nowhere/sweep.png"], "no folder"),
     ("sim.sweep", ["--speed", "0"], "speed"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:1", "--vary", "speed:3:30:20"], "2 or more"),
-    ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:20"], "two axes, 1 given"),
+    ("sim.envelope", ["--controller", "I"], "one axis or two, 0 given"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:20", "--vary", "height:0.02:0.3:20"], "twice"),
     ("sim.envelope", ["--controller", "I", "--vary", "width:0.02:0.3:20", "--vary", "speed:3:30:20"], "unknown quantity"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3", "--vary", "speed:3:30:20"], "name:low:high:count"),

@@ -426,7 +426,7 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     for name, key, factor in (
         ("delay [ms]", "delay", 1e3),
         ("sample period [ms]", "sample_period", 1e3),
-        ("phase [rad]", "phase", 1),
+        ("phase lag [rad]", "phase", 1),
     ):
         row = read.row("margins", controller="II", margin=name)
         for mine, theirs in (("predicted", "predicted"), ("MuJoCo", "found")):

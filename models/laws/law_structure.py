@@ -5,7 +5,8 @@ structure = "corner"
 structure = "pid"
 pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }
 
-A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. Its integral is an exact integrator, a pole at 0.
+A PID law is u = kp y + ki (integral of y) + kd s / (filter s + 1) y. Its integral is an exact integrator, a pole at 0. There is
+no minus: a positive force lifts the body, so that negative gains on an extension work against it and positive ones with it.
 """
 
 import math
@@ -22,6 +23,7 @@ from models.laws.goals import CORNER, read_structure
 from models.laws.linear import LARGEST, MATRICES, LinearLaw
 
 GAINS, FILTER = ("kp", "ki", "kd"), "filter"
+ITS_GAINS = "its gains: "  # begins the remark on a PI or PID law that is designed
 SHORTEST, LONGEST = 1e-6, 1e3  # s, time constant of a derivative's low-pass
 EXAMPLE = "pid = { kp = -8000.0, ki = -2000.0, kd = -900.0, filter = 0.01 }"
 
@@ -121,6 +123,41 @@ def read_pid(where: str, entry: Mapping[str, Any], measured: Sequence[str], corn
     C, D = K @ law.C, K @ law.D
     kept = np.flatnonzero(np.any(C != 0, axis=0))  # the states are independent of one another
     return LinearLaw(law.A[kept][:, kept], (law.B @ rows)[kept], C[:, kept], D @ rows)
+
+
+def pid_gains(law: LinearLaw) -> list[dict[str, float]]:
+    """Returns the numbers of a PI or PID law as `pid` of a vehicle file has them, for each force; empty of any other law.
+
+    Its states are integrals and filtered signals, with the poles 0 and -1 / filter, and the inputs 1 and 1 / filter.
+    """
+    rates = -np.diag(law.A)
+    signals, forces = np.nonzero(law.B), np.nonzero(law.C.T)
+    states = np.arange(law.states)
+    each_one = all(np.array_equal(rows, states) for rows, _ in (signals, forces))
+    if law.sample_period is not None or not law.states or np.any(np.diag(-rates) != law.A) or not each_one:
+        return []
+    if np.any(law.B[signals] != np.where(rates == 0, 1.0, rates)) or np.any(rates < 0):
+        return []
+    found: list[dict[str, float]] = []
+    for i, row in enumerate(law.D):
+        mine = np.flatnonzero(forces[1] == i)
+        integral, filtered = mine[rates[mine] == 0], mine[rates[mine] > 0]
+        if len({*signals[1][mine].tolist(), *np.flatnonzero(row).tolist()}) > 1 or len(integral) > 1 or len(filtered) > 1:
+            return []
+        kd = float(sum(-law.C[i, j] / rates[j] for j in filtered))
+        gains = {"kp": float(row.sum() - sum(kd * rates[j] for j in filtered))}
+        if len(integral):
+            gains["ki"] = float(law.C[i, integral[0]])
+        if len(filtered):
+            gains |= {"kd": kd, FILTER: float(1 / rates[filtered[0]])}
+        found.append(gains)
+    return found
+
+
+def pid_text(law: LinearLaw) -> str:
+    """Returns a PI or PID law as a vehicle file has it, a table for each force; empty of any other law."""
+    tables = [", ".join(f"{name} = {value:.6g}" for name, value in gains.items()) for gains in pid_gains(law)]
+    return ", ".join(f"pid = {{ {one} }}" for one in tables)
 
 
 def _block(kp: Array, ki: Array, kd: Array) -> Array:

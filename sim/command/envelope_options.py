@@ -20,6 +20,7 @@ exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 
 
 examples:
   python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png
+  python -m sim.envelope --controller I --vary height:0.02:0.6:30 --speed 12.5
   python -m sim.envelope --controller II --vary length:1:10:30 --vary speed:4:30:30 --height 0.08 --csv envelope.csv
 """
 
@@ -31,7 +32,10 @@ def parser() -> Parser:
     )
     parser.add_one("passive, state, or one of the vehicle file's")
     parser.add_argument(
-        "--vary", action="append", metavar="NAME:LOW:HIGH:COUNT", help="an axis of the map: height, length or speed; give two"
+        "--vary",
+        action="append",
+        metavar="NAME:LOW:HIGH:COUNT",
+        help="an axis: height, length or speed; give one or two",
     )
     parser.add_number("--height", BUMP_HEIGHT, "m", "bump height, where it is not varied")
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length, where it is not varied")

@@ -23,6 +23,7 @@ exit code: 0 prediction and physics agree, 1 they do not, 2 bad input
 examples:
   python -m sim.margins --controller II
   python -m sim.margins --controller I --picture margins.png --logs logs
+  python -m sim.margins --controller I --vary sprung_mass:0.8:1.2 --vary suspension_damping:0.5:1
   python -m sim.margins --controller I --vehicle half_car --json
 """
 
@@ -37,6 +38,13 @@ def parser() -> Parser:
     parser.add_one("state, or one of the vehicle file's")
     add_exported(parser)
     parser.add_number("--timestep", TIMESTEP, "s", "integration step; delays and sample periods are its multiples")
+    parser.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="NAME:LOW:HIGH",
+        help="other vehicles: a parameter from LOW to HIGH times the vehicle's own, up to four; by default what the kind says",
+    )
     parser.add_logs("MuJoCo on either side of the delay margin")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the margins, as .png or .svg; needs matplotlib")
     parser.add_printed("each loop, norms with errors, rounded numbers and each other vehicle")

@@ -33,7 +33,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
     "bump": ("runs", "road", "timestep"),
     "drive": ("runs", "road", "timestep", "measured_from", "definitions", "iri"),
     "sweep": ("sweeps", "amplitude", "timestep", "speed"),
-    "margins": ("controller", "gain", "phase", "delay", "sample_period", "loops", "robustness", "loop", "fragility"),
+    "margins": ("controller", "gain", "phase", "disk", "delay", "sample_period", "loops", "robustness", "loop", "fragility"),
     "envelope": (
         "controller",
         "axes",
@@ -44,11 +44,12 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
         "done",
         "complete",
         "cells",
+        "edges",
         "csv",
         "picture",
     ),
 }
-LATER = ("fragility", "iri", "loads")  # keys that older logs of this format lack
+LATER = ("fragility", "disk", "iri", "loads", "edges")  # keys that older logs of this format lack
 WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 

@@ -47,22 +47,24 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         predicted, fragile = loop.predicted, find_fragility(vehicle, one, timestep)
         errors = fragile.predicted.stable.smallest_violation, fragile.edge.found
         pairs = [
-            ("gain, factor", predicted.gain, loop.gain.found),
-            ("phase [rad]", predicted.phase, loop.found_phase),
-            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable),
-            ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period),
-            ("error of each reading and force [%]", *(100 * value for value in errors)),
+            ("gain, factor", predicted.gain, loop.gain.found, loop.gain.extrapolated),
+            ("phase lag [rad]", predicted.phase, loop.found_phase, False),
+            ("phase lead [rad]", predicted.lead, math.nan, False),
+            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable, False),
+            ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period, False),
+            ("disk margin", predicted.disk.size, math.nan, False),
+            ("error of each reading and force [%]", *(100 * value for value in errors), fragile.edge.extrapolated),
         ]
-        for name, first, second in pairs:
-            rows.append((one.name, name, _margin(first), _margin(second)))
+        for name, first, second, limit in pairs:
+            rows.append((one.name, name, _margin(first), f"{_margin(second)}{' (extrapolated)' * limit}"))
         agrees = loop.agrees and fragile.agrees
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
             statements.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
-        others = ("-", "-", "-")
+        others = ("-", "-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
-            others = (cell(box.norm, ".5g"), at, "same" if box.holds else "NOT THE SAME")
+            others = (cell(box.norm, ".5g"), f"{box.computed}", at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
                 text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
                 statements.append(Statement(text, "fails"))
@@ -79,15 +81,18 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         ),
         Table(
             "robustness",
-            "The worst norm on other vehicles, where that is, and whether MuJoCo settles there as the analysis says.",
-            ("controller", "norm", "worst norm", "at", "corners: MuJoCo and analysis say the", "margins"),
+            "The largest norm of so many other vehicles, where that is, and whether MuJoCo settles as the analysis says. Nothing "
+            "is proved of vehicles between those that were computed.",
+            ("controller", "norm", "worst norm", "of vehicles", "at", "corners: MuJoCo and analysis say the", "margins"),
             tuple(robust),
         ),
     )
     text = (
         "How much more gain, phase lag, delay or sample period the loop bears, all its actuators at once: predicted from the "
         f"loop transfer function, and confirmed in MuJoCo at {1e3 * timestep:g} ms, which decays on one side of that and grows "
-        "on the other; where it does not, bisection finds where decay ends. Other vehicles, with the ideal loop: "
+        "on the other; where it does not, bisection finds where decay ends. Phase lead and disk margin are predicted alone: "
+        "no run has a lead at every frequency, or a complex factor. Of gain and phase at once the disk margin alone speaks: "
+        "each force bears any complex factor f with |f - 1| / |f + 1| below half of it. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
     text = (*text, *(f"{one.name}: {promise.text}." for one in scope.active for promise in one.robustness))
@@ -188,4 +193,4 @@ def validity_section(scope: Scope, maps: Sequence[Map]) -> tuple[Section, list[S
 
 
 def _margin(value: float) -> str:
-    return "any" if math.isinf(value) else f"{value:.5g}"
+    return "any" if math.isinf(value) else "-" if math.isnan(value) else f"{value:.5g}"

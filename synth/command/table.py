@@ -28,7 +28,9 @@ from synth.controller.report import (
     norm_lines,
     norm_object,
     norm_record,
+    pid_line,
     preview_lines,
+    sign_note,
 )
 
 if TYPE_CHECKING:
@@ -188,7 +190,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     if row.fragile is not None:
         lines += [f"  {line}" for line in row.fragile.lines]
     said = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
-    return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in row.failures)]
+    return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in _failures(row))]
 
 
 def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
@@ -210,8 +212,11 @@ def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
 
 
 def _gain(controller: Controller) -> list[str]:
-    """Returns the line of a designed gain; empty where no line holds it."""
-    gain = gain_lines(controller.law.D, f"{controller.name}: gain ") if controller.designed and not controller.law.states else []
+    """Returns the line of a designed gain, empty where no line holds it, or the gains of a designed PI or PID law."""
+    if controller.designed and controller.law.states:
+        pid = pid_line(controller)
+        return wrapped(pid, f"{controller.name}: ", 4) if pid else []
+    gain = gain_lines(controller.law.D, f"{controller.name}: gain ") if controller.designed else []
     return gain if len(gain) == 1 and len(gain[0]) <= WIDTH else []
 
 
@@ -226,7 +231,13 @@ def _answers(row: Row, checked: bool) -> list[str]:
 
 
 def _failure_lines(row: Row) -> list[str]:
-    return [f"{row.name} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {failure}" for failure in row.failures]
+    return [f"{row.name} {'FAILS' if row.controller is not None else 'NOT DESIGNED'}: {failure}" for failure in _failures(row)]
+
+
+def _failures(row: Row) -> list[str]:
+    """Returns what fails, the first with a note on the signs of a law if they may be why."""
+    first, *others = [*row.failures] or [""]
+    return [f"{first}{sign_note(row.controller) if row.controller is not None else ''}", *others] if first else []
 
 
 def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:

@@ -192,7 +192,32 @@ def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
     """Returns the lines of a law after some text: a static one as its gain, others by their states and poles."""
     if not law.states:
         return gain_lines(law.D, gain)
-    return [f"{of_states}{law.text}"]
+    from models.laws.law_structure import pid_text
+
+    pid = pid_text(law)
+    return [f"{of_states}{law.text}", *([f"{of_states}{pid}"] if pid else [])]
+
+
+def pid_line(controller: Controller) -> str:
+    """Returns the gains of a designed PI or PID law, a discrete one's too, as a vehicle file has them; empty of others."""
+    from models.laws.law_structure import ITS_GAINS, pid_text
+
+    remarked = (remark.partition(ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
+    return next(filter(None, remarked), "") or pid_text(controller.law)
+
+
+def sign_note(controller: Controller) -> str:
+    """Returns a note on the signs of a PI or PID law whose loop is unstable; empty of others, and without a positive gain."""
+    if controller.certificate.stable or not controller.law.states:
+        return ""
+    from models.laws.law_structure import GAINS, pid_gains
+
+    if not any(gains.get(name, 0.0) > 0 for gains in pid_gains(controller.law) for name in GAINS):
+        return ""
+    return (
+        "; a positive kp, ki or kd gives a force that lifts the body, and so pushes with an extension: "
+        "against it gains are negative"
+    )
 
 
 def gain_lines(gain: Array, start: str) -> list[str]:

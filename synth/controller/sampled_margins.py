@@ -3,7 +3,8 @@
 From sample to sample the loop is x[k+1] = T x[k] + Gamma u[k], u[k] = F x[k]; the implementation's delay is among its states. A
 factor on the forces changes the eigenvalues of T + factor Gamma F. A delay d turns an eigenvalue of F (z I - T)^-1 Gamma at
 z = exp(j w h), with the sample period h, by w d. Where that has magnitude 1, its angle over w is a delay at which the loop is
-marginal; the shortest one is the margin. A delay of part of a sample changes the hold, too: it is refined on the loop itself.
+marginal; the shortest one is the margin. A delay of part of a sample changes the hold, too: it is refined on the loop itself. A
+lead is the rest of a whole turn.
 """
 
 import math
@@ -33,12 +34,14 @@ class SampledMargins:
         gain_lower: largest factor below 1 at which it is unstable; 0 without one.
         delay: shortest delay of all forces, beside that of the implementation, at which it is unstable [s].
         frequency: of the loop that is then marginal [rad/s]; NaN without one.
+        lead: smallest phase lead of all forces, at every frequency alike, at which it is unstable [rad].
     """
 
     gain: float
     gain_lower: float
     delay: float
     frequency: float
+    lead: float
 
     @property
     def phase(self) -> float:
@@ -64,12 +67,15 @@ def sampled_margins(vehicle: Vehicle, controller: Controller, timestep: float) -
     Gamma = closed.added[:, : loop.open_loop.forces]
     F = np.hstack([loop.open_loop.asked, np.zeros((len(Gamma[0]), len(Gamma) - loop.open_loop.asked.shape[1]))])
     open_, pushed = closed.transition - Gamma @ F, Gamma @ F
-    frequency, delay = _shortest_delay(open_, Gamma, F, loop.period)
+    crossed = _crossovers(open_, Gamma, F, loop.period)
+    frequency, lag = min(crossed, key=lambda one: one[1] / one[0], default=(math.nan, math.inf))
+    delay = lag / frequency if crossed else math.inf
     return SampledMargins(
         _first_growing(open_, pushed, FACTORS),
         _first_growing(open_, pushed, 1 / FACTORS) or 0.0,
         delay if loop.steps == 1 else _refined(loop, delay),
         frequency,
+        min((2 * np.pi - lag for _, lag in crossed), default=math.inf),
     )
 
 
@@ -90,8 +96,8 @@ def _first_growing(open_: Array, pushed: Array, factors: Array) -> float:
     return unstable
 
 
-def _shortest_delay(open_: Array, Gamma: Array, F: Array, period: float) -> tuple[float, float]:
-    """Returns the frequency and the delay of the first crossover, or NaN and infinity."""
+def _crossovers(open_: Array, Gamma: Array, F: Array, period: float) -> list[tuple[float, float]]:
+    """Returns the frequency and the lag of every crossover."""
 
     def eigenvalues(omega: Array) -> Array:
         z = np.exp(1j * omega * period)[:, None, None]
@@ -103,7 +109,7 @@ def _shortest_delay(open_: Array, Gamma: Array, F: Array, period: float) -> tupl
     grid = np.union1d(
         np.geomspace(SLOWEST, np.pi / period, FREQUENCIES, endpoint=False), np.linspace(SLOWEST, np.pi / period, FREQUENCIES)
     )
-    best = math.nan, math.inf
+    crossed: list[tuple[float, float]] = []
     for i in _crossings(eigenvalues(grid)):
         low, high = grid[i], grid[i + 1]
         for _ in range(4):
@@ -115,8 +121,8 @@ def _shortest_delay(open_: Array, Gamma: Array, F: Array, period: float) -> tupl
         omega = (low + high) / 2
         (values,) = eigenvalues(np.array([omega]))
         turned = float(np.angle(values[np.argmin(np.abs(np.log(np.abs(values))))]) % (2 * np.pi))
-        best = min(best, (float(omega), turned / float(omega)), key=lambda one: one[1])
-    return best
+        crossed.append((float(omega), turned))
+    return crossed
 
 
 def _crossings(values: Array) -> Array:

@@ -66,6 +66,7 @@ def _margins_object(margins: SampledMargins | None) -> dict[str, float | None] |
         "gain": finite(margins.gain),
         "gain_lower": margins.gain_lower or None,
         "phase": finite(margins.phase),
+        "phase_lead": finite(margins.lead),
         "delay": finite(margins.delay),
     }
 
@@ -80,7 +81,8 @@ def _law(law: ExportedLaw, matrix: Array) -> LinearLaw:
 MARGINS = {
     "gain": ("gain margin, factor", 1.0),
     "gain_lower": ("lower gain margin", 1.0),
-    "phase": ("phase margin, degrees", math.degrees(1)),
+    "phase": ("phase lag margin, degrees", math.degrees(1)),
+    "phase_lead": ("phase lead margin, degrees", math.degrees(1)),
     "delay": ("delay margin, ms", 1e3),
 }
 

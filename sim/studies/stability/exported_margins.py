@@ -112,9 +112,11 @@ class ExportedMargins:
         """Returns the rows of a table: those of `numbers_rows`, and what MuJoCo found."""
         found, rows = self.record["mujoco"] or {}, []
         seen = {name: found[key] and scale * found[key] for key, (name, scale) in MARGINS.items() if key in found}
+        alone = {name for key, (name, _) in MARGINS.items() if found and key not in found}  # a lead: no run can show it
         for row in numbers_rows(self.about):
             value = seen.get(row[0])
-            rows.append((*row, "" if row[0] not in seen else "any" if value is None else f"{value:{self.digits}}"))
+            unseen = "-" if row[0] in alone else ""
+            rows.append((*row, unseen if row[0] not in seen else "any" if value is None else f"{value:{self.digits}}"))
         return rows
 
     @property

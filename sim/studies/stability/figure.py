@@ -68,6 +68,8 @@ def margins_figure(
     ]
     predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
     edges = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
+    phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
     panels = []
     for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
         numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
@@ -77,11 +79,13 @@ def margins_figure(
     if box is not None:
         panels.append(_box_panel(controller, box))
     about = f"{vehicle.kind.name.replace('_', ' ')}, controller {controller.name}: what its loop bears"
-    title = f"{about}. Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
+    title = f"{about}.{phases} Lines: slowest pole of the sampled loop. Points: MuJoCo at {1e3 * timestep:g} ms"
     delay, period = edges[1:]
     bears = [f"{1e3 * delay:.3g} ms of delay" if math.isfinite(delay) else "any delay that is tried"]
     bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
-    finding = f"{controller.name} bears {bears[0]}, or {bears[1]}, before its loop is unstable."
+    if math.isfinite(lead):
+        bears.append(f"a phase of {min(lag, lead):.3g} rad" + (" (a lead)" if lead < lag else " (a lag)"))
+    finding = f"{controller.name} bears {', or '.join(bears)}, before its loop is unstable."
     return Figure("margins", title, tuple(panels), finding=finding)
 
 
@@ -124,7 +128,8 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
     numbers = [
         f"{100 * value:.4g} %" if math.isfinite(value) else "any" for value in (stable.smallest_violation, fragile.edge.found)
     ]
-    title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
+    limit = " (extrapolated)" if fragile.edge.extrapolated else ""
+    title = f"errors of {whose(predicted)}, each by itself\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}{limit}"
     return Panel(title, "error of each [%]", "H-infinity norm", tuple(curves), xlim=(0.0, 100 * end), ylim=(low, high))
 
 
@@ -137,7 +142,7 @@ def _box_panel(controller: Controller, box: Robustness) -> Panel:
     fine = np.array([corner.decays and corner.agrees for corner in box.corners])
     verdict = "agrees and settles at every corner" if box.holds else "and analysis do not say the same at every corner"
     nominal = controller.certificate.norm.value
-    title = f"other vehicles: worst norm {box.norm:.4g}, designed {nominal:.4g}\nMuJoCo {verdict}"
+    title = f"other vehicles: worst norm {box.norm:.4g} of {box.computed} computed, designed {nominal:.4g}\nMuJoCo {verdict}"
     if len(percent) == 1:
         curves, ground, height = [Curve(percent[0], norms, "H-infinity norm", LINE)], None, np.array([nominal])
         heights = np.array([corner.norm for corner in box.corners])

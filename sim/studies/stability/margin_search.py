@@ -60,6 +60,11 @@ class GainMargin:
         return math.inf if fine > WITHOUT_END * coarse or math.isinf(fine) else 2 * fine - coarse
 
     @property
+    def extrapolated(self) -> bool:
+        """Returns True if the margin found is the limit of two runs' margins."""
+        return bool(self.finer.tried) and math.isfinite(self.found)
+
+    @property
     def agrees(self) -> bool:
         """Returns True if physics has the predicted margins, at each step that it ran with and extrapolated.
 

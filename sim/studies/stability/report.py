@@ -9,6 +9,7 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
+from sim.studies.stability.stability_margins import DiskMargin
 from synth.controller.controller import Controller
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
@@ -23,7 +24,11 @@ def margins_object(
     loops = {name: _loop_object(one) for name, one in margins.items() if name}
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
-    edge = {"mujoco": finite(fragile.edge.found), "sampled": _sampled_object(fragile.edge, fragile.timestep)}
+    edge = {
+        "mujoco": finite(fragile.edge.found),
+        "extrapolated": fragile.edge.extrapolated,
+        "sampled": _sampled_object(fragile.edge, fragile.timestep),
+    }
     weighted = {"weighted_errors": [promise.record for promise in controller.robustness]} if controller.robustness else {}
     result["fragility"] = fragility_object(fragile.predicted, fragile.rounding, *names) | edge | weighted
     if box is None:
@@ -33,7 +38,13 @@ def margins_object(
         {**corner.parameters, "norm": finite(corner.norm), "stable": corner.decays, "agrees": corner.agrees}
         for corner in box.corners
     ]
-    result["robustness"] = {"varied": varied, "worst_norm": finite(box.norm), "at": box.at, "corners": corners}
+    result["robustness"] = {
+        "varied": varied,
+        "computed": box.computed,
+        "worst_norm": finite(box.norm),
+        "at": box.at,
+        "corners": corners,
+    }
     return result
 
 
@@ -43,17 +54,27 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
         "predicted": finite(predicted.gain),
         "found": finite(one.gain.found),
         "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "extrapolated": one.gain.extrapolated,
         "sampled": _sampled_object(one.gain, one.timestep),
     }
     phase = {  # lag: what a delay makes
         "predicted": finite(predicted.phase),
         "found": finite(one.found_phase),
         "frequency": finite(predicted.frequency),
-        "smallest": finite(predicted.smallest_phase),
+        "smallest_lag": finite(predicted.smallest_phase),
+        "lead": {"predicted": finite(predicted.lead), "frequency": finite(predicted.lead_frequency)},
+        "smallest": finite(min(predicted.smallest_phase, predicted.lead)),
     }
+    disk = predicted.disk
     return {
         "gain": gain,
         "phase": phase,
+        "disk": {
+            "margin": disk.size,
+            "gain": [disk.gain[0], finite(disk.gain[1])],
+            "phase": disk.phase,
+            "frequency": finite(disk.frequency),
+        },
         "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
         "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
     }
@@ -99,8 +120,9 @@ def margins_lines(
     if box is None:
         return [*lines, "", f"other vehicles: {varied_text(vehicle.kind)}"]
     at = ", ".join(f"{name} {value:.6g}" for name, value in box.at.items())
-    worst = f"{varied_text(vehicle.kind)}: worst norm {box.norm:.6g}"
-    lines += ["", f"{worst} at {at}"] if verbose else [f"{worst}; -v: at which, and more"]
+    worst = f"{box.text}: worst norm {box.norm:.6g}"
+    sure = f"of {box.computed} vehicles computed, not proved between"
+    lines += ["", f"{worst} at {at}; the largest {sure}"] if verbose else [f"{worst} {sure}; -v: at which, and more"]
     for corner in box.corners:
         if corner.agrees and corner.decays and not verbose:
             continue
@@ -129,7 +151,7 @@ def _fragile_lines(vehicle: Vehicle, controller: Controller, fragile: FragilityF
     names = controller.measured, vehicle.linear_model.inputs
     worst = errors_text(predicted.stable, *names) if math.isfinite(edge.own) else "none up to 100 % ends it"
     told = verbose or len(worst) <= WIDTH - 6
-    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, worst if told else "")]
+    rows = [(f"of {whose(predicted)}", 100 * edge.own, 100 * edge.found, _noted(edge, worst if told else ""))]
     rows += [(name, 100 * at, 100 * seen, note) for name, at, seen, note in _sampled_rows(edge, h, 1)]
     rounded = rounding_text(controller.certificate.norm.value, fragile.rounding)
     proved = proved_text(predicted)
@@ -162,14 +184,20 @@ def _called(name: str, count: int) -> str:
 def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     """A loop's margins as a table; `fixed` is the sample period of a discrete law [s]."""
     predicted, h = one.predicted, one.timestep
-    rows = [("gain, factor", predicted.gain, one.gain.found, ""), *_sampled_rows(one.gain, h, 1)]
-    if predicted.gain_lower or one.found_gain_lower:
-        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, ""))
+    lower = predicted.gain_lower or one.found_gain_lower
+    rows = [
+        ("gain, factor", predicted.gain, one.gain.found, _noted(one.gain, "" if lower else "down to 0, too")),
+        *_sampled_rows(one.gain, h, 1),
+    ]
+    if lower:
+        rows.append(("gain, lower factor", predicted.gain_lower, one.found_gain_lower, _noted(one.gain_lower)))
         rows += _sampled_rows(one.gain_lower, h, -1)
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
         where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
     rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
+    where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
+    rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
     samples = ""
     if math.isfinite(one.delay.unstable):
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
@@ -186,6 +214,13 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     return _table(title, rows)
 
 
+def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
+    """Returns the disk margin as a row: which factors, and which turns, are on its edge."""
+    low, high = disk.gain
+    factors = f"{low:.3g} to {high:.3g}" if math.isfinite(high) else "any factor"
+    return "disk margin", disk.size, math.nan, f"{factors}; or {disk.phase:.3g} rad"
+
+
 def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
     """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
     heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
@@ -196,6 +231,11 @@ def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[st
         beside = f"{row}  {note}".rstrip()
         lines += [beside] if len(beside) <= WIDTH else [row, *wrapped(note, "      ")]
     return lines
+
+
+def _noted(gain: GainMargin, note: str = "") -> str:
+    """Returns a note on a margin; it begins with the word for one that is extrapolated from MuJoCo's runs."""
+    return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else "", note)))
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
@@ -211,4 +251,5 @@ def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, flo
 
 
 def _cell(value: float) -> str:
-    return f"{'any' if math.isinf(value) else format(value, '.6g'):>{CELL}}"
+    """Returns a number in its column: `any` of an infinite one, and nothing of one that no run can show."""
+    return f"{'any' if math.isinf(value) else '-' if math.isnan(value) else format(value, '.6g'):>{CELL}}"

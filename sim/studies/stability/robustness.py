@@ -1,18 +1,19 @@
-"""A controller on other vehicles than its own: the worst norm over a box of parameters, and the physics at its corners.
+"""A controller on other vehicles than its own: the largest norm found over a box of parameters, and the physics at its corners.
 
-Which parameters vary, and how far, is the kind's to say: `Parameter.varied`.
+Which parameters vary, and how far, is the kind's to say, `Parameter.varied`, or asked for. The norm is computed of many vehicles
+of the box, and nothing is proved of those between.
 """
 
-import functools
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError, listing, quoted
 from models.common.lean_scipy import optimize
 from models.kinds.kind import Variation, VehicleKind
 from models.roads.road import Bump, RoadInput
@@ -26,6 +27,8 @@ from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel
 
 GRID = 81  # norms that are taken first, whatever the box's dimension
+MOST = 4  # quantities that vary: physics runs two to that power
+EXAMPLE = "as in --vary sprung_mass:0.8:1.2"
 BUMP = Bump(height=2e-2, track="left")  # high enough for what geometry makes to be told from rounding
 
 
@@ -54,7 +57,8 @@ class Robustness:
 
     Attributes:
         varied: what varies, d of them.
-        norm: the largest H-infinity norm.
+        computed: number of vehicles whose norm was computed.
+        norm: the largest H-infinity norm of those.
         at: where it is, the parameters that are others [SI].
         corners: of the box.
         factors: of the vehicles whose norms were taken first, evenly over the box, along each of its d axes.
@@ -62,6 +66,7 @@ class Robustness:
     """
 
     varied: tuple[Variation, ...]
+    computed: int
     norm: float
     at: dict[str, float]
     corners: tuple[ParameterVertex, ...]
@@ -73,38 +78,100 @@ class Robustness:
         """Returns True if physics and analysis agree at every corner."""
         return all(corner.agrees and corner.decays == math.isfinite(corner.norm) for corner in self.corners)
 
+    @property
+    def text(self) -> str:
+        """Describes the box."""
+        return ", ".join(map(str, self.varied))
+
 
 def varied_text(kind: VehicleKind) -> str:
     """Describes the variations of a kind of vehicle."""
     return ", ".join(map(str, kind.variations)) or f"nothing is varied: no parameter of a {kind.name} says how far it varies"
 
 
-def robustness(
-    vehicle: Vehicle, controllers: Sequence[Controller], timestep: float, progress: Callable[[str], None] = no_progress
-) -> list[Robustness | None]:
-    """Returns the worst norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
+def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, tuple[str, ...]]:
+    """Returns variations from `name:low:high` each, with the parameters that each scales; without any the kind's own.
 
-    Returns None for each controller if the kind of vehicle has no variations.
+    A name is a parameter's, or that of several which differ by their ending, as `tyre_stiffness` of front and rear axle.
+
+    Raises:
+        InputError: an unknown name or no range of factors, a parameter that is zero or named twice, or no vehicle at a corner.
     """
-    varied = tuple(vehicle.kind.variations)
+    if not texts:
+        return vehicle.kind.variations
+    variations: dict[Variation, tuple[str, ...]] = {}
+    for text in texts:
+        name, *numbers = text.split(":")
+        known = [one for one in vehicle.parameters if vehicle.parameters[one]]
+        names = tuple(one for one in known if one == name) or tuple(one for one in known if one.startswith(f"{name}_"))
+        if not names:
+            raise InputError(
+                f"--vary {text}: {quoted(name)} is no parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
+            )
+        if again := [one for one in names if any(one in others for others in variations.values())]:
+            raise InputError(f"--vary {text}: {again[0]} is varied twice; leave one of them out")
+        try:
+            low, high = map(float, numbers)
+        except ValueError:
+            raise InputError(f"--vary {text} is not name:low:high, in multiples of the vehicle's own, {EXAMPLE}") from None
+        variations[Variation(name.replace("_", " "), low, high)] = names
+    if len(variations) > MOST:
+        raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
+    for corner in itertools.product(*((each.smallest, each.largest) for each in variations)):
+        try:
+            vehicle.kind.check(_with_factors(vehicle, variations, corner).parameters)
+        except InputError as error:
+            raise InputError(f"--vary reaches a vehicle that is none: {error}") from error
+    return variations
+
+
+def robustness(
+    vehicle: Vehicle,
+    controllers: Sequence[Controller],
+    timestep: float,
+    progress: Callable[[str], None] = no_progress,
+    variations: Mapping[Variation, tuple[str, ...]] | None = None,
+) -> list[Robustness | None]:
+    """Returns the largest norm of each controller over the box, on a grid and refined from there, and the physics at its corners.
+
+    Returns None for each controller if nothing varies.
+
+    Args:
+        vehicle: the vehicle of the controllers.
+        controllers: its controllers.
+        timestep: of MuJoCo [s].
+        progress: called with a line on how far it has come.
+        variations: what varies, as `read_variations` returns it; None for the kind's own.
+    """
+    variations = vehicle.kind.variations if variations is None else variations
+    varied = tuple(variations)
     if not varied:
         return [None] * len(controllers)
     corners = list(itertools.product(*((each.smallest, each.largest) for each in varied)))
-    others = [_with_factors(vehicle, corner) for corner in corners]
+    others = [_with_factors(vehicle, variations, corner) for corner in corners]
     trials = [Trial(other, controller) for controller in controllers for other in others]
     physics = zip(grows(trials, timestep, progress), _agree(trials, sample_times(vehicle, 3.0, timestep)), strict=True)
     results: list[Robustness | None] = []
     for controller in controllers:
-        norm = functools.partial(_norm, vehicle, controller)
+        known: dict[tuple[float, ...], float] = {}
+
+        def norm(factors: Sequence[float], of: Controller = controller, known: dict[tuple[float, ...], float] = known) -> float:
+            """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
+            at = tuple(map(float, factors))
+            if at not in known:
+                known[at] = hinf_norm(of.loop(_with_factors(vehicle, variations, at))).value
+            return known[at]
+
         factors, norms, worst, at = _worst(norm, varied)
         results_at_corners = itertools.islice(physics, len(corners))
         results.append(
             Robustness(
                 varied=varied,
+                computed=len(known),
                 norm=worst,
-                at=_changed(vehicle, at),
+                at=_changed(vehicle, variations, at),
                 corners=tuple(
-                    ParameterVertex(corner, _changed(vehicle, corner), norm(corner), not growth.grows, agrees)
+                    ParameterVertex(corner, _changed(vehicle, variations, corner), norm(corner), not growth.grows, agrees)
                     for corner, (growth, agrees) in zip(corners, results_at_corners, strict=True)
                 ),
                 factors=factors,
@@ -112,12 +179,6 @@ def robustness(
             )
         )
     return results
-
-
-def _norm(vehicle: Vehicle, controller: Controller, factors: Sequence[float]) -> float:
-    """The H-infinity norm on the vehicle with these factors; infinite where unstable."""
-    other = _with_factors(vehicle, factors)
-    return hinf_norm(controller.loop(other)).value
 
 
 def _worst(
@@ -148,12 +209,12 @@ def _agree(trials: Sequence[Trial], time: Array) -> list[bool]:
     return [run.agreement.agrees for run in compare_runs(predictions, [response.run(i) for i in range(len(trials))])]
 
 
-def _changed(vehicle: Vehicle, factors: Sequence[float]) -> dict[str, float]:
-    """The parameters of a vehicle on which there are these factors, one for each of its kind's variations [SI]."""
-    varied = zip(vehicle.kind.variations.values(), factors, strict=True)
+def _changed(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> dict[str, float]:
+    """The parameters of a vehicle on which there are these factors, one for each of the variations [SI]."""
+    varied = zip(variations.values(), factors, strict=True)
     changed = {name: float(vehicle.parameters[name] * factor) for names, factor in varied for name in names}
     return {name: changed[name] for name in vehicle.parameters if name in changed}
 
 
-def _with_factors(vehicle: Vehicle, factors: Sequence[float]) -> Vehicle:
-    return replace(vehicle, parameters={**vehicle.parameters, **_changed(vehicle, factors)})
+def _with_factors(vehicle: Vehicle, variations: Mapping[Variation, tuple[str, ...]], factors: Sequence[float]) -> Vehicle:
+    return replace(vehicle, parameters={**vehicle.parameters, **_changed(vehicle, variations, factors)})

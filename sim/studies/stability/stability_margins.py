@@ -8,10 +8,12 @@ is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
 - a phase lag z = exp(-j theta) does so only if (A + z M) (+) (A + conj(z) M) is singular, and conj(z) = 1 / z: a quadratic
   eigenvalue problem in z, whose solutions on the unit circle are all crossovers (Chen, Gu, Nett 1995). The delay theta / w makes
   that lag, and of all crossovers the one with the smallest delay is the delay margin;
+- a phase lead is the rest of a whole turn: of all crossovers the one with the largest lag has the smallest lead;
 - a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
 
 With H these are no problems of one matrix, and candidates come from a fine grid. What all this gives is then refined on the poles
-themselves.
+themselves. Of S = (I - L)^-1 the symmetric disk margin is 1 / ||S - I / 2||: each force may have a complex factor f of its own
+with |f - 1| / |f + 1| below half of it (Seiler, Packard, Gahinet 2020).
 """
 
 import itertools
@@ -26,6 +28,8 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
 from sim.studies.stability.loop_transfer import LoopTransfer
+from synth.analysis.norm import hinf_norm
+from synth.plant.generalized import GeneralizedPlant
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
@@ -59,6 +63,34 @@ class Crossover:
         """The delay that makes this lag [s]."""
         return self.phase / self.frequency
 
+    @property
+    def lead(self) -> float:
+        """The lead that makes the eigenvalue 1, too: the rest of a whole turn [rad]."""
+        return 2 * math.pi - self.phase
+
+
+@dataclass(frozen=True)
+class DiskMargin:
+    """Symmetric disk margin: what each force bears of complex factors of its own, all at once.
+
+    Attributes:
+        size: from 0 to 2. It is exact for one force; of several forces it is a bound, as theirs may be factors of each other.
+        frequency: where the loop is next to unstable [rad/s].
+    """
+
+    size: float
+    frequency: float
+
+    @property
+    def gain(self) -> tuple[float, float]:
+        """The smallest and the largest real factor."""
+        return (2 - self.size) / (2 + self.size), (2 + self.size) / (2 - self.size) if self.size < 2 else math.inf
+
+    @property
+    def phase(self) -> float:
+        """The largest turn, either way [rad]."""
+        return 2 * math.atan(self.size / 2)
+
 
 @dataclass(frozen=True)
 class Margins:
@@ -69,6 +101,7 @@ class Margins:
         gain_lower: largest factor below 1 at which the loop is unstable; 0 if there is no such factor.
         crossovers: all crossovers, by increasing delay; the first is the margin.
         sample_period: shortest period at which the loop is unstable [s].
+        disk: what complex factors it bears.
         all_sampled: True if that is with all forces sampled, and not only those at which the loop is cut.
     """
 
@@ -76,6 +109,7 @@ class Margins:
     gain_lower: float
     crossovers: tuple[Crossover, ...]
     sample_period: float
+    disk: DiskMargin
     all_sampled: bool = False
 
     @property
@@ -98,6 +132,21 @@ class Margins:
         """The smallest lag of all crossovers [rad]: less than `phase` where a slower one needs less lag, but more delay."""
         return min((crossover.phase for crossover in self.crossovers), default=math.inf)
 
+    @property
+    def leading(self) -> Crossover | None:
+        """The crossover with the smallest lead, or None without a crossover."""
+        return min((one for one in self.crossovers if math.isfinite(one.frequency)), key=lambda one: one.lead, default=None)
+
+    @property
+    def lead(self) -> float:
+        """The smallest lead of all crossovers [rad]; infinite without one."""
+        return self.leading.lead if self.leading else math.inf
+
+    @property
+    def lead_frequency(self) -> float:
+        """Returns the frequency of that crossover [rad/s], or NaN without one."""
+        return self.leading.frequency if self.leading else math.nan
+
 
 def margins(loop: LoopTransfer) -> Margins:
     """All margins of a loop that is stable when closed."""
@@ -107,8 +156,26 @@ def margins(loop: LoopTransfer) -> Margins:
         gain_lower=max((factor for factor in factors if factor < 1), default=0.0),
         crossovers=crossovers(loop),
         sample_period=largest_sample_period(loop),
+        disk=disk_margin(loop),
         all_sampled=loop.sampling is not None and loop.sampling.whole and len(loop.H) < len(loop.sampling.controller.law.D),
     )
+
+
+def disk_margin(loop: LoopTransfer) -> DiskMargin:
+    """Returns the symmetric disk margin of a loop that is stable when closed."""
+    inverse, half = np.linalg.inv(np.eye(len(loop.H)) - loop.H), np.eye(len(loop.H)) / 2
+    n, k = loop.B.shape
+    # x' = A x + B u, u = v + d, and z = u - d / 2.
+    sensitivity = GeneralizedPlant(
+        A=loop.closed(1.0),
+        B=np.zeros((n, 1)),
+        Bw=loop.B @ inverse,
+        C=inverse @ loop.G,
+        D=np.zeros((k, 1)),
+        Dw=inverse - half,
+    )
+    norm = hinf_norm(sensitivity)
+    return DiskMargin(min(1 / norm.value, 2.0), norm.peak_frequency)
 
 
 def gain_crossings(loop: LoopTransfer) -> list[float]:

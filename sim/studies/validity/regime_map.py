@@ -56,6 +56,7 @@ class Cells:
         ran_away: True where the run broke off as the states of its law ran away, shape (N,).
         missing: rms of the forces that adjustable dampers did not give in physics, over that of all that were asked of them at
             the samples, 0 where none was, NaN of a vehicle without any, shape (N,).
+        travel: largest deflection of any suspension in physics, either way [m], shape (N,).
     """
 
     bumps: tuple[Bump, ...]
@@ -69,6 +70,7 @@ class Cells:
     edge: Array
     ran_away: Array
     missing: Array
+    travel: Array
 
     def counted(self, noun: str) -> str:
         """Describes the number of cells that were run, and of those requested if that is more."""
@@ -205,7 +207,8 @@ def _run(
 
     watched, apart = MonitoredBatch([controller] * count, inputs), np.zeros((len(outputs), count))
     forces = [[unit.names.index(name) for name in (one.force, one.missing)] for one in vehicle.adjustable]
-    squares = np.zeros((2, count))  # of what is missing, and of what was asked
+    moves = [unit.names.index(suspension.deflection) for suspension in vehicle.kind.suspensions]
+    travel, squares = np.zeros(count), np.zeros((2, count))  # of what is missing, and of what was asked
     for block in watched.blocks():
         if stopped():
             return None
@@ -213,6 +216,7 @@ def _run(
         parts = zip(apart, outputs, np.moveaxis(linear[some], 1, 0), np.moveaxis(push[some], 1, 0), strict=True)
         for worst, i, response, more in parts:
             np.maximum(worst, np.abs(block.values[:, i] - heights * response[:, column] - more).max(axis=0), out=worst)
+        np.maximum(travel, np.abs(block.values[:, moves]).max(axis=(0, 1), initial=0.0), out=travel)
         for given, missing in forces:
             lost = squarable(block.values[:, missing])
             squares += np.sum([lost**2, (block.values[:, given] + lost) ** 2], axis=1)
@@ -240,6 +244,7 @@ def _run(
         edge=np.any(predicted != predicted[:, :1], axis=1),
         ran_away=watched.ran_away,
         missing=np.sqrt(squares[0] / np.where(squares[1] > 0, squares[1], np.inf)) if forces else np.full(count, np.nan),
+        travel=travel,
     )
 
 
@@ -297,4 +302,4 @@ def _not_run(bumps: Sequence[Bump]) -> Cells:
     count = len(bumps)
     unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
     zeros = np.zeros((count, len(END_NAMES)))
-    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, no, unknown)
+    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, no, unknown, unknown)

@@ -10,7 +10,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.files import whole_file
 from models.common.printed import finite, percent
-from models.figures.figure import VERMILLION, Classes, Curve, Figure, Panel, level
+from models.figures.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel, level
 from models.roads.load import Load
 from models.suspension import LEAVES
 from models.vehicle.names import PLUS
@@ -117,6 +117,10 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
 NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
+RUNS: tuple[tuple[bool, str, Marker, str], ...] = (
+    (False, GREEN, "o", "MuJoCo: nothing breaks"),
+    (True, VERMILLION, "x", "MuJoCo: it ends"),
+)
 
 
 def envelope_figure(
@@ -131,12 +135,18 @@ def envelope_figure(
     """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
 
     Args:
-        cells: of the grid, the second axis running faster.
-        axes: vertical and horizontal.
+        cells: of the grid, the last axis running fastest.
+        axes: one or two; of one the shares of the way to each end are drawn.
         fixed: what is not varied.
         threshold: error at which linear analysis is said to hold.
         loads: on the body over every bump.
     """
+    rest = ", ".join(
+        f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
+    )
+    rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
+    if len(axes) == 1:
+        return _line_figure(controller, cells, axes[0], _title(vehicle, controller, cells, rest), threshold)
     # Height, or else length, is vertical, whatever order was asked for.
     shape = (len(axes[0].values), len(axes[1].values))
     turned = axes[1].name == "height" or axes[0].name == "speed"
@@ -169,22 +179,43 @@ def envelope_figure(
         row, column = np.nonzero(plane(wrong))
         curves.append(Curve(x[column], y[row], "another end than predicted", "#000000", "none", "x"))
 
-    rest = ", ".join(
-        f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
-    )
+    panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
+    return _figure(controller, cells, _title(vehicle, controller, cells, rest), panel, threshold)
+
+
+def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) -> str:
+    """Returns the title of a map; `rest` is what is not varied, in words."""
     which = "analysis with adjustable dampers" if cells.short else "linear analysis"
     ends = (
         f"end the analysis with its dampers as predicted; {cells.short}" if cells.short else "end the linear regime as predicted"
     )
-    rest += f", under {PLUS.join(load.label for load in loads)}" if loads else ""
-    title = (
+    return (
         f"How far {which} may be trusted: {vehicle.kind.name.replace('_', ' ')}, controller {controller.name}, {rest}. "
         f"{100 * cells.agreement:.4g} % of {cells.counted('MuJoCo runs')} {ends}"
     )
-    panel = Panel("", LABELS[horizontal.name], LABELS[vertical.name], tuple(curves), ground)
+
+
+def _figure(controller: Controller, cells: Cells, title: str, panel: Panel, threshold: float) -> Figure:
     holds = float(np.mean(cells.error[cells.done] <= threshold)) if cells.done.any() else 0.0
     finding = f"With {controller.name} linear analysis holds for {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
+
+
+def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
+    """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
+    done, x = cells.done, np.array(axis.values)
+    used = np.where(done[:, None], cells.used, np.nan)
+    curves = [
+        Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
+        for i, end in enumerate(REGIME_ENDS)
+        if np.any(used[:, i] > 0)
+    ]
+    curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
+    for broke, color, marker, label in RUNS:
+        mine = done & ((cells.first >= 0) == broke)
+        curves.append(Curve(x[mine], used[mine].max(axis=-1, initial=0.0), label, color, "none", marker))
+    panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
+    return _figure(controller, cells, title, panel, threshold)
 
 
 def _at(vehicle: Vehicle, end: End) -> str:

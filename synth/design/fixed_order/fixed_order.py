@@ -21,7 +21,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.combinations import PID
-from models.laws.law_structure import GAINS, LawStructure
+from models.laws.law_structure import GAINS, ITS_GAINS, LawStructure
 from models.laws.linear import FEWER, LinearLaw
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import FASTEST, Certificate
@@ -143,7 +143,7 @@ def fixed_order_design(
 
 def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
     if structure.kind:
-        return f"its gains: {gains_text(structure, law)}"
+        return f"{ITS_GAINS}{gains_text(structure, law)}"
     asked = structure.states(m)
     if law.states < asked:
         few = f"{asked} states" if asked > 1 else "1 state"
