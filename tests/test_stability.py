@@ -16,7 +16,7 @@ from sim.inspect.__main__ import main as inspect
 from sim.margins import main as margins
 from sim.sweep import main as sweep
 from synth.__main__ import main as synth
-from synth.analysis.stability import MARGINAL, STABLE, UNSTABLE, sampled_growth, stability
+from synth.analysis.stability import MARGINAL, STABLE, UNSTABLE, _Triangle, sampled_growth, stability
 from tests.commands import prose
 
 CASES = [
@@ -58,7 +58,24 @@ def test_sampled_growth():
     assert sampled_growth(np.zeros((2, 2))) == 0
     delayed = np.diag(np.ones(59), 1)  # a force on its way for 60 samples: sixty poles at zero, and one eigenvector
     assert sampled_growth(delayed) == 0
-    assert sampled_growth(np.asarray(linalg.block_diag(delayed, 0.9 * turn))) == pytest.approx(0.9, rel=1e-12)
+    for count, size, growth in ((1, 0.9, 0.9), (2, 1.0, 1.0), (2, 1.01, 1.01), (4, 0.999, 0.999)):
+        # In other coordinates rounding moves the poles of a long chain off zero, to all angles: none of them is on the circle.
+        loop = np.asarray(linalg.block_diag(np.diag(np.ones(60 * count - 1), 1), size * turn))
+        other = np.linalg.qr(np.random.default_rng(0).standard_normal(loop.shape))[0]
+        assert sampled_growth(other.T @ loop @ other) == pytest.approx(growth, rel=1e-9 if growth != 1 else 0)
+
+
+def test_a_bound_by_parts_is_one(monkeypatch):
+    """Parts of a Schur form bound the norm of the inverse from above, and one part is the inverse itself, to rounding."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((70, 70)) / 10
+    for most in (70, 30, 9):
+        monkeypatch.setattr("synth.analysis.stability.PART", most)
+        bound = _Triangle(A)
+        for p in np.exp(1j * np.linspace(0.1, 3.0, 5)):
+            true = np.linalg.norm(np.linalg.inv(A - p * np.eye(70)))
+            assert bound.inverse_size(p) >= true * (1 - 1e-9)
+            assert most < 70 or bound.inverse_size(p) == pytest.approx(true, rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["quarter_car", "half_car", "full_car"])

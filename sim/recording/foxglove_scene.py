@@ -18,7 +18,6 @@ from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
@@ -68,33 +67,31 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     for index, time in enumerate(times):
         stamp = _stamp(time)
         car.timestamp.CopyFrom(stamp)
-        bodies = [
-            FrameTransform(
+        whole = FrameTransforms(transforms=[car])
+        for body, motion in run.scene.bodies.items():
+            whole.transforms.add(
                 timestamp=stamp,
                 parent_frame_id=frame(run),
                 child_frame_id=frame(run, body),
                 translation=_vector(motion.positions[index]),
                 rotation=_quaternion(motion.quaternions[index]),
             )
-            for body, motion in run.scene.bodies.items()
-        ]
-        yield FrameTransforms(transforms=[car, *bodies])
+        yield whole
 
 
 def shapes(run: RunLog, time: int, color: tuple[int, int, int]) -> Messages:
     """Yields the message with the solids, fixed to their bodies, and the run's name above the car, in its colour."""
-    entities = []
+    update = SceneUpdate()
     for body in run.scene.bodies:
-        entity = _entity(time, frame(run, body), body)
+        entity = _add_entity(update, time, frame(run, body), body)
         for shape in run.scene.shapes:
             if shape.body == body:
                 _add_solid(entity, shape)
-        entities.append(entity)
     low, high = run.scene.extent()
     pose = _pose(np.array([*(low + high)[:2] / 2, high[2] + 0.2]))
     label = TextPrimitive(pose=pose, billboard=True, font_size=0.15, color=_color(color), text=run.name)
-    entities.append(_entity(time, frame(run), "name", texts=[label]))
-    yield SceneUpdate(entities=entities)
+    _add_entity(update, time, frame(run), "name").texts.append(label)
+    yield update
 
 
 def moving(run: RunLog, times: list[int], largest: float) -> Messages:
@@ -113,13 +110,16 @@ def moving(run: RunLog, times: list[int], largest: float) -> Messages:
         surfaces = [TriangleListPrimitive(pose=_pose(), indices=indices, color=_color(colour)) for colour in colours]
         tyres.append((tyre, surfaces, _packed(vertices, TriangleListPrimitive.POINTS_FIELD_NUMBER)))
     for index, time in enumerate(times):
-        lines = [_with_points(look, points[index]) for look, points in zip(looks, struts, strict=True)]
-        arrows = list(_arrows(scene, index, largest))
-        entities = [_entity(time, frame(run), "struts", lines=lines), _entity(time, frame(run), "forces", arrows=arrows)]
+        update = SceneUpdate()  # every part is made in its place: the message that holds a part copies it, point by point
+        entity = _add_entity(update, time, frame(run), "struts")
+        for look, points in zip(looks, struts, strict=True):
+            _fill(entity.lines.add(), look, points[index])
+        entity = _add_entity(update, time, frame(run), "forces")
+        entity.arrows.extend(_arrows(scene, index, largest))
         for tyre, surfaces, points in tyres:
-            surface = _with_points(surfaces[int(tyre.lifted[index])], points[index])
-            entities.append(_entity(time, frame(run, tyre.body), tyre.name, triangles=[surface]))
-        yield SceneUpdate(entities=entities)
+            entity = _add_entity(update, time, frame(run, tyre.body), tyre.name)
+            _fill(entity.triangles.add(), surfaces[int(tyre.lifted[index])], points[index])
+        yield update
 
 
 def alike(kind: type, first: bytes, second: bytes) -> bool:
@@ -147,10 +147,9 @@ def _alike(first: Any, second: Any) -> bool:
     return len(first) == len(second) and all(_alike(a, b) for a, b in zip(first, second, strict=True))
 
 
-def _entity(time: int, frame_id: str, name: str, **primitives: Any) -> SceneEntity:
-    """Returns an entity that moves with its frame, and stays until another one of the same name replaces it."""
-    stamp, forever = _stamp(time), Duration()
-    return SceneEntity(timestamp=stamp, frame_id=frame_id, id=name, lifetime=forever, frame_locked=True, **primitives)
+def _add_entity(update: Any, time: int, frame_id: str, name: str) -> Any:
+    """Adds an entity that moves with its frame, and stays until another one of the same name replaces it; returns it."""
+    return update.entities.add(timestamp=_stamp(time), frame_id=frame_id, id=name, lifetime=Duration(), frame_locked=True)
 
 
 def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive]:
@@ -173,7 +172,7 @@ def _arrows(scene: Scene, index: int, largest: float) -> Iterator[ArrowPrimitive
         )
 
 
-def _add_solid(entity: SceneEntity, shape: Shape) -> None:
+def _add_solid(entity: Any, shape: Shape) -> None:
     pose, color = _pose(shape.position, shape.quaternion), _color(255 * shape.rgba[:3], float(shape.rgba[3]))
     if shape.form == "box":
         entity.cubes.append(CubePrimitive(pose=pose, size=_vector(2 * shape.half_size), color=color))
@@ -204,12 +203,10 @@ def _packed(points: Array, field: int) -> Array:
     return packed
 
 
-def _with_points(primitive: Any, packed: Array) -> Any:
-    """Returns a copy of a primitive, with packed points added."""
-    copy = type(primitive)()
-    copy.CopyFrom(primitive)
-    copy.MergeFromString(packed.tobytes())
-    return copy
+def _fill(primitive: Any, look: Any, packed: Array) -> None:
+    """Fills a new primitive with a copy of another one, and with packed points."""
+    primitive.CopyFrom(look)
+    primitive.MergeFromString(packed.tobytes())
 
 
 def _stamp(time: int) -> Timestamp:
