@@ -199,7 +199,7 @@ def test_honest_log_is_proved_and_says_what_is_not_checked(parts, tmp_path, caps
     """Written anew with nothing changed it is proved: nothing below fails for another reason. And what no log shows is said."""
     path = tmp_path / "log.mcap"
     path.write_bytes(written(parts))
-    assert main([str(path)]) == 0
+    assert main([str(path), "-v"]) == 0
     printed = prose(capsys.readouterr().out)
     assert printed.count(" note ") == 1
     assert (
