@@ -84,6 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         under = f", under {PLUS.join(load.label for load in loads)}" if loads else ""
         about = f"{vehicle.kind.name} with controller {controller.name}, over {cells.counted('bumps')}{under}"
         lines = [*titled(about, vehicle.source), *compared_lines(vehicle, controller)]
+        if not controller.certificate.stable:
+            lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
         ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
         say([*lines, *written_lines(outputs), *log_lines(logs), "", *ends, "", *envelope_lines(cells, options.threshold)])
     if not cells.done.all():

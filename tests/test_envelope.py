@@ -122,6 +122,17 @@ def test_loads_over_every_bump(tmp_path, capsys):
     assert "under brake:g=0.6:start=0.1" in prose(capsys.readouterr().out)
 
 
+def test_an_unstable_loop_is_said(tmp_path, capsys):
+    """A map of a loop that is unstable says so: up to some height nothing breaks within its runs all the same."""
+    text = read_vehicle("quarter_car").text + '[controllers.unstable]\nmeasured = ["sprung_velocity"]\ngain = [[3000.0]]\n'
+    (tmp_path / "car.toml").write_text(text, encoding="utf-8")
+    arguments = ["--vehicle", str(tmp_path / "car.toml"), "--vary", "height:0.02:0.03:2", "--duration", "0.5", "--controller"]
+    main([*arguments, "unstable"])
+    assert "UNSTABLE loop; every run grows: a pole at " in prose(capsys.readouterr().out)
+    main([*arguments, "passive"])
+    assert "UNSTABLE" not in capsys.readouterr().out
+
+
 def test_prediction(cells):
     """The first end, and its time, follow from one linear run per speed: cell by cell, but for the boundary."""
     assert cells.done.all()

@@ -229,7 +229,7 @@ def test_the_short_answer_has_gains_and_says_why_they_are_gains(tmp_path, capsys
     section = 'measured = ["suspension_deflection", "sprung_velocity"]\norder = 2'
     (tmp_path / "car.toml").write_text(f"{read_vehicle('quarter_car').text}\n[controllers.two]\n{section}\n")
     assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "two"]) == 0
-    said = "two: of at most 2 states none is designed, beside any integral: the law comes to what no controller beats"
+    said = "two: of at most 2 states none is used: its norm is next to what no controller beats"
     assert said in prose(capsys.readouterr().out)
 
 

@@ -340,6 +340,7 @@ def test_a_file_that_cannot_be_read(tmp_path, content, said):
         ("suspension_damping", 1.095e6, "damping ratio is about"),  # kN s/m, times 1000
         ("sprung_mass", 0.5045, "natural frequency is about 26 Hz"),  # tonnes
         ("suspension_stroke", 60.0, "suspension_stroke is 60 m"),  # mm
+        ("suspension_stroke", "{ bump = 60.0 }", "suspension_stroke.bump is 60 m"),
     ],
 )
 def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
@@ -347,9 +348,11 @@ def test_doubtful_units_are_asked_about(name, value, said, tmp_path, capsys):
     file = tmp_path / "car.toml"
     text = (ROOT / "models" / "quarter_car.toml").read_text(encoding="utf-8")
     text = re.sub(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.MULTILINE)
-    file.write_text(text if f"{name} = {value}" in text else f"{text}[limits]\n{name} = {value}\nstop_stiffness = 1e5\n")
+    file.write_text(text if f"{name} = {value}" in text else f"{text}[limits]\n{name} = {value}\nstop_stiffness = 100.0\n")
     assert main_of("synth")(["--vehicle", str(file), "--controller", "passive"]) == 0
-    assert said in prose(capsys.readouterr().err)
+    asked = prose(capsys.readouterr().err)
+    assert said in asked
+    assert ("stop_stiffness is 100 N/m" in asked) == (name == "suspension_stroke")  # N/mm
 
 
 def test_vehicles_that_ship_raise_no_doubt():

@@ -255,7 +255,7 @@ def read_implementation(section: Mapping[str, Any], measurable: tuple[str, ...],
 
 SLOWEST_BODY, FASTEST_BODY = 0.15, 15.0  # Hz: between an airship's cabin and a model car
 FIRMEST_BODY = 10.0  # damping ratio
-LONGEST_STROKE = 2.0  # m
+LONGEST_STROKE, SOFTEST_STOP = 2.0, 1e3  # m, N/m
 
 
 def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
@@ -282,8 +282,11 @@ def unit_doubts(parameters: Mapping[str, float], limits: Limits) -> list[str]:
             )
         elif ratio > FIRMEST_BODY:
             doubts.append(f"the body's damping ratio is about {ratio:.2g}; is the damping in N s/m?")
-    if isinstance(limits.suspension_stroke, float) and limits.suspension_stroke > LONGEST_STROKE:
-        doubts.append(f"suspension_stroke is {limits.suspension_stroke:g} m; is it in m?")
+    for name, text in limits.written.items():
+        if "suspension_stroke" in name and float(text) > LONGEST_STROKE:
+            doubts.append(f"{name} is {text} m; is it in m?")
+        elif "stop_stiffness" in name and not text.startswith("[") and float(text) < SOFTEST_STOP:
+            doubts.append(f"{name} is {text} N/m; is it in N/m?")
     return doubts
 
 

@@ -67,7 +67,8 @@ def proof_lines(proof: Proof, full: bool = True) -> list[str]:
     brief = not full and len(proof.runs) > FEW
     for one in proof.runs:
         if brief:
-            lines += [f"run {one.recorded.name}", *_lines(one.findings, full)]
+            said = f": {_shown(verdict(one.run))}" if one.run else ""
+            lines += [*wrapped(f"run {one.recorded.name}{said}", hang=4), *_lines(one.findings, full)]
             continue
         end = f" to {(one.samples - 1) * proof.timestep:.6g} s at {proof.timestep:g} s" if one.samples else ""
         lines += ["", f"run {one.recorded.name}: {one.samples} samples{end}"]

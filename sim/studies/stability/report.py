@@ -194,8 +194,10 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
         rows += _sampled_rows(one.gain_lower, h, -1)
     where = f"at {predicted.frequency:.5g} rad/s" if predicted.crossovers else ""
     if predicted.smallest_phase < predicted.phase * (1 - 1e-9):
-        where += f"; another crossover needs less, {predicted.smallest_phase:.4g}, but more delay"
-    rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
+        rows.append(("phase lag, rad", predicted.smallest_phase, math.nan, "at another crossover than that of the delay"))
+        rows.append(("  of the delay", predicted.phase, one.found_phase, where))
+    else:
+        rows.append(("phase lag, rad", predicted.phase, one.found_phase, where))
     where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
     rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
     samples = ""

@@ -148,7 +148,7 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int) -> str:
     if law.states < asked:
         few = f"{asked} states" if asked > 1 else "1 state"
         designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
-        return f"{FEWER} {few} {designed} designed, beside any integral: the law comes to what no controller beats"
+        return f"{FEWER} {few} {designed} used: its norm is next to what no controller beats"
     return ""
 
 
