@@ -509,6 +509,8 @@ def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
         (["sprung_mass:0.8:x"], "not name:low:high"),
         (["sprung_mass:1.1:1.2"], "give one above 0 and at most 1"),
         (["sprung_mass:0.8:1.2"] * 2, "sprung_mass is varied twice"),
+        (["sprung_mass:0.8:inf"], "give finite multiples above 0"),
+        (["sprung_mass:0:1"], "give finite multiples above 0"),
         (["sprung_mass:0.8:1e12"], "--vary reaches|sprung mass varies"),
     ],
 )

@@ -232,7 +232,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             continue
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is no suspension of this vehicle; it has {has}")
+            raise InputError(f"[limits.{name}] is no suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
         for key in value:
             if key not in STOP_KEYS:
                 raise InputError(

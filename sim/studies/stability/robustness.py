@@ -114,6 +114,8 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
             low, high = map(float, numbers)
         except ValueError:
             raise InputError(f"--vary {text} is not name:low:high, in multiples of the vehicle's own, {EXAMPLE}") from None
+        if not 0 < low <= high < math.inf:
+            raise InputError(f"--vary {text}: give finite multiples above 0, the lower one first, {EXAMPLE}")
         variations[Variation(name.replace("_", " "), low, high)] = names
     if len(variations) > MOST:
         raise InputError(f"{len(variations)} quantities are too many; vary at most {MOST}")
