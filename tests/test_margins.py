@@ -34,6 +34,7 @@ from sim.studies.stability.report import _loop_lines, _loop_object
 from sim.studies.stability.robustness import read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
+    LONGEST,
     _products,
     _sign_changes,
     crossovers,
@@ -136,10 +137,22 @@ def test_known_delay_margins(paper, designer, name):
     assert found.frequency == pytest.approx(frequency, abs=0.005)
 
 
-@pytest.mark.parametrize("name", ["state", "I", "II"])
-def test_crossovers_by_another_route(paper, designer, name):
-    """With one actuator the crossovers are the roots of |L(j w)| = 1 on a dense grid, and the lag is the angle of L there."""
-    loop = loop_transfer(paper, designer.design(name), [0])
+SOFT = "suspension_damping = 400.0", "suspension_damping = 60.4735"  # its wheel's poles cross, its body's stay near the axis
+OF_ACCELERATION = """[controllers.felt]
+measured = ["sprung_acceleration", "sprung_velocity"]
+gain = [[-217.346234361259, -54244.74533479826]]
+"""
+
+
+@pytest.mark.parametrize("name", ["state", "I", "II", "felt"])
+def test_crossovers_by_another_route(paper, name):
+    """With one actuator the crossovers are the roots of |L(j w)| = 1 on a dense grid, and the lag is the angle of L there.
+
+    So it is of a loop with a direct path, whose crossovers are those of its poles with the lag.
+    """
+    text = paper.text if name != "felt" else paper.text.replace(*SOFT) + OF_ACCELERATION
+    vehicle = parse_vehicle(text)
+    loop = loop_transfer(vehicle, designed(vehicle, name), [0])
 
     def excess(w):
         return abs(loop.transfer(np.array([w]))[0, 0, 0]) - 1
@@ -166,6 +179,16 @@ def test_many_actuators(kind):
             assert np.abs(eigenvalues * np.exp(-1j * one.phase) - 1).min() < 1e-7  # as well as poles are refined
         for factor in gain_crossings(loop):
             assert abs(np.linalg.eigvals(loop.A + factor * loop.M).real.max()) < 1e-7 * np.linalg.norm(loop.A, 2)
+
+
+def test_a_loop_that_no_sample_period_up_to_the_longest_loses(paper):
+    """Of a loop with an integral, which a period beyond the longest loses alone, the search ends and finds none."""
+    vehicle = parse_vehicle(
+        f'{paper.text}[controllers.K]\nmeasured = ["suspension_deflection"]\npid = {{ kp = 2e3, ki = -100 }}\n'
+    )
+    loop = loop_transfer(vehicle, designed(vehicle, "K"), [0])
+    assert largest_sample_period(loop) == math.inf
+    assert LONGEST < 2 * (13100 - 2000) / 100  # the first one: what the integral adds in it is twice what holds the body
 
 
 def test_sampled_loop(paper, designer):

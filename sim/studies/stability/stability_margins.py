@@ -262,8 +262,13 @@ def _crossings_on_a_grid(loop: LoopTransfer) -> list[Crossover | None]:
     unstable = np.sum(np.real(poles) > 0, axis=1)
     crossings = []
     for i in np.flatnonzero(np.diff(unstable)):
-        nearest = poles[i][np.argsort(np.abs(poles[i].real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]]
-        crossings += [_refined(loop, float(angles[i]), complex(pole)) for pole in nearest if pole.imag > 0]
+        before, after = poles[i], poles[i + 1]
+        pairs = optimize.linear_sum_assignment(np.abs(before[:, None] - after))
+        crossing = np.zeros(len(before), dtype=bool)
+        crossing[pairs[0]] = (before[pairs[0]].real > 0) != (after[pairs[1]].real > 0)
+        # Two poles that meet on their way may be taken for each other: they are then next to the axis.
+        crossing[np.argsort(np.abs(before.real))[: 1 + abs(int(unstable[i + 1] - unstable[i]))]] = True
+        crossings += [_refined(loop, float(angles[i]), complex(pole)) for pole in before[crossing] if pole.imag > 0]
     return crossings
 
 
@@ -302,8 +307,8 @@ def largest_sample_period(loop: LoopTransfer) -> float:
         if len(alive) == 0:
             break
         h = FINER / max(float(alive.max()), FINER / WIDEST)  # an integrator's pole at 0 turns nothing
-        count = min(TOGETHER, math.ceil((LONGEST - start) / h))
         begun = max(start - 2 * h, 0.0)  # for minima between two batches
+        count = min(TOGETHER, math.ceil((LONGEST - begun) / h))
         products = _products(loop.from_sample_to_sample(begun, h, count))
         for i in range(count):
             first = begun + h * (1 + i)

@@ -199,7 +199,7 @@ class MultiplierProof:
     def holds(self, gain: ScaledGain, box: Box) -> bool:
         """Returns True if the parts prove the bound for all loops of a box, stable or not; or else their stability."""
         ends = [self.low, *(part.high for part in self.parts)]
-        if any(part.low > end for part, end in zip(self.parts, ends, strict=False)) or ends[-1] < self.high:
+        if not self.parts or any(part.low > end for part, end in zip(self.parts, ends, strict=False)) or ends[-1] < self.high:
             return False
         if not gain.well_posed(box) or any(not np.all(part.D > 0) for part in self.parts):
             return False
