@@ -428,7 +428,7 @@ def test_report(monkeypatch, few):
     assert [[float(row[2]), float(row[4])] for row in table.rows] == [pytest.approx(each, rel=1e-4) for each in shown.tolist()]
     # A force held over a step acts half of that late, and the peak of a sinusoid is the norm to NEXT.
     assert np.max(np.abs(shown / norms - 1)) < 0.005
-    assert "12 certified designs, none of which another beats in all" in section.text[1]
+    assert f"{COUNT} certified designs, none of which another beats in all" in section.text[1]
 
 
 @pytest.mark.attack

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
 from models.laws.linear import FEWER
+from models.vehicle.names import without_copies
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound
@@ -201,12 +202,14 @@ def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
         checked: True for a line on what was checked.
     """
     alike = dict[str, list[str]]()
-    for row in rows:
+    own = without_copies(row.name for row in rows)
+    told = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does
+    for row in told:
         for each in _answers(row, checked) if row.controller is not None else []:
             alike.setdefault(each, []).append(row.name)
     if ahead := [row.name for row in rows if row.controller is not None and row.controller.preview is not None]:
         alike.setdefault(FEEDBACK_ALONE, []).extend(ahead)
-    lines = [line for row in rows if row.refined and row.controller is not None for line in _gain(row.controller)]
+    lines = [line for row in told if row.refined and row.controller is not None for line in _gain(row.controller)]
     lines += [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
     return [*lines, *(line for row in rows for line in _failure_lines(row))]
 

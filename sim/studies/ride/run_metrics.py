@@ -238,7 +238,7 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
 
 
 def expected_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
-    """Returns the ride that is expected of each run over all random roads of its kind; empty without expectations."""
+    """Returns the ride that is expected of each run over all random roads of its kind; empty if a run has no expectation."""
     said = []
     for run, of_run in zip(runs, measured, strict=True):
         rides = [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
@@ -246,7 +246,11 @@ def expected_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[
         if known:
             mean, spread = max(known, key=lambda one: one[0])
             said.append(f"{run.controller.name} {mean:.3g}{f' +- {spread:.2g}' if spread is not None else ''}")
-    return wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(said)}", hang=2) if said else []
+    return (
+        wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(said)}", hang=2)
+        if len(said) == len(runs)
+        else []
+    )
 
 
 NO_ANGLE = 1e-9  # degrees: the rounding of angles that symmetry keeps at zero

@@ -50,7 +50,7 @@ def front_lines(front: Front) -> list[str]:
     return [*lines, "", *(line for text in _limit_texts(front) for line in wrapped(text, hang=2))]
 
 
-SHOWN = 5  # points of a short table
+SHOWN = 3  # points of a short table
 
 
 def short_lines(front: Front) -> list[str]:
