@@ -1,6 +1,6 @@
 """Bump stops that a run reaches: how far it squeezes each, with what force, and when."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,8 @@ def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
     """
     if len(runs) == 1:
         return [line for words in run_stop_lines(runs[0], what) for line in wrapped(words, "  ", 4)]
-    hardest = [(run.controller.name, side, one) for run in runs for side in SIDES if (one := _hardest(run, side))]
+    found = [(run, touches(run)) for run in runs]
+    hardest = [(run.controller.name, side, one) for run, each in found for side in SIDES if (one := _hardest(run, each, side))]
     if len(runs) > few and hardest:
         name, side, (corner, touch) = max(hardest, key=lambda each: (each[2][1].force, each[2][1].squeeze))
         some = len({name for name, *_ in hardest})
@@ -94,10 +95,14 @@ def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
     return lines
 
 
-def _hardest(run: Run, side: str) -> tuple[str, Touch] | None:
-    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact."""
+def _hardest(run: Run, reached: Mapping[str, Mapping[str, Touch | None]], side: str) -> tuple[str, Touch] | None:
+    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact.
+
+    Args:
+        reached: all contacts of the run, see `touches`.
+    """
     corners = {part.deflection: f" {part.corner}" if part.corner else "" for part in run.vehicle.kind.suspensions}
-    found = [(corners[name], touch) for name, sides in touches(run).items() if (touch := sides.get(side)) is not None]
+    found = [(corners[name], touch) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
     return max(found, key=lambda one: (one[1].force, one[1].squeeze), default=None)
 
 

@@ -20,7 +20,7 @@ PARTS = 3  # of a line
 
 @dataclass(frozen=True)
 class Edge:
-    """What breaks first along an axis, in MuJoCo, and where linear analysis has the first of it.
+    """First breaks along an axis in MuJoCo, and the least height of one by linear analysis.
 
     Attributes:
         at: value of the other axis, by its name; empty of a map with one axis.
