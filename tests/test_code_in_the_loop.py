@@ -420,8 +420,9 @@ def test_the_loop_in_c_has_the_same_bits(numbers):
         setting, acting, parts = CodeInTheLoop([driver], [vehicle], STEP, None, longest), np.zeros((1, 1)), []
         for start in range(0, 1000, 400):
             block, forces = seen[start : start + 400].copy(), []
+            set_next = setting.in_c(block, acting) if setting.in_c else None
             for row in block:
-                setting.set(row, acting)
+                set_next() if set_next else setting.set(row, acting)
                 forces.append(acting[0, 0])
             given_, kept = setting.commands(block[:, None])[:, 0, 0], setting.kept[:, 0]
             parts.append(np.column_stack([forces, given_, kept]))

@@ -4,7 +4,7 @@ Quantisation, delay, limits and anti-windup of the controller are in the code, a
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -71,14 +71,11 @@ class CodeInTheLoop:
         self._alone: CompiledLoop | None = None
         if longest and self.flat and dampers is None and not self._moved:
             self._alone = CompiledLoop(self._codes[0], self._held, longest)
-            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue] - the same, called by position
 
-    def _begin(self, seen: Array, acting: Array) -> None:
-        """Sets the first commands of a block of a single run; the others follow in C, where any call more costs a hundredth."""
-        assert self._alone is not None, "it is one run"
-        self._alone.begin(seen, acting)
-        self.set = self._alone.step  # pyright: ignore[reportAttributeAccessIssue]
-        self.set(seen, acting)
+    @property
+    def in_c(self) -> Callable[[Array, Array], Callable[[], None]] | None:
+        """Returns what begins a block of a single run in C, see `CompiledLoop.begin`; None for other runs, which `set` steps."""
+        return None if self._alone is None else self._alone.begin
 
     def set(self, seen: Array, acting: Array) -> None:
         """See `sim.physics.stepping.Setting`; of a single run the signals have shape (d,)."""
@@ -115,7 +112,6 @@ class CodeInTheLoop:
         law, shape = self._law, (len(seen), len(self._steps))
         if self._alone is not None:
             given, self.kept = (each[: len(seen), None].copy() for each in (self._alone.given, self._alone.used))
-            self.set = self._begin  # pyright: ignore[reportAttributeAccessIssue]
         else:
             given = np.frombuffer(b"".join(self._given)).reshape(*shape, self.actuators)
             self.kept = np.frombuffer(b"".join(self._used)).reshape(*shape, law.states)

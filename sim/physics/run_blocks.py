@@ -272,6 +272,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
             *(reads[0][runs], reads[1][runs], reads[2][:, runs]),
             *(sensors, stage, fresh, fresh and not course.accelerations),
             damped=code or setting,
+            in_c=None if code is None else code.in_c,
             lagging=mine is not None and mine.lags,
             held=max(periods) if plain else 1,
             ramps=mine.ramps if mine is not None and len(mine.ramps) else None,
