@@ -320,6 +320,21 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         assert slope == pytest.approx(differences, rel=1e-3, abs=1e-3 * np.abs(slope).max())  # peaks may be close to another
 
 
+def test_a_peak_at_an_end_of_a_band_stays_there():
+    """Where the gain is highest at an end of a band, the second derivative of the norm is that of the gain there."""
+    rng = np.random.default_rng(0)
+    plant, Cy = random_loop(rng)
+    x, step = 0.02 * rng.standard_normal(4), 1e-3 * np.eye(4)
+    _, peak = BandLandscape(plant, Cy, None, (0.0, np.inf)).norm(x)
+    for band, end in (((1.2 * peak, 10 * peak), 0), ((0.1 * peak, peak / 1.2), 1)):
+        landscape = BandLandscape(plant, Cy, None, band)
+        height, at = landscape.norm(x)
+        assert at == band[end]
+        curvature = landscape.curvature(x, landscape.cuts(x, np.array([at]), 2 * height), np.ones(1))
+        differences = [(landscape.slope(x + e, at) - landscape.slope(x - e, at)) / 2e-3 for e in step]
+        np.testing.assert_allclose(curvature, differences, atol=1e-4 * np.abs(curvature).max())  # of the steps, squared
+
+
 def bounded(bound: str):
     """The problem of gains on three measurements with one bound, and its landscape."""
     vehicle = vehicle_with(f"measured = {THREE}\nbounds = [{{ {bound} }}]")
