@@ -1,7 +1,6 @@
 """Designs for the loop that a computer closes: as good as is known, unique, kept in files, driven as designed; refusals."""
 
 import json
-import math
 import time
 from dataclasses import replace
 from types import SimpleNamespace

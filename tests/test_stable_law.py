@@ -71,9 +71,10 @@ def test_the_descent_begins_where_the_law_is(monkeypatch):
     norms = []
 
     def not_moved(larger, Cy, Dyw, K, states, light):
-        A, Bw, C, Dw = (getattr(larger, name) for name in ("A", "Bw", "C", "Dw"))
-        loop = (A + larger.B @ K @ Cy, larger.B, Bw + larger.B @ K @ Dyw, C + larger.D @ K @ Cy, larger.D, Dw + larger.D @ K @ Dyw)
-        norms.append(hinf_norm(GeneralizedPlant(*loop)).value / search.own.norm)
+        by_w, by_u = (larger.Bw, larger.Dw), (larger.B @ K, larger.D @ K)
+        Bw, Dw = (own + on @ Dyw for own, on in zip(by_w, by_u, strict=True))
+        loop = GeneralizedPlant(larger.A + by_u[0] @ Cy, larger.B, Bw, larger.C + by_u[1] @ Cy, larger.D, Dw)
+        norms.append(hinf_norm(loop).value / search.own.norm)
         return K
 
     monkeypatch.setattr(stable, "descend_stable", not_moved)
