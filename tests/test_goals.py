@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal as signals
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -29,6 +30,7 @@ from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, improved_goal, multi_objective_design
 from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
 from synth.design.multi_objective.peak import RoadPeak, peak_over_road
+from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
 from synth.design.multi_objective.search import GLANCE, TURNS_ON, MinimaxSearch
 from synth.plant.generalized import GeneralizedPlant
@@ -356,6 +358,36 @@ def test_the_slope_of_a_peak_over_a_road():
     differences = [(term.value(x + e) - term.value(x - e)) / 2e-5 for e in 1e-5 * np.eye(3)]
     assert slope == pytest.approx(differences, rel=1e-3)  # the integral's step is a tenth of a radian
     assert term.value(x) == pytest.approx(10 * peak_over_road(term.driven, landscape.gain(x)).value, rel=1e-5)
+
+
+STIFF = np.array([[0.0, 1.0, 0.0], [-0.25, -0.2, 0.0], [0.0, 0.0, -100.0]])  # so steps are small, and the peak is late
+TWICE = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 0.0], [0.0, 0.0, -3.0]])  # a double pole, with one eigenvector
+
+
+@pytest.mark.parametrize(("A", "c", "late"), [(STIFF, [1.0, 0.0, 0.1], True), (TWICE, [0.3, -1.0, 0.5], False)])
+def test_a_peak_beside_the_exact_response_to_a_ramp(A, c, late):
+    """The peak over a ramp is that of matrix exponentials, of a double pole, and long after the road's end, and is proved."""
+    end, Bw, Br, f = 0.5, np.array([0.2, -0.1, 1.0]), np.array([0.0, 1.0, -0.5]), -0.2
+    drive = RoadExcitation(
+        heights=lambda t: np.clip(t / end, 0, 1)[:, None],
+        rates=lambda t: np.where((t > 0) & (t < end), 1 / end, 0.0)[:, None],
+        kinks=np.array([0.0, end]),
+        end=end,
+    )
+    nothing, c = np.zeros((3, 1)), np.array(c)
+    driven = RoadLoop(A, nothing, nothing.T, np.zeros((1, 1)), Bw[:, None], Br[:, None], c, np.zeros(1), np.array([f]), drive)
+    peak = peak_over_road(driven, np.zeros((1, 1)))
+    system = signals.StateSpace(A, np.column_stack([Bw, Br]), c, [[0.0, f]])  # of z' and z, linear on the ramp and after it
+    ramp, after = np.linspace(0, end, 2001), np.linspace(0, 12, 12001)
+    _, y, x = signals.lsim(system, np.column_stack([np.full(2001, 1 / end), ramp / end]), ramp)
+    _, later, _ = signals.lsim(system, np.column_stack([np.zeros(12001), np.ones(12001)]), after, X0=x[-1])
+    highest = np.abs(np.concatenate([y, later])).max()
+    assert peak.value == pytest.approx(highest, rel=1e-5)  # a thousandth of a second
+    assert np.interp(peak.time, np.concatenate([ramp, end + after[1:]]), np.abs([*y, *later[1:]])) == pytest.approx(
+        highest, rel=1e-5
+    )
+    assert (peak.time > 5.0) == late
+    assert highest <= peak.proved <= highest * 1.01
 
 
 def test_the_filter_of_a_band_is_at_least_one_there():
