@@ -145,6 +145,15 @@ def test_projected_starts_are_good(states):
     assert landscape.norm(np.zeros(Cy.shape[0]))[0] > 5 * best_known
 
 
+def test_projected_starts_of_states_that_are_all_measured():
+    """For x' = u - x, z = x and y = x they are the optimal gains 1 - sqrt(2 + 1 / r) where u^2 costs a share r of x^2, too."""
+    one, none = np.eye(1), np.zeros((1, 1))
+    landscape = Landscape(GeneralizedPlant(-one, one, one, one, none, none), one)
+    for x, r in zip(projected_starts(landscape), (1e-8, 1e-4, 1e-2), strict=True):
+        # x^2 costs 1 + r, so that 2 p + p^2 / r = 1 + r, and u = -p / r x.
+        assert landscape.gain(x)[0, 0] == pytest.approx(1 - (2 + 1 / r) ** 0.5, rel=1e-9)  # rounding of the Riccati equation
+
+
 @pytest.mark.attack
 def test_a_large_plant(monkeypatch):
     """A chain too large for the two steps has a gain by descent; that is said, and where rounding leaves no proof of a bound."""

@@ -15,6 +15,7 @@ from models.laws.law_structure import LawStructure, pid_gains
 from models.laws.linear import LinearLaw
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.margins import _with_loop
+from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.command.table import Row, short_lines
@@ -168,6 +169,38 @@ def test_a_limit_on_entries_does_not_end_a_descent():
     assert found.speed_up <= search.most
     assert found.norm.value < 0.1022
     assert search.capped == bool(np.abs(further.D).max() > 9.9e3)  # a hundred times the limit
+
+
+def held(rate: float, dt: float | None, cost: float) -> GeneralizedPlant:
+    """x' = rate (u + w - x), held over dt if it is given, and z = (x, cost u)."""
+    share, one = (rate if dt is None else 1 - np.exp(-rate * dt)), np.eye(1)
+    kept = -share if dt is None else 1 - share
+    return GeneralizedPlant(kept * one, share * one, share * one, [[1], [0]], [[0], [cost]], [[0], [0]], dt=dt)
+
+
+@pytest.mark.parametrize(("rate", "dt"), [(1.0, 1e-3), (0.01, 0.1)])
+def test_a_loop_may_be_as_fast_as_its_samples_follow(rate, dt):
+    """At a thousandth of the plant's time a loop a hundred times as fast is not too fast, and the limit on gains ends it."""
+    plant, start = held(rate, dt, 0.02), LinearLaw(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -np.eye(1))
+    found = fixed_order_design(plant, np.eye(1), structure=LawStructure(0), lower_bound=LowerBound(0.0), known=[start])
+    assert found.certificate.speed_up > FASTEST
+    assert found.certificate.norm.value == pytest.approx((1 + 2**2) ** 0.5 / 101, rel=1e-3)  # of u = -100 x, which it nears
+
+
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_states_at_zero_that_do_nothing_are_moved(dt):
+    """A law whose states read nothing and stand still is given with states that decay slowly, and the norm of its gain."""
+    search = _Search(held(10.0, dt, 0.1), np.eye(1), None, None, LowerBound(0.0), False, as_designed)
+    still = np.zeros((2, 2)) if dt is None else np.eye(2)
+    law = LinearLaw(still, np.zeros((2, 1)), np.ones((1, 2)), -np.eye(1), dt)
+    assert search.certified(law).failures
+    moved, certificate = search.beyond_rounding(law)
+    assert certificate.failures == ()
+    assert certificate.norm.value == pytest.approx(1.01**0.5 / 2, rel=1e-9)  # of u = -x, where a norm stops
+    assert search.certified(moved).failures == ()
+    np.testing.assert_array_equal(moved.D, law.D)
+    decay = -np.diag(moved.A) if dt is None else -np.log(np.diag(moved.A)) / dt
+    assert np.all((decay > 10.0 * 0.9e-6) & (decay < 10.0 * 1e-2))  # SHIFTS, of a plant that is 5 % slower in differences
 
 
 @pytest.mark.parametrize("rows", [((True, False), (False, True)), *attacks([None])])

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal as signals
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -27,9 +28,10 @@ from synth.controller.controller import InterruptedDesign
 from synth.design.multi_objective.band_filter import band_filter
 from synth.design.multi_objective.band_norm import BandLandscape
 from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, improved_goal, multi_objective_design
-from synth.design.multi_objective.objectives import EnergyPeak
-from synth.design.multi_objective.peak import RoadPeak, peak_over_road
+from synth.design.multi_objective.objectives import EnergyPeak, NormObjective
+from synth.design.multi_objective.peak import Peak, RoadPeak, peak_over_road
 from synth.design.multi_objective.problem import FamilyMember, GainErrors, MeasuredPlant, MultiObjectiveProblem, NormSpecification
+from synth.design.multi_objective.road_response import RoadExcitation, RoadLoop
 from synth.design.multi_objective.search import GLANCE, TURNS_ON, MinimaxSearch
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
@@ -320,6 +322,23 @@ def test_the_landscape_in_a_band_is_the_norm_there():
         assert slope == pytest.approx(differences, rel=1e-3, abs=1e-3 * np.abs(slope).max())  # peaks may be close to another
 
 
+def test_a_peak_at_an_end_of_a_band_stays_there():
+    """Where the gain is highest at an end of a band, the second derivative of the norm is that of the gain there."""
+    rng = np.random.default_rng(0)
+    plant, Cy = random_loop(rng)
+    x, step = 0.02 * rng.standard_normal(4), 1e-3 * np.eye(4)
+    _, peak = BandLandscape(plant, Cy, None, (0.0, np.inf)).norm(x)
+    for band, end in (((1.2 * peak, 10 * peak), 0), ((0.1 * peak, peak / 1.2), 1)):
+        landscape = BandLandscape(plant, Cy, None, band)
+        height, at = landscape.norm(x)
+        assert at == band[end]
+        objective, weight = NormObjective(landscape, 2.0), 1e-6  # in halves of a unit; curvatures add up, however small a share
+        support = objective.support(x, height / 2.0, 1e-9)
+        curvature = objective.curvature(x, support, np.full(len(support.values), weight))
+        differences = [weight * (landscape.slope(x + e, at) - landscape.slope(x - e, at)) / 2.0 / 2e-3 for e in step]
+        np.testing.assert_allclose(curvature, differences, atol=1e-4 * np.abs(differences).max())  # of the steps, squared
+
+
 def bounded(bound: str):
     """The problem of gains on three measurements with one bound, and its landscape."""
     vehicle = vehicle_with(f"measured = {THREE}\nbounds = [{{ {bound} }}]")
@@ -339,6 +358,51 @@ def test_the_slope_of_a_peak_over_a_road():
     differences = [(term.value(x + e) - term.value(x - e)) / 2e-5 for e in 1e-5 * np.eye(3)]
     assert slope == pytest.approx(differences, rel=1e-3)  # the integral's step is a tenth of a radian
     assert term.value(x) == pytest.approx(10 * peak_over_road(term.driven, landscape.gain(x)).value, rel=1e-5)
+
+
+STIFF = np.array([[0.0, 1.0, 0.0], [-0.25, -0.2, 0.0], [0.0, 0.0, -100.0]])  # so steps are small, and the peak is late
+TWICE = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 0.0], [0.0, 0.0, -3.0]])  # a double pole, with one eigenvector
+
+
+def after_a_ramp(A: np.ndarray, c: list[float], until: float) -> tuple[Peak, float, float]:
+    """The peak of a loop of three states over a ramp of half a second, and by matrix exponentials its height up to a time:
+
+    the largest of all, and that at the time of the peak.
+    """
+    end, Bw, Br, f = 0.5, np.array([0.2, -0.1, 1.0]), np.array([0.0, 1.0, -0.5]), -0.2
+    drive = RoadExcitation(
+        heights=lambda t: np.clip(t / end, 0, 1)[:, None],
+        rates=lambda t: np.where((t > 0) & (t < end), 1 / end, 0.0)[:, None],
+        kinks=np.array([0.0, end]),
+        end=end,
+    )
+    none, of_u = np.zeros((3, 1)), np.zeros((1, 1))
+    driven = RoadLoop(A, none, none.T, of_u, Bw[:, None], Br[:, None], np.array(c), np.zeros(1), np.array([f]), drive)
+    peak = peak_over_road(driven, of_u)
+    system = signals.StateSpace(A, np.column_stack([Bw, Br]), c, [[0.0, f]])  # of z' and z, linear on the ramp and after it
+    ramp, after = np.linspace(0, end, 2001), np.linspace(0, until, 12001)
+    _, y, x = signals.lsim(system, np.column_stack([np.full(2001, 1 / end), ramp / end]), ramp)
+    _, later, _ = signals.lsim(system, np.column_stack([np.zeros(12001), np.ones(12001)]), after, X0=x[-1])
+    heights = np.abs([*y, *later[1:]])
+    return peak, heights.max(), np.interp(peak.time, [*ramp, *(end + after[1:])], heights)
+
+
+@pytest.mark.parametrize(("A", "c", "late"), [(STIFF, [1.0, 0.0, 0.1], True), (TWICE, [0.3, -1.0, 0.5], False)])
+def test_a_peak_beside_the_exact_response_to_a_ramp(A, c, late):
+    """The peak over a ramp is that of matrix exponentials, of a double pole, and long after the road's end, and is proved."""
+    peak, highest, then = after_a_ramp(A, c, 12.0)
+    assert [peak.value, then] == pytest.approx([highest] * 2, rel=1e-5)  # a thousandth of a second
+    assert (peak.time > 5.0) == late
+    assert highest <= peak.proved <= highest * 1.01
+
+
+def test_a_peak_after_all_steps_is_bounded():
+    """Where steps end long before a slow motion has its peak, what is proved is still above it, and not far."""
+    A = np.array([[0.0, 1.0, 0.0], [-4e-4, -4e-3, 0.0], [0.0, 0.0, -100.0]])
+    peak, highest, _ = after_a_ramp(A, [1.0, 0.0, 0.0], 200.0)
+    assert peak.time < 50.0
+    assert peak.value < 0.5 * highest
+    assert highest <= peak.proved <= 2 * highest
 
 
 def test_the_filter_of_a_band_is_at_least_one_there():

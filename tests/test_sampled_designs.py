@@ -3,6 +3,7 @@
 import json
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cvxpy as cp
 import numpy as np
@@ -15,7 +16,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.controller.implementation_norm import held_problem, norm_as_implemented
-from synth.design.sampled_data import held_design, norm_of, two_steps
+from synth.design.sampled_data import _level, held_design, norm_of, two_steps
 from synth.design.two_step import state_path
 from synth.lmi.output_feedback import l_matrix, nullspace, r_matrix
 from synth.lmi.sdp import solve_lmi
@@ -62,6 +63,28 @@ def test_in_the_time_of_sixty_plain_solves(paper):
     for rows in ROWS.values():
         held_design(SampledDataProblem(plant, rows, np.zeros((len(rows), 1)), (HoldInterval(0.01, 0),)), 7.8)
     assert time.process_time() - start < 60 * plain
+
+
+@pytest.mark.parametrize("start", [1e-3, 1.0, 3.9, 300.0])
+def test_a_level_where_the_norm_falls_steeply(start):
+    """A norm of 2 / level has its level at once, and one that jumps from 3 to 0.01 at 2 is followed there from either side."""
+
+    def found(norm):
+        asked = []
+
+        def path(level):
+            asked.append(level)
+            return [SimpleNamespace(gamma=norm(level))]
+
+        return *_level(SimpleNamespace(at=lambda level: level), path, start), asked
+
+    level, (point,), asked = found(lambda level: 2 / level)
+    assert level == pytest.approx(2, rel=1e-12)  # rounding
+    assert point.gamma == pytest.approx(1, abs=1e-9)  # CLOSE
+    assert len(asked) <= 2  # the guess of one pair is the level
+    level, (point,), _ = found(lambda level: 3.0 if level < 2 else 0.01)
+    assert level == pytest.approx(2, rel=2e-9)  # CLOSE
+    assert point.gamma < 1
 
 
 @pytest.mark.parametrize("name", ["I", "II"])

@@ -7,14 +7,18 @@ import pytest
 
 from models.common.printed import percent
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
+from synth.analysis.norm import hinf_norm
 from synth.command.check import check
-from synth.design.full_order import full_order
+from synth.design.full_order import full_order, stable
 from synth.design.full_order.full_order import full_order_design
+from synth.design.full_order.riccati import RiccatiSearch
+from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.state_space import law_system
 from tests.shared import made, printed
+from tests.test_fixed_order import posed
 
 HUB = 'measured = ["unsprung_acceleration", "control_force"]\norder = "full"\n'
 CAR = re.sub("tyre_damping = .*\n", "", read_vehicle("quarter_car_semi_active").text)  # if its tyre damps, stability has a price
@@ -56,6 +60,28 @@ def test_it_is_saved_and_read_again():
     assert row.failures == ()
     controller = Designer(vehicle).design("calm_designed")
     assert np.all(np.real(law_system(vehicle, controller).poles()) < 0)
+
+
+def test_the_descent_begins_where_the_law_is(monkeypatch):
+    """The gain of a noisy plant with a law's states has the law's own norm, noise included, and is that law again."""
+    plant, Cy, Dyw = posed(1, n=2)
+    search = RiccatiSearch(plant, Cy, Dyw, find_lower_bound(plant, Cy, Dyw=Dyw).gamma)
+    start = search.traded(1e-2, 1.3 * search.bound)
+    assert start is not None
+    norms = []
+
+    def not_moved(larger, Cy, Dyw, K, states, light):
+        by_w, by_u = (larger.Bw, larger.Dw), (larger.B @ K, larger.D @ K)
+        Bw, Dw = (own + on @ Dyw for own, on in zip(by_w, by_u, strict=True))
+        loop = GeneralizedPlant(larger.A + by_u[0] @ Cy, larger.B, Bw, larger.C + by_u[1] @ Cy, larger.D, Dw)
+        norms.append(hinf_norm(loop).value / search.own.norm)
+        return K
+
+    monkeypatch.setattr(stable, "descend_stable", not_moved)
+    law = stable._descended(search, start)
+    assert norms == [pytest.approx(start.norm, rel=1e-7)]  # where each norm stops
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(law, name), getattr(start.own, name))
 
 
 @pytest.mark.attack

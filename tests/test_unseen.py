@@ -135,6 +135,20 @@ def test_a_force_that_hides_a_state():
         np.testing.assert_allclose(gain, [[without, 0], [0, -1]], rtol=1e-6, atol=1e-9)  # where the path is stopped; rounding
 
 
+def test_a_gain_that_hides_all_is_made_of_measurements():
+    """z = 3 x1 + x2 + u: of y = z / 2 at u = 0 the gain is -2, w reaches z in no way, and so it says; of x1 alone it is not."""
+    plant = GeneralizedPlant(
+        np.diag([-1.0, -2.0]), np.array([[1.0], [0.0]]), np.ones((2, 1)), np.array([[3.0, 1.0]]), np.eye(1), np.zeros((1, 1))
+    )
+    design = two_step_design(plant, plant.C / 2)
+    np.testing.assert_allclose(design.gain, [[-2.0]], rtol=1e-12)  # rounding
+    assert design.case == "with this gain w reaches z in no way"
+    assert design.certificate.norm.value <= 1e-12  # rounding
+    partly = two_step_design(plant, np.eye(2)[:1])
+    assert partly.case.startswith("with the right state feedback w reaches z in no way")
+    assert partly.certificate.norm.value > 0.1
+
+
 def test_what_is_left_out_follows():
     """In the X that L (14) comes from, the states left out are as correlated with the others as the closed loop makes them."""
     plant = beside(README, np.array([[-3.0]]), np.array([[1.0, 2.0]]), np.array([[0.5]]), np.array([[1.0]]))

@@ -9,6 +9,7 @@ from synth.analysis.certificate import certify
 from synth.analysis.interpolation import limit_at_zeros, zero_limit
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.record import read_proof, to_record
+from synth.analysis.rigorous import radius_of_solution
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.lmi.output_feedback import state_feedback
 from synth.plant.generalized import GeneralizedPlant
@@ -128,6 +129,26 @@ def test_what_points_prove_is_no_more(seed):
         assert limit_at_zeros(plant, Cy, (some[:2], some[2:])) <= best * (1 + 1e-6)
     for bad in (0j, complex(np.inf), complex(np.nan, 1), 1e300 + 0j):
         assert limit_at_zeros(plant, Cy, ((bad, *zeros[0]), (*zeros[1], bad))) <= best * (1 + 1e-6)
+
+
+def test_a_solution_is_enclosed_just_where_the_worst_equation_has_one():
+    """x = e + c x + k x^2 / 2, the worst of its kind, settles from 0 within the radius, and nowhere if there is none."""
+    rng = np.random.default_rng(0)
+    c, share = rng.uniform(0, 0.6, 1000), rng.choice([1e-6, 0.5, 0.99, 1.01, 1.5, 3.0], 1000)
+    e = 10 ** rng.uniform(-12, 3, 1000)
+    k = share * (1 - c) ** 2 / (2 * e)  # a tangent at a share of 1
+    x = np.zeros(1000)
+    with np.errstate(all="ignore"):
+        for _ in range(1000):
+            x, before = e + c * x + k * x**2 / 2, x
+    settled = np.isfinite(x) & (x <= before * (1 + 1e-6))
+    assert 300 < settled.sum() < 700
+    for i in range(1000):
+        radius = radius_of_solution(float(e[i]), float(c[i]), float(k[i]))
+        assert (radius is not None) == (settled[i] and c[i] < 0.5)
+        assert radius is None or x[i] <= radius
+    for nothing in ((1e-9, 1.0, 1.0), (np.nan, 0.0, 1.0), (1e-9, np.nan, 1.0), (1e-9, 0.0, np.nan)):
+        assert radius_of_solution(*nothing) is None
 
 
 def test_a_zero_that_is_not_one_is_not_enclosed():

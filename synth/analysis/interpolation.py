@@ -21,9 +21,8 @@ On the imaginary axis each such condition alone bounds the norm, by |x_k| / |v_k
 
 A zero in the open half plane is not a float, so it is enclosed. Let (k, s) be near a solution and R near the inverse of the
 derivative there, and let the residual include its rounding. A solution lies within a radius r if |R residual| + |I - R
-derivative| r + |R| |U| r^2 / 2 <= r (Krawczyk, for a quadratic equation; by Brouwer's fixed-point theorem). If a zero has
-several k, additional rows select the one with the largest bound. A gamma is excluded if one vector v makes v* P v < 0 for every
-Pick matrix P within the enclosures.
+derivative| r + |R| |U| r^2 / 2 <= r (`radius_of_solution`). If a zero has several k, additional rows select the one with the
+largest bound. A gamma is excluded if one vector v makes v* P v < 0 for every Pick matrix P within the enclosures.
 """
 
 from collections.abc import Sequence
@@ -34,6 +33,7 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from synth.analysis.invariant_point import limit_at, limit_at_infinity
+from synth.analysis.rigorous import radius_of_solution
 from synth.analysis.synthesis_inequality import SynthesisInequality, scale_near, transposed
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import own_units
@@ -217,8 +217,8 @@ def _enclosed_near(side: _Pencil, near: complex) -> Node | None:
     # The derivative, too, is rounded: in its entries, and by cancellation in Q - s U and U' v.
     slopes = float(np.linalg.norm(derivative)) + float(np.linalg.norm(Q)) + (abs(s) + float(np.linalg.norm(v))) * curvature
     contraction = float(np.linalg.norm(np.eye(k + 1) - R @ derivative)) + unit * size * slopes
-    radius = 2 * first / (1 - contraction)
-    if not (contraction < 0.5 and first + contraction * radius + size * curvature * radius**2 / 2 <= radius < s.real):
+    radius = radius_of_solution(first, contraction, size * curvature)
+    if radius is None or not radius < s.real:
         return None
     p, y, of_v = v @ side.c, v @ side.b, radius + unit * float(np.linalg.norm(v))
     length, of_p, of_y = float(np.linalg.norm(p)), of_v * float(np.linalg.norm(side.c)), of_v * float(np.linalg.norm(side.b))

@@ -185,6 +185,22 @@ class Definiteness:
     proved: bool
 
 
+def radius_of_solution(residual: float, contraction: float, curvature: float) -> float | None:
+    """Returns a radius about a point within which a quadratic equation has a solution; None if that is not proved.
+
+    By Brouwer's fixed-point theorem, as x - R f(x) maps the ball about the point into itself (Krawczyk).
+
+    Args:
+        residual: bound on |R f| at the point.
+        contraction: bound on |I - R f'| there.
+        curvature: bound on twice |R f| of what is quadratic, over the square of the distance.
+    """
+    if not contraction < 0.5:
+        return None
+    radius = 2 * residual / (1 - contraction)
+    return radius if residual + contraction * radius + curvature * radius**2 / 2 <= radius else None
+
+
 def definiteness(M: Array) -> Definiteness:
     """Checks if every symmetric matrix whose entries round to those of M is positive definite.
 

@@ -39,7 +39,17 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from synth.analysis.rigorous import Nullspace, floats, identity, integers, product, span_all, without_factors, zeros
+from synth.analysis.rigorous import (
+    Nullspace,
+    floats,
+    identity,
+    integers,
+    product,
+    radius_of_solution,
+    span_all,
+    without_factors,
+    zeros,
+)
 from synth.plant.generalized import GeneralizedPlant
 from synth.plant.units import nearest_power
 
@@ -265,10 +275,8 @@ def _enclosed_subspace(U: Array, Q: Array, W: Array, N: Array) -> tuple[Array, A
     own, turned = float(np.linalg.norm(W)), float(np.linalg.norm(N))
     shaken = float(np.linalg.norm(derivative)) + k**0.5 * (float(np.linalg.norm(Q)) + bend * (own + turned))
     contraction = float(np.linalg.norm(np.eye(len(R)) - R @ derivative)) + unit * len(R) * size * shaken
-    radius = 2 * first / (1 - contraction)
-    if not (contraction < 0.5 and first + contraction * radius + size * bend * radius**2 / 2 <= radius):
-        return None
-    return W, N, radius
+    radius = radius_of_solution(first, contraction, size * bend)
+    return None if radius is None else (W, N, radius)
 
 
 def _equation(U: Array, Q: Array, W: Array, N: Array, basis: Array) -> tuple[Array, Array]:

@@ -339,9 +339,8 @@ def _level(
                 below = max(below, level)
             seen = [*seen[-2:], (math.log(norm), math.log(level))]
             guesses = (_crossing(seen[-count:]) for count in (3, 2, 1))
-            level = next((guess for guess in guesses if below < guess < above), math.nan)
-            if not below < level < above:
-                level = math.sqrt(below * above) if below and not math.isinf(above) else 2 * below if below else above / 2
+            # With one end alone the last guess, of one pair, lies beyond it.
+            level = next((guess for guess in guesses if below < guess < above), math.sqrt(below * above))
         if best is not None and above <= below * (1 + CLOSE):
             return best
     raise DesignError(f"the level of the sampled loop was not found in {ROUNDS} rounds, between {below:.7g} and {above:.7g}")
