@@ -17,6 +17,7 @@ from models.roads.iso8608 import Iso8608
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.command.comparison import short_lines
 from sim.runs.agreement import ROUNDING, compare
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
@@ -258,6 +259,13 @@ def test_lift_off_is_reported_and_no_disagreement(capsys, options):
     first = ", first" if len(run["lift_off"]) > 4 else ""
     assert f"a tyre is off the road{first} from {start:.4g} s to {end:.4g} s ({end - start:.3g} s)" in out
     assert "the linear comparison does not apply from" in out
+
+
+def test_a_short_answer_of_a_few_says_where_more_is(paper, designer):
+    """It ends with what `-v` adds; of more controllers the table's note says so."""
+    (run,) = run_controllers(paper, [designer.design("passive")], Bump(), sample_times(paper, 0.05, 1e-3))
+    assert short_lines([run])[-1].startswith("-v adds gains")
+    assert not any("-v adds" in line for line in short_lines([run] * 4))
 
 
 def test_a_tyre_squeezed_flat_is_reported(capsys):

@@ -72,6 +72,8 @@ def test_metrics_of_a_sine(paper):
         "control_force": 100.0,
     }
     found = measure(vehicle, sine(vehicle, amplitudes, omega, time), 20_001)  # whole periods
+    later = sine(vehicle, amplitudes, omega, time)
+    assert measure(vehicle, dataclasses.replace(later, time=time + 7.0), 20_001) == pytest.approx(found, rel=1e-9)
     weighted = 2 * abs(wk(np.array(omega)))
     running = weighted * np.sqrt(0.5 + 0.5 / np.hypot(1, 2 * omega))  # of an exponential mean over 1 s at twice the frequency
     expected = {

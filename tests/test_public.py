@@ -124,6 +124,7 @@ def test_what_is_shown(paper, designer):
         assert "<svg" in one._repr_html_()
     figures = [set(re.findall(r' id="([^"]+)"', one._repr_html_())) for one in (paper, controller, run)]
     assert len(set.union(*figures)) == sum(map(len, figures)) == 9  # of a figure, its title and its text
+    assert "sprung acceleration [m/s2]" in run._repr_html_()  # 0.38 m/s2; a tenth of 0.05 m, and the others, weigh less
     peaks = list(ElementTree.fromstring(f"<div>{run._repr_html_()}</div>").iter("table"))[1]
     for row in list(peaks.iter("tr"))[1:]:
         heading, physics, *_ = row.itertext()

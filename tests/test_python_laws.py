@@ -10,20 +10,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
 from models.laws import python_runtime as running
 from models.laws.python_law import Programmed
-from models.roads.road import Bump, under_wheels
+from models.roads.road import Bump, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
+from sim.linear.forced_response import forced_response
+from sim.linear.sampled_response import sampled_response, taylor4
 from sim.physics.simulate import PhysicsRuns
 from sim.runs.agreement import compare
 from sim.runs.run import run_controllers, sample_times
+from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 from tests.analysed import predict_forced, simulate
 from tests.commands import environment, main_of, prose
+from tests.curved import DIGRESSIVE, with_curves
 from tests.pages import site
 
 GAIN = """
@@ -121,6 +126,21 @@ def test_it_can_disagree(tmp_path):
     for share, agrees in {1.0: True, 1.00001: False}.items():
         wrong = predict_forced(vehicle, mine, run.road, run.physics.time, share * run.prediction.requested_force)
         assert compare(wrong, run.physics).agrees is agrees
+
+
+@pytest.mark.parametrize(
+    "vehicle", [read_vehicle("full_car"), with_curves(suspension_damping=DIGRESSIVE)], ids=["twisted", "bent"]
+)
+def test_the_response_to_the_forces_of_a_loop_is_that_of_the_loop(vehicle):
+    """To forces that a linear law asked for, a vehicle responds as in its loop, exactly and as RK4 does."""
+    controller = Designer(vehicle).design("I")
+    road = RoadInput(vehicle, Bump(track="left"), sample_times(vehicle, 0.2, 2e-3))
+    for exponential in (linalg.expm, taylor4):
+        loop = sampled_response(LoopModel(vehicle, controller, 2e-3), road, exponential)
+        forces = np.stack([loop[name] for name in vehicle.linear_model.inputs], axis=-1)
+        found = forced_response(forces, road, exponential)
+        for name in vehicle.linear_model.outputs:
+            assert np.abs(found[name] - loop[name]).max() < 1e-9 * loop.scale(name), name
 
 
 def test_preview_is_the_road_ahead(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 import synth.vehicle.sample_rate.cost
 import synth.vehicle.sample_rate.report
+from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, delay_text
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.stability.loop_transfer import loop_transfer
@@ -218,6 +219,15 @@ def test_why_none_is_designed(monkeypatch, capsys, rates):
     (line,) = [line for line in said.splitlines() if line.startswith("  50 ms")]
     assert line.split()[-1] == "-"
     assert "\n  not designed for 50 ms: nothing was found\n" in said
+
+
+def test_a_law_with_states_is_not_designed_for_a_rate(monkeypatch, never_lost):
+    """What is designed for a rate is a gain; no search is made in place of a law with states that stands in no vehicle file."""
+    vehicle = read_vehicle("quarter_car")
+    monkeypatch.setattr(synth.vehicle.sample_rate.cost, "held_design", _not_asked_for)
+    law = LinearLaw(np.array([[-5.0]]), np.array([[0.0, 1.0]]), np.array([[500.0]]), np.array([[0.0, -2000.0]]))
+    (at,) = cost(vehicle, replace(design(vehicle, "I"), name="mine", law=law), [1e-2], [1e-2]).rates
+    assert (at.designed, at.undesigned) == (None, "")
 
 
 def test_one_sample_as_it_is_printed():

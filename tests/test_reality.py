@@ -152,24 +152,26 @@ def stationary(vehicle, controller, step):
     return dict(zip(vehicle.linear_model.outputs, last.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("gain", [-2000.0, 9000.0])
-def test_rms_from_rest_is_the_covariance_step_by_step(paper, gain):
-    """At every timestep it is that of the covariance, whether the loop decays or grows."""
-    vehicle = with_reality(paper, None, Implementation(noise={"sprung_velocity": 0.01}))
+@pytest.mark.parametrize(("gain", "held"), [(-2000.0, 1), (9000.0, 1), (-2000.0, 5)])
+def test_rms_from_rest_is_the_covariance_step_by_step(paper, gain, held):
+    """At every timestep it is that of the covariance, whether the loop decays or grows, and while a force is held over steps."""
+    vehicle = with_reality(paper, None, Implementation(sample_period=held * 2e-3, noise={"sprung_velocity": 0.01}))
     controller = certify_given(vehicle, "mine", ("sprung_velocity",), static_law(np.array([[gain]])))
     found = noise_rms(vehicle, controller, 2e-3, 400)
     model = vehicle.linear_model
-    augmented = np.zeros((5, 5))
+    augmented = np.zeros((5, 5))  # of the state and the held force
     augmented[:4] = np.hstack([model.A, model.B])
-    held = linalg.expm(2e-3 * augmented)
-    drive, D = 0.01 * gain * held[:4, 4:], 0.01 * gain * model.D
-    K = controller.state_gain(vehicle)
-    loop, closed = held[:4, :4] + held[:4, 4:] @ K, model.C + model.D @ K
-    assert (np.abs(np.linalg.eigvals(loop)).max() > 1) == (gain > 0)
-    P = np.zeros((4, 4))
-    for row in found:
-        np.testing.assert_allclose(row**2, np.diag(closed @ P @ closed.T + D @ D.T), rtol=1e-9)  # the same sums, otherwise put
-        P = loop @ P @ loop.T + drive @ drive.T
+    step, sampled = linalg.expm(2e-3 * augmented), np.eye(5)
+    sampled[4] = [*controller.state_gain(vehicle)[0], 0.0]
+    grows = np.abs(np.linalg.eigvals(np.linalg.matrix_power(step, held) @ sampled)).max() > 1
+    assert grows == (gain > 0)
+    rows, P = np.hstack([model.C, model.D]), np.zeros((5, 5))
+    for k, row in enumerate(found):
+        if k % held == 0:
+            P = sampled @ P @ sampled.T
+            P[4, 4] += (0.01 * gain) ** 2
+        np.testing.assert_allclose(row**2, np.diag(rows @ P @ rows.T), rtol=1e-9)  # the same sums, otherwise put
+        P = step @ P @ step.T
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from models.laws.linear import static_law
 from models.roads.iso8608 import Iso8608
 from models.roads.road import Road, track_width
 from models.vehicle.vehicle import read_vehicle
 from sim.linear.frequency_response import leaps_by_step, stepwise_frequency_response
 from sim.studies.ride.expected import expect, settled, settled_shares, sources
-from synth.vehicle.designer import Designer
+from synth.vehicle.designer import Designer, certify_given
 from tests.analysed import sampled_responses
 from tests.commands import attacks
 
@@ -69,6 +70,16 @@ def test_how_much_of_the_variance_is_there_when_measuring_begins(name, controlle
     if controller == "I":
         slow = settled_shares(vehicle, designed, Iso8608("C", 0, 20.0).spectrum, h, 0.504)
         assert slow["control_force"] == pytest.approx(1.12, abs=0.01)  # over 400 seeds 1.17 +- 0.08
+
+
+@pytest.mark.parametrize(
+    ("name", "law"), [("quarter_car", 6e4), ("quarter_car_semi_active", -1500.0)], ids=["unstable", "damper"]
+)
+def test_no_share_is_known_of_a_loop_without_a_linear_course(name, law):
+    """A loop that grows, and one whose adjustable dampers do not give every force, have no final variance."""
+    vehicle = read_vehicle(name)
+    controller = certify_given(vehicle, "mine", ["sprung_velocity"], static_law(np.array([[law]])))
+    assert settled(vehicle, controller, Iso8608("C", 0, 20.0).spectrum, 4e-3, 1.0) is None
 
 
 def test_in_the_end_all_of_the_variance_is_there():

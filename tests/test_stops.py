@@ -18,6 +18,7 @@ from models.vehicle.limits_and_implementation import Limits, read_limits
 from models.vehicle.mjcf import build_model, mjcf_text
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
+from sim.command import comparison
 from sim.inspect.__main__ import main as inspect
 from sim.response.regime import reached
 from sim.runs.report import run_object, verdict, verdict_lines
@@ -156,6 +157,8 @@ def test_stops_of_several_suspensions_and_runs():
     assert two.startswith(f"stops, passive: bump {hardest['bump'][1]} ")
     assert f"; rebound {hardest['rebound'][1]} " in two
     side = max(hardest, key=lambda one: hardest[one][0])
+    assert comparison.stop_lines([run, run], full=False) == stop_lines([run, run], few=3)
+    assert comparison.stop_lines([run, run], full=True) == []  # each has its own
     many = " ".join(map(str.strip, stop_lines([run] * 4, few=3)))
     assert many.startswith(f"stops, reached by 1 of 4, hardest by passive: {side} {hardest[side][1]} ")
     assert f"{hardest[side][0]:.0f} N at " in many

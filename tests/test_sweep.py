@@ -11,8 +11,9 @@ from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response, worst_sinusoid
+from sim.response.response import SILENT
 from sim.studies.frequency.figure import drawn_line
-from sim.studies.frequency.identification import identify
+from sim.studies.frequency.identification import difference, identify
 from sim.studies.frequency.sweep import failures, short_lines, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
@@ -54,6 +55,14 @@ def test_lines(some):
         assert error < 1e-4  # asked for; RK4's own error makes 4e-5 of it at 2 ms, and 16 times less at 1 ms
         assert not failures(one)
         assert not one.ended
+
+
+def test_an_error_of_a_line_is_relative():
+    """It is the same of a response of any size; a signal that symmetry keeps silent counts by the loudest of its unit."""
+    response, reference = np.array([[1.0, 2e-6, 5.0]]), np.array([[1.25, 0.0, 5.0]])
+    for size in (1.0, 1e-9):
+        found = difference(size * response, size * reference, ("m", "m", "N"))
+        assert found == pytest.approx(np.array([[0.2, 2e-6 / (SILENT * 1.25), 0.0]]))
 
 
 def test_order(paper, designer, some):

@@ -43,7 +43,8 @@ step.vectorised = True
 RELAY = """
 import numpy as np
 def step(sample, state):
-    return np.where(sample.preview[:, 0, 1] > sample.preview[:, 0, 0], 0.05, -0.05)[:, None], state
+    force = 0.05 * (1 + (sample.time + 1e-9) // 5.0)
+    return np.where(sample.preview[:, 0, 1] > sample.preview[:, 0, 0], force, -force)[:, None], state
 step.vectorised = True
 """
 GAIN = """
@@ -104,14 +105,18 @@ def test_of_a_gain_it_is_its_frequency_response(tmp_path, gain, how):
 
 
 def test_what_is_outside_is_measured(tmp_path):
-    """A force that is switched as the road rises and falls has a fundamental of 4 / pi; 1 - 8 / pi^2 of its energy is outside."""
+    """A force that is switched as the road rises and falls has a fundamental of 4 / pi; 1 - 8 / pi^2 of its energy is outside.
+
+    It is 50 mN more in each period of the lowest: measured is the third, which differs by a third of its own from the second.
+    """
     found, _ = found_of(tmp_path, RELAY, more=f"preview = {FINE}", step=FINE)
     force = found.outputs.index("control_force")
     slow = found.omega < 2 * np.pi  # in whole samples: a step of 4 ms is at most 0.4 % of a period
     assert np.sum(slow) > 2
     np.testing.assert_allclose(found.outside[slow, force], 1 - 8 / np.pi**2, atol=1e-5)
     driven_by = AMPLITUDE / 2 * found.omega[slow]  # the road's velocity
-    np.testing.assert_allclose(np.abs(found.measured[slow, force]) * driven_by, 0.05 * 4 / np.pi, rtol=1e-4)
+    np.testing.assert_allclose(np.abs(found.measured[slow, force]) * driven_by, 0.15 * 4 / np.pi, rtol=1e-4)
+    assert found.drift == pytest.approx(1 / 3, rel=1e-3)
     acceleration = found.outputs.index("sprung_acceleration")
     assert 0 < found.outside[slow, acceleration].min() < found.outside[slow, acceleration].max() < 1
 

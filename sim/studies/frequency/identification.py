@@ -48,7 +48,7 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
         forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
         leaps = np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
-        sides = beside_leaps(vehicle, signals, signals - leaps)
+        sides = [signals, signals - leaps]
     sizes = [np.linalg.norm(_weighted(vehicle, side, period)) for side in sides]
     size = sizes[0] if len(sizes) == 1 else math.hypot(*sizes) / math.sqrt(2)
     return float(size / np.linalg.norm(_roads(vehicle, response)))
@@ -83,21 +83,10 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
     model = vehicle.linear_model
     signals = _signals(vehicle, response)
     forces = np.stack([response[name] for name in model.inputs], axis=-1)
-    sides = beside_leaps(vehicle, signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T)
+    sides = signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T
     count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
     weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
     return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
-
-
-def beside_leaps(vehicle: Vehicle, after: Array, before: Array) -> tuple[Array, Array]:
-    """Signals on either side of the leaps that they make where forces are replaced, as the mean square of z needs them.
-
-    A filter smooths a leap, and goes over what lies midway; shapes (..., p) of both, with the sums in z.
-    """
-    through = [name in vehicle.filters for name in vehicle.linear_model.outputs]
-    through = np.array([*through, *(one.filter is not None for one in vehicle.sums)])
-    midway = (after + before) / 2
-    return np.where(through, midway, after), np.where(through, midway, before)
 
 
 def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:

@@ -43,7 +43,6 @@ from sim.studies.frequency.identification import (
     HIGHEST,
     LINES,
     LOWEST,
-    beside_leaps,
     check,
     fit,
     ideal_measurements,
@@ -419,8 +418,8 @@ def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> 
     after = shape[..., None] * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
     before = after - shape[..., None] * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
     after, before = vehicle.summed(after), vehicle.summed(before)
-    negative, around = (omega < 0)[:, None, None], beside_leaps(vehicle, after, before)
-    rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in around]
+    negative = (omega < 0)[:, None, None]
+    rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in (after, before)]
 
     # What is driven is measured by the velocities and, where heights act as such, by the twists that they make.
     model = vehicle.linear_model
