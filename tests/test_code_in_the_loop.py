@@ -13,6 +13,7 @@ from models.common.errors import InputError
 from models.laws.linear import LinearLaw
 from models.roads.choice import choose_road
 from models.roads.road import RoadInput
+from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.campaign.__main__ import main as campaign
@@ -35,7 +36,7 @@ from synth.controller.export.c_law import PythonStep, exported_law, random_input
 from synth.controller.export.compiled import CompiledController, ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 from synth.controller.export.folder import is_law_of
-from synth.controller.export.rounding import steady_rounding
+from synth.controller.export.rounding import SteadyRounding, steady_rounding
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
 from synth.vehicle.exported_numbers import numbers_object
@@ -189,6 +190,36 @@ def test_the_table_of_export_is_that_of_a_run(seed):
     # The road of a run is one under both wheels, and not under each its own: it shakes bounce more than pitch.
     assert 0.5 < max(effect.rms[force] / response.rms(force) for force in forces) / steady.rms < 2
     assert max(effect.most[force].max() for force in forces) < steady.most * np.abs(on.velocities).max()
+
+
+def steady_of(passive: Controller, slow: float, numbers: str, step: float) -> SteadyRounding:
+    """Returns the rounding of a law of short coefficients, on a car that is slower by a power of two, with steps of a reading."""
+    vehicle, powers = read_vehicle("quarter_car"), {"stiffness": 2, "damping": 1}
+    scaled = {name: value / slow ** powers.get(name.split("_")[-1], 0) for name, value in vehicle.parameters.items()}
+    period, steps = 0.005 * slow, {"suspension_deflection": step * slow} if step else {}
+    how = Implementation(sample_period=period, delay=1, quantisation=steps)
+    vehicle = dataclasses.replace(vehicle, parameters=scaled, implementation=how)
+    B, D = np.array([[4.0 / slow, -0.5]]), np.array([[-2048.0 / slow**2, -1024.0 / slow]])
+    law = LinearLaw(np.array([[0.5]]), B, np.array([[256.0 / slow]]), D, period)
+    controller = dataclasses.replace(passive, name="law", measured=("suspension_deflection", "sprung_velocity"), law=law)
+    found = steady_rounding(LoopModel(vehicle, controller, period), exported_law(vehicle, controller, numbers, "law"))
+    assert found is not None
+    return found
+
+
+def test_rounding_depends_on_no_unit_of_time():
+    """In a car four times as slow, of springs a sixteenth as stiff, the share of rounding is the same, and its bound a quarter.
+
+    Its velocities stay, and its forces are a quarter. In double both are less by 29 binary digits; steps of a reading are beside.
+    """
+    passive, which = given(read_vehicle("quarter_car"), "passive"), ((1.0, "float"), (4.0, "float"), (1.0, "double"))
+    one, slower, double = (steady_of(passive, *each, 0.0) for each in which)
+    assert (slower.rms, slower.most) == pytest.approx((one.rms, one.most / 4), rel=1e-9)  # of two exponentials
+    assert (double.rms, double.most) == pytest.approx((one.rms / 2**29, one.most / 2**29), rel=1e-9)
+    coarse = [steady_of(passive, *each, 1e-6) for each in which]
+    beside = [other.most - each.most for each, other in zip((one, slower, double), coarse, strict=True)]
+    assert beside == pytest.approx([beside[0], beside[0] / 4, beside[0]], rel=1e-6)  # a difference
+    assert beside[0] > one.most
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,8 @@ def test_it_is_what_a_drive_expects(name):
     step."""
     vehicle = read_vehicle(name)
     spectrum = Iso8608("C", speed=20.0, track_width=track_width(vehicle)).spectrum
+    if name == "quarter_car":
+        vehicle = parse_vehicle(vehicle.text + '\n[controllers.ahead]\ndesign = "preview"\npreview = 0.02\n')
     designer = Designer(vehicle, search=False)
 
     def apart(controller, timestep: float) -> float:
@@ -33,10 +35,11 @@ def test_it_is_what_a_drive_expects(name):
 
     controller = designer.design("passive")
     assert abs(apart(controller, 1e-3)) < 5e-4  # MuJoCo holds the road over a step
-    controller = designer.design("I")
-    coarse, fine = apart(controller, 1e-3), apart(controller, 5e-4)
-    assert 0 < coarse < 0.01
-    assert fine == pytest.approx(coarse / 2, rel=0.1)  # of first order in the step
+    # A preview smooths a road's jolts, and leaves those of the steps.
+    for controller, step, most in (("I", 1e-3, 0.01), *([("ahead", 2e-4, 0.04)] if name == "quarter_car" else [])):
+        coarse, fine = (apart(designer.design(controller), each) for each in (step, step / 2))
+        assert 0 < coarse < most
+        assert fine == pytest.approx(coarse / 2, rel=0.1)  # of first order in the step
 
 
 def test_a_worse_ride_is_said(tmp_path, capsys):

@@ -331,7 +331,7 @@ def test_without_the_extra_it_is_asked_for(exported, monkeypatch):
 @pytest.mark.parametrize("name", ["quarter_car", "half_car"])
 @pytest.mark.parametrize(("period", "delay"), [(None, 0), (0.005, 1)])
 def test_margins_of_the_loop_as_implemented(name, period, delay):
-    """At a margin the loop itself is marginal: by its transition with that gain, and between two timesteps of that delay."""
+    """At a margin the loop itself is marginal: by its transition with that gain, and by that delay to a tenth of a timestep."""
     vehicle, h = read_vehicle(name), 1e-3
     how = dataclasses.replace(vehicle.implementation, sample_period=period, delay=delay)
     vehicle, controller = dataclasses.replace(vehicle, implementation=how), _given(vehicle, "I")
@@ -345,6 +345,14 @@ def test_margins_of_the_loop_as_implemented(name, period, delay):
     ]
     before, after = (LoopModel(one, controller, h).radius for one in late)
     assert before < 1 <= after
+    if period:  # and within a tenth of a timestep, by steps ten times as fine
+        near = round(10 * found.delay / h)
+        late = [
+            dataclasses.replace(vehicle, implementation=dataclasses.replace(how, delay=delay + k / held / 10))
+            for k in (near - 1, near + 1)
+        ]
+        before, after = (LoopModel(one, controller, h / 10).radius for one in late)
+        assert before < 1 <= after
     assert found.phase == found.delay * found.frequency
     kept = LoopModel(vehicle, controller, h).closed_loop
     forces = LoopModel(vehicle, controller, h).open_loop

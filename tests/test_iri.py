@@ -152,6 +152,14 @@ def test_200_roads(vehicle, distance):
         assert values.std() == pytest.approx(spread, rel=0.15), one.name
 
 
+def test_tracks_that_coincide():
+    """Tracks a micrometre apart are one: each IRI of both has the mean and the spread of one track's, over a whole road too."""
+    for distance in (200.0, 1024.0):
+        one, *others = map(theory, roughness_of(Iso8608("C", track_width=1e-6), CAR, distance))
+        assert len(others) == 3
+        assert np.allclose(others, one, rtol=1e-8, atol=0)  # of coherency, and of a small difference
+
+
 def test_start():
     """The cost of the car's start is that of lines of any phase, a cosine and a sine each; 0.95 m of white slopes."""
     lines, variances, x = np.array([10, 56, 2400]), np.array([2.0, 1.0, 0.5]), np.arange(8000) * STEP
