@@ -365,10 +365,7 @@ TWICE = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 0.0], [0.0, 0.0, -3.0]])  # a do
 
 
 def after_a_ramp(A: np.ndarray, c: list[float], until: float) -> tuple[Peak, float, float]:
-    """The peak of a loop of three states over a ramp of half a second, and by matrix exponentials its height up to a time:
-
-    the largest of all, and that at the time of the peak.
-    """
+    """The peak over a ramp of half a second; by matrix exponentials the largest height up to a time, and that at the peak's."""
     end, Bw, Br, f = 0.5, np.array([0.2, -0.1, 1.0]), np.array([0.0, 1.0, -0.5]), -0.2
     drive = RoadExcitation(
         heights=lambda t: np.clip(t / end, 0, 1)[:, None],
