@@ -365,21 +365,23 @@ TWICE = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0, 0.0], [0.0, 0.0, -3.0]])  # a do
 
 
 def after_a_ramp(A: np.ndarray, c: list[float], until: float) -> tuple[Peak, float, float]:
-    """The peak of a loop of three states over a ramp of half a second, and by matrix exponentials its height up to a time:
+    """The peak over a ramp of half a second; by matrix exponentials the largest height up to a time, and that at the peak's.
 
-    the largest of all, and that at the time of the peak.
+    Under the second wheel the ramp goes half as far down.
     """
-    end, Bw, Br, f = 0.5, np.array([0.2, -0.1, 1.0]), np.array([0.0, 1.0, -0.5]), -0.2
+    end, Bw, Br = 0.5, np.array([[0.2, 0.0], [-0.1, 0.2], [1.0, -0.4]]), np.array([[0.0, 0.1], [1.0, -0.2], [-0.5, 0.3]])
+    f, wheels = np.array([-0.1, 0.2]), np.array([1.0, -0.5])
     drive = RoadExcitation(
-        heights=lambda t: np.clip(t / end, 0, 1)[:, None],
-        rates=lambda t: np.where((t > 0) & (t < end), 1 / end, 0.0)[:, None],
+        heights=lambda t: np.clip(t / end, 0, 1)[:, None] * wheels,
+        rates=lambda t: np.where((t > 0) & (t < end), 1 / end, 0.0)[:, None] * wheels,
         kinks=np.array([0.0, end]),
         end=end,
     )
     none, of_u = np.zeros((3, 1)), np.zeros((1, 1))
-    driven = RoadLoop(A, none, none.T, of_u, Bw[:, None], Br[:, None], np.array(c), np.zeros(1), np.array([f]), drive)
+    driven = RoadLoop(A, none, none.T, of_u, Bw, Br, np.array(c), np.zeros(1), f, drive)
     peak = peak_over_road(driven, of_u)
-    system = signals.StateSpace(A, np.column_stack([Bw, Br]), c, [[0.0, f]])  # of z' and z, linear on the ramp and after it
+    # Of z' and z of the first wheel, which are linear on the ramp and after it.
+    system = signals.StateSpace(A, np.column_stack([Bw @ wheels, Br @ wheels]), c, [[0.0, f @ wheels]])
     ramp, after = np.linspace(0, end, 2001), np.linspace(0, until, 12001)
     _, y, x = signals.lsim(system, np.column_stack([np.full(2001, 1 / end), ramp / end]), ramp)
     _, later, _ = signals.lsim(system, np.column_stack([np.zeros(12001), np.ones(12001)]), after, X0=x[-1])

@@ -1,5 +1,7 @@
 """Zeros in the right half plane: what they prove is what the best controllers come to, and nothing that is not true."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg
@@ -36,10 +38,13 @@ def unstable() -> tuple[GeneralizedPlant, np.ndarray]:
 
 
 def test_a_zero_by_hand():
-    """At the zero u does nothing: the norm is at least that of 1 / (s + 2) there, a third, whatever the controller."""
-    gamma, (of_z, of_y) = zero_limit(two_by_two())
-    assert gamma == pytest.approx(1 / 3, rel=1e-8)  # SHORT
-    assert gamma < 1 / 3
+    """At the zero u does nothing: the norm is at least that of 1 / (s + 2) there, a third, whatever the controller and units."""
+    plant = two_by_two()
+    _, (of_z, of_y) = zero_limit(plant)
+    for unit in (1.0, 2.0**-30, 2.0**30):
+        of_unit = replace(plant, C=unit * plant.C, D=unit * plant.D)
+        assert zero_limit(of_unit)[0] == pytest.approx(unit / 3, rel=1e-8)  # SHORT
+        assert zero_limit(of_unit)[0] < unit / 3
     assert of_z == (pytest.approx(1.0, abs=1e-12),)
     assert of_y == ()
 
