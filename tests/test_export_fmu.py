@@ -465,14 +465,14 @@ def test_a_derivative_is_of_its_state(version):
     tree = ElementTree.fromstring(description(linear_model("car", "a car", system), version, "", []))
     variables = list(next(tree.iter("ModelVariables")))
     by_place = {str(i): one.get("name") for i, one in enumerate(variables, 1)}
-    named = by_place if version == 2 else {one.get("valueReference"): one.get("name") for one in variables}
+    named = by_place if version == 2 else {one.attrib["valueReference"]: one.get("name") for one in variables}
     numbers = {one.get("name"): one[0] if version == 2 else one for one in variables}
     states = [f"state.{one.name}" for one in system.states]
-    assert [named[numbers[f"der({name})"].get("derivative")] for name in states] == states
+    assert [named[numbers[f"der({name})"].attrib["derivative"]] for name in states] == states
     rows = next(tree.iter("Derivatives")) if version == 2 else tree.iter("ContinuousStateDerivative")
     known, moved = np.array([*(one.name for one in system.inputs), *states]), {}
     for row in rows:
-        of = named[row.get("index" if version == 2 else "valueReference")]
+        of = named[row.attrib["index" if version == 2 else "valueReference"]]
         moved[of] = {named[one] for one in row.get("dependencies", "").split()}
     slopes = np.hstack([system.B, system.A])
     assert moved == {f"der({name})": set(known[slope != 0]) for name, slope in zip(states, slopes, strict=True)}
