@@ -23,6 +23,7 @@ from synth.controller.export import cortex_m4
 from synth.controller.export.c_law import NUMBERS, SPARE, ExportedLaw, PythonStep, c_name, exported_law, random_inputs
 from synth.controller.export.c_source import FLAGS
 from synth.controller.export.fixed_source import source_of
+from synth.controller.export.folder import CERTIFICATE, files
 from synth.controller.open_loop import LoopModel
 from synth.controller.sampled_margins import sampled_margins
 from tests.commands import attacks, prose
@@ -184,6 +185,21 @@ def test_a_folder_proves_itself(exported, capsys, tmp_path):
     assert main(["--check", str(tmp_path / "two")]) == 0
     assert "every claim of its certificate holds" in prose(capsys.readouterr().out)
     assert "`bound` = 7.9" in (tmp_path / "two" / "README.md").read_text()
+
+
+def test_tables_of_another_machine_are_its_own(exported, capsys, tmp_path):
+    """Tables that are rounded otherwise are those of their folder, and nothing is changed; other ones are named."""
+    vehicle = read_vehicle(str(exported.parent / "car.toml"))
+    controller = _given(vehicle, "law")
+    law = exported_law(vehicle, controller, "double", "law")
+    for factor, said in ((1 + 2.0**-52, "nothing is changed"), (1.001, f"{CERTIFICATE}: its tables are not those of the law in")):
+        folder = tmp_path / str(factor)
+        for name, text in files(vehicle, controller, dataclasses.replace(law, B=law.B * factor)).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, newline="\n")
+        capsys.readouterr()
+        assert main(["--check", str(folder)]) == (factor > 1.0001)
+        assert said in prose(capsys.readouterr().out)
 
 
 def test_every_changed_file_is_named(exported, capsys, tmp_path):

@@ -670,6 +670,21 @@ def test_a_bound_with_errors_is_proved_where_it_is_kept():
     assert slowest.proved == -1.0
 
 
+def test_the_picture_of_two_loops(paper, designer):
+    """The picture says which of two loops has the lowest peak: that of the least norm, as far as its points show it."""
+    controllers = [designer.design(name) for name in ("II_printed", "state_printed")]
+    rows = [Row(one.name, one, (), ()) for one in controllers]
+    other, least = (one.certificate.norm.value for one in controllers)
+    both, alone = responses_figure(paper, rows), responses_figure(paper, rows[:1])
+    assert both is not None
+    assert alone is not None
+    assert alone.finding == ""
+    name, said = both.finding.removesuffix(".").split(" has the lowest peak: ")
+    assert name == "state_printed"
+    assert least < other
+    assert float(said) == pytest.approx(least, rel=1e-3)
+
+
 @pytest.mark.attack
 def test_the_picture_of_a_band(tmp_path, capsys):
     """Curves are the loops' largest gains, the band is shaded, and what is proved in it lies on no point of the curve there."""

@@ -106,7 +106,9 @@ def test_files_of_the_users_own_names(tmp_path):
     (tmp_path / "elsewhere" / "roadproof").write_text("from sim.__main__ import roadproof\nroadproof()\n")
     quick = ["--controller", "passive", "--duration", "0.1", "--no-logs", "--brief"]
     known = environment() | {"PYTHONPATH": str(ROOT)}
-    for command in (["-m", "sim.bump", *quick], ["elsewhere/roadproof", "bump", *quick]):
+    for command in (["-m", "sim.bump", *quick], ["elsewhere/roadproof", "bump", *quick], ["-m", "synth", *quick[:2]]):
+        if command[1] == "synth":
+            (tmp_path / "synth.py").unlink()  # that would be what `-m` names
         run = subprocess.run([sys.executable, *command], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=120)
         assert (run.returncode, run.stderr) == (0, "")
         (tmp_path / "sim.py").write_text("raise SystemExit('the wrong file')\n")

@@ -23,7 +23,7 @@ from synth.controller.implementation_norm import norm_as_implemented
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period
-from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure
+from synth.vehicle.sample_rate.report import LITTLE, cost_lines, drawn_periods, rates_figure, short_lines
 from tests.analysed import implemented_loop
 from tests.commands import attacks, once, prose
 from tests.shared import made
@@ -358,6 +358,18 @@ def drawn(one: Cost, label: str) -> tuple[list[float], list[float]]:
     assert panel.title == f"controller {one.controller.name}"
     (curve,) = [curve for curve in panel.curves if curve.label == label]
     return list(curve.x), list(curve.y)
+
+
+def test_table_of_many(never_lost):
+    """A row has the rates at which a loop is lost: 100 kHz, the fastest, for one that no computer keeps, - for one without."""
+    vehicle = read_vehicle("quarter_car")
+    found = cost(vehicle, design(vehicle, "I"), [1e-2])
+    lines = short_lines([replace(found, lost=0.0, lost_late=0.05), replace(found, lost=math.inf, lost_late=0.25)])
+    rows = [line.split()[-4:] for line in lines if line.split()[:1] == ["I"]]
+    assert [" ".join(row) for row in rows] == ["100 kHz 20 Hz", "% - 4 Hz"]  # % of what is before it
+    assert found.lower_bound is not None
+    for label, level in (("lower bound of any controller", found.lower_bound), ("in continuous time", found.ideal)):
+        assert drawn(found, label) == (pytest.approx([10, 10], rel=1e-12), [level, level])
 
 
 @pytest.mark.attack

@@ -84,6 +84,7 @@ def test_every_dialect_is_the_same_table(caller, tmp_path, monkeypatch):
         ("time [s]\theave [N]\n0\t1\n1\t1,300.0\n", f"{BOTH}: line 3 has '1,300.0'; write 1300.0"),
         ("time [s] heave [N]\n1.300,0 1\n1400 2\n", f"{BOTH}: line 2 has '1.300,0'; write 1300,0"),
         ('time [s],heave [N]\n"0,5","-1.350"\n', f"{BOTH}: line 2 has '0,5', and line 2 has '-1.350'; write -1350 or -1,35"),
+        ("time [s];heave [N]\n0;1.250\n1;2,5\n", f"{BOTH}: line 3 has '2,5', and line 2 has '1.250'; write 1250 or 1,25"),
         ("time [s];heave [N]\nx;1\n1;2\n", "line 2, column 1: 'x' is no number; give"),
         ("survey\ntime [s],heave [N],pitch [N m]\n0,1\n1,2\n", "no line above line 3 names its 2 column(s); give"),
         ("0,1\n1,2\n", "no line above line 1 names its 2 column(s)"),

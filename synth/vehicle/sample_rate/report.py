@@ -51,7 +51,7 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
         at = _spoken(one)
         norms = [at.undelayed_norm, at.late, *[at.designed][: int(designs)]]
         losses = [_cells(one, norm) if norm is not None else ("", "-") for norm in norms]
-        lost = [f"{1 / period:.3g} Hz" if math.isfinite(period) and period else "-" for period in (one.lost, one.lost_late)]
+        lost = ["-" if math.isinf(period) else _highest_lost(period) for period in (one.lost, one.lost_late)]
         ideal = f"{one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
         rows.append((one.controller.name, ideal, f"{1 / at.period:.4g} Hz", *(loss or norm for norm, loss in losses), *lost))
     about = (
@@ -190,10 +190,15 @@ def _lost(period: float, again: Sequence[AtRate]) -> str:
     """Returns the highest unstable rate in words, and the slower rates of the table that are stable again."""
     if math.isinf(period):
         return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    said = f"loses stability at {1 / period:.3g} Hz" if period else f"is unstable even at {1e-3 / SHORTEST:g} kHz"
+    said = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
     if not again:
         return said
     return f"{said} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
+
+
+def _highest_lost(period: float) -> str:
+    """Returns the highest unstable rate, in words: the fastest of all if no rate is stable, as a period of 0 says."""
+    return f"{1 / period:.3g} Hz" if period else f"{1e-3 / SHORTEST:g} kHz"
 
 
 def _named(rates: Sequence[AtRate]) -> str:
