@@ -185,7 +185,7 @@ def test_passive_is_the_linear_vehicle():
     ids=["static", "static, lag", "static, late", "states", "states, both"],
 )
 def test_the_exact_response(name, more):
-    """Under a lift MuJoCo is within 1e-6 of a peak of the exact response that decides for itself, and RK4's own arithmetic in 1e-9.
+    """Under a lift MuJoCo is within 1e-6 of a peak of the exact response that decides for itself, and within 1e-9 of RK4's own.
 
     1e-6: RK4's error at 1 ms is 2e-7 to 7e-7; it follows no decision of physics. 1e-9: rounding, over 800 steps.
     """
