@@ -19,7 +19,7 @@ from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
-from tests.analysed import predict_replayed, predict_switched, sampled_response, simulate
+from tests.analysed import energy, predict_replayed, predict_switched, sampled_response, simulate
 from tests.commands import attacks, refused
 
 QUARTER = """
@@ -291,6 +291,8 @@ def test_a_damper_takes_energy():
     worse = replace(run, energy=replace(run.energy, least=-1e-3))
     assert not worse.passed
     assert "an adjustable damper gave energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
+    at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
+    assert (at_once.residual, at_once.least) == (0.0, 0.0)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")
     assert none.energy is not None
     assert none.energy.least is None
