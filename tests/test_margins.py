@@ -503,6 +503,15 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
+def test_a_rate_is_read_before_a_wheel_may_lift():
+    """The rate of a run that grows is that of its first course, however small: what is 25 times its first energy is left out."""
+    time = np.arange(4000) * 1e-3
+    lifts = 3.3  # s; the energy of its first second is 25 times as large at 3.16 s
+    size = 1e-2 * np.exp(0.9 * np.minimum(time, lifts) - 3.0 * np.maximum(time - lifts, 0.0))
+    states = size * np.stack([np.cos(8 * time), np.sin(8 * time)])
+    assert growth_test._rate(states, 1e-3, 1) == pytest.approx(0.9, rel=1e-6)
+
+
 def test_a_worst_norm_between_the_points_of_its_grid_is_found():
     """From a grid's best points the worst norm of a smooth one is refined to its top, inside the box and on its side."""
     box = [Variation("mass", 0.7, 1.4), Variation("tyre", 0.75, 1.25)]
