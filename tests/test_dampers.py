@@ -8,9 +8,10 @@ import pytest
 from models.roads.iso8608 import Iso8608
 from models.roads.load import Lift
 from models.roads.loaded import RoadWithLoads
-from models.roads.road import Bump
+from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.dampers import scaled_commands
+from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import largest_timestep
 from sim.linear.switched_response import Decisions
 from sim.runs.prediction import NEAR
@@ -19,7 +20,7 @@ from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
-from tests.analysed import energy, predict_replayed, predict_switched, sampled_response, simulate
+from tests.analysed import energy, predict_replayed, predict_switched, sampled_response, simulate, switched
 from tests.commands import attacks, refused
 
 QUARTER = """
@@ -224,6 +225,17 @@ def test_a_car(text):
     assert verdict(whole).startswith("agrees to first order throughout")
 
 
+def test_a_force_beside_a_damper_of_which_nothing_is_asked():
+    """An axle's force moves a car as if the other axle's damper were a plain one, while that is left at its nominal coefficient."""
+    vehicle, time = parse_vehicle(MIXED), np.arange(200) * 1e-3
+    commands = np.zeros((200, 4))
+    commands[:, 1] = 800.0 * np.sin(30 * time)
+    found = switched(vehicle, BUMP, time, None, commands).states
+    linear = forced_response(commands[:, :2], RoadInput(vehicle, BUMP, time))
+    for column, name in zip(found.T, vehicle.linear_model.states, strict=True):
+        assert np.abs(column - linear[name]).max() < 1e-9 * linear.peak(name), name
+
+
 @pytest.mark.parametrize("change", ["c_max", *attacks(("bandwidth", "c_min", "nominal"))])
 def test_another_damper_is_found(change):
     """Physics of a damper that is 1 % off does not agree with the exact response: that follows nothing that it cannot be."""
@@ -292,7 +304,7 @@ def test_a_damper_takes_energy():
     assert not worse.passed
     assert "an adjustable damper gave energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
     at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
-    assert (at_once.residual, at_once.least) == (0.0, 0.0)  # of a run that breaks off at once
+    assert (at_once.residual, at_once.least, at_once.loads) == (0.0, 0.0, None)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")
     assert none.energy is not None
     assert none.energy.least is None
