@@ -226,7 +226,7 @@ def test_a_car(text):
 
 
 def test_a_force_beside_a_damper_of_which_nothing_is_asked():
-    """An axle's force moves a car as if the other axle's damper were a plain one, while that is left at its nominal coefficient."""
+    """An axle's force moves a car as if the other axle's damper were a plain one, while that one is left as it is."""
     vehicle, time = parse_vehicle(MIXED), np.arange(200) * 1e-3
     commands = np.zeros((200, 4))
     commands[:, 1] = 800.0 * np.sin(30 * time)
