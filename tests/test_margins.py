@@ -503,6 +503,14 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
+@pytest.mark.parametrize(("until", "samples", "still"), [(140, 4, True), (160, 4, False), (100, 90, True), (120, 90, False)])
+def test_a_run_is_still_over_what_is_on_its_way(until, samples, still):
+    """A run of 200 samples has no motion in its last quarter, nor in as many as a force may be on its way."""
+    states = np.ones((2, 200))
+    states[:, until:] = 0.0
+    assert growth_test._still(states, samples, 1e-12) is still
+
+
 def test_a_rate_is_read_before_a_wheel_may_lift():
     """The rate of a run that grows is that of its first course, however small: what is 25 times its first energy is left out."""
     time = np.arange(4000) * 1e-3

@@ -200,6 +200,19 @@ def test_a_vertical_edge(kind):
         assert 0 < apart < 1e-4 * run.continuous.peak("suspension_deflection")  # half of 1 us, at the wheel's own rate
 
 
+def test_a_vertical_edge_at_once():
+    """An edge where a run begins leaves what an impulse of the road's velocity leaves, too."""
+    vehicle, time = read_vehicle("quarter_car"), np.arange(1, 60) * 1e-3
+    road = Step(height=0.004, edge=0.0, speed=10.0, start=0.0)
+    model, found = (
+        vehicle.linear_model,
+        continuous_response(vehicle, Designer(vehicle).design("passive"), road, np.append(0.0, time)),
+    )
+    for name in ("suspension_deflection", "sprung_velocity"):
+        own = [0.004 * model.C[model.outputs.index(name)] @ linalg.expm(model.A * t) @ model.Bw[:, 0] for t in time]
+        assert found[name][1:] == pytest.approx(own, abs=1e-9 * found.peak(name)), name
+
+
 def test_a_step_that_begins_later():
     """Metrics of a step count from its edge on, so that a run that begins earlier has the same to rounding."""
     vehicle = read_vehicle("quarter_car")
