@@ -165,7 +165,7 @@ def test_both_viewers_draw_the_diagram(adjusted, tmp_path):
 
 
 def test_curves_are_logged_as_they_are():
-    """For a passive vehicle every force lies on its curve, a damper's over velocity and a spring's over deflection."""
+    """A spring's force lies on its curve, over deflection, and a damper's, over velocity, off it by what its actuator pushes."""
     vehicle = with_curves(suspension_damping=DIGRESSIVE, suspension_stiffness=PROGRESSIVE)
     (run,) = run_controllers(vehicle, [design(vehicle, "passive")], Bump(0.06), sample_times(vehicle, 0.5, 1e-3))
     found = pulled(vehicle, run.physics)
@@ -173,5 +173,11 @@ def test_curves_are_logged_as_they_are():
     for what, one in (("spring", "deflection"), ("damper", "velocity")):
         np.testing.assert_array_equal(found[f"{what}_force"], found[f"{what}_force_curve"])
         np.testing.assert_array_equal(found[f"{what}_{one}"], run.physics[f"suspension_{one}"])
+    names, pushing = [signal.name for signal in run.physics.signals], run.physics.values.copy()
+    pushing[:, names.index("control_force")] = 100.0
+    pushed = pulled(vehicle, replace(run.physics, values=pushing))
+    assert pushed is not None
+    np.testing.assert_array_equal(pushed["damper_force"], found["damper_force_curve"] - 100.0)  # pushing apart
+    np.testing.assert_array_equal(pushed["spring_force"], found["spring_force_curve"])
     assert pulled(vehicle.linearised, run.physics) is None
     assert diagrams(vehicle.linearised) == []

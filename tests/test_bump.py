@@ -472,6 +472,11 @@ def test_a_long_road_is_drawn_whole_and_near():
         assert whole.xlim == (0.0, 6.0)
         assert near.xlim is not None
         assert near.xlim[1] - near.xlim[0] < 3.0
+    start, end = figure.panels[1].xlim or (0.0, 0.0)
+    physics = runs[0].physics.until(end)
+    near = {name: physics[name][physics.time >= start] for name in runs[0].vehicle.performance}
+    swings = [np.count_nonzero(np.diff(values > 0)) for values in near.values()]
+    assert 60 < max(swings) < 100  # what swings most often does so 80 times, on average
     (line,) = (curve for curve in figure.panels[1].curves if not curve.marker)
     (marked,) = (curve for curve in figure.panels[1].curves if curve.marker)
     assert np.abs(marked.y).max() == runs[0].physics.peak("sprung_acceleration")

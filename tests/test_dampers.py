@@ -8,9 +8,10 @@ import pytest
 from models.roads.iso8608 import Iso8608
 from models.roads.load import Lift
 from models.roads.loaded import RoadWithLoads
-from models.roads.road import Bump
+from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.dampers import scaled_commands
+from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import largest_timestep
 from sim.linear.switched_response import Decisions
 from sim.runs.prediction import NEAR
@@ -19,7 +20,7 @@ from sim.runs.run import compare_runs, run_controllers, sample_times
 from sim.studies.ride.expected import expect
 from synth.controller.controller import Controller
 from synth.vehicle.designer import design
-from tests.analysed import predict_replayed, predict_switched, sampled_response, simulate
+from tests.analysed import energy, predict_replayed, predict_switched, sampled_response, simulate, switched
 from tests.commands import attacks, refused
 
 QUARTER = """
@@ -185,7 +186,7 @@ def test_passive_is_the_linear_vehicle():
     ids=["static", "static, lag", "static, late", "states", "states, both"],
 )
 def test_the_exact_response(name, more):
-    """Under a lift MuJoCo is within 1e-6 of a peak of the exact response that decides for itself, and RK4's own arithmetic in 1e-9.
+    """Under a lift MuJoCo is within 1e-6 of a peak of the exact response that decides for itself, and within 1e-9 of RK4's own.
 
     1e-6: RK4's error at 1 ms is 2e-7 to 7e-7; it follows no decision of physics. 1e-9: rounding, over 800 steps.
     """
@@ -222,6 +223,17 @@ def test_a_car(text):
         assert np.abs(run.physics[signal] - run.sampled[signal]).max() < 1e-5 * run.sampled.scale(signal)
     (whole,) = runs(text, "sky", duration=0.5, road=Bump(0.05, 5.0, 12.5))
     assert verdict(whole).startswith("agrees to first order throughout")
+
+
+def test_a_force_beside_a_damper_of_which_nothing_is_asked():
+    """An axle's force moves a car as if the other axle's damper were a plain one, while that one is left as it is."""
+    vehicle, time = parse_vehicle(MIXED), np.arange(200) * 1e-3
+    commands = np.zeros((200, 4))
+    commands[:, 1] = 800.0 * np.sin(30 * time)
+    found = switched(vehicle, BUMP, time, None, commands).states
+    linear = forced_response(commands[:, :2], RoadInput(vehicle, BUMP, time))
+    for column, name in zip(found.T, vehicle.linear_model.states, strict=True):
+        assert np.abs(column - linear[name]).max() < 1e-9 * linear.peak(name), name
 
 
 @pytest.mark.parametrize("change", ["c_max", *attacks(("bandwidth", "c_min", "nominal"))])
@@ -291,6 +303,8 @@ def test_a_damper_takes_energy():
     worse = replace(run, energy=replace(run.energy, least=-1e-3))
     assert not worse.passed
     assert "an adjustable damper gave energy, 1.0e-03 of the most that it took" in energy_lines(worse)[0]
+    at_once = energy(run.vehicle, simulate([run.vehicle], [run.controller], [BUMP], run.physics.time[:3]), 0, BUMP, 0.0)
+    assert (at_once.residual, at_once.least, at_once.loads) == (0.0, 0.0, None)  # of a run that breaks off at once
     (none,) = runs(QUARTER, "passive")
     assert none.energy is not None
     assert none.energy.least is None

@@ -182,7 +182,10 @@ def panels_of(node: Any) -> Iterator[str]:
 
 @pytest.mark.parametrize("names", [["I"], ["I", "II"], ['my/own: é "#1"', "I 1", "I_201"]])
 def test_layout_fits_its_log(names: list[str], tmp_path: Path) -> None:
-    """Every curve is a field of a topic in the file, every 3D topic is there, and every panel is placed exactly once."""
+    """Every curve is a field of a topic in the file, every 3D topic is there, and every panel is placed exactly once.
+
+    Its cameras look at the middle of what they show.
+    """
     runs = [make_run(name) for name in names]
     write_mcap(tmp_path / "runs.mcap", runs, {}, {})
     topics = read(tmp_path / "runs.mcap")
@@ -206,6 +209,15 @@ def test_layout_fits_its_log(names: list[str], tmp_path: Path) -> None:
             assert set(panel["topics"]) <= set(topics)
             frames = {one.child_frame_id for run in topics if run.endswith("/transforms") for one in topics[run][0][2].transforms}
             assert panel["followTf"] in {"world", *frames}
+    first = [one for run in topics if run.endswith("/transforms") for one in topics[run][0][2].transforms]
+    stands = np.mean(
+        [[one.translation.x, one.translation.y, one.translation.z] for one in first if one.parent_frame_id == "world"], axis=0
+    )
+    centre = np.mean(runs[0].scene.finite().extent(), axis=0)
+    for name, panel in layout["configById"].items():
+        if name.startswith("3D!"):
+            row = stands if panel["followTf"] == "world" else 0.0  # else one car is followed
+            np.testing.assert_allclose(panel["cameraState"]["targetOffset"], row + centre, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -440,6 +440,13 @@ def test_mujoco_tends_to_the_norm(few):
     assert off[0] / off[1] == pytest.approx(2, rel=0.1)  # the square of the step is left
 
 
+def test_a_norm_of_zero_is_measured_as_zero(few):
+    """No sinusoid is driven for a design whose norm is zero, as of a force that is never asked for: MuJoCo's gain is zero."""
+    none = replace(few.points[0], norms=tuple(replace(norm, value=0.0) for norm in few.points[0].norms))
+    scope = Scope(few.vehicle, Designer(few.vehicle), (), 1e-3, True, lambda text: None)
+    assert [measure(scope, replace(few, points=(none,)), 0, axis) for axis in few.axes] == [0.0, 0.0]
+
+
 def test_report_refuses(tmp_path):
     """Bad axes are refused before the work."""
     with pytest.raises(InputError, match="there is no axis 'speed'"):

@@ -147,6 +147,12 @@ def test_a_source_with_a_grid(tmp_path, monkeypatch, capsys):
     assert "grid" in capsys.readouterr().out
     assert report(["--gallery", "--out", str(tmp_path / "mine.html")]) == 0
     assert "the source's grid" in html.unescape((tmp_path / "mine.html").read_text(encoding="utf-8"))
+    rms = text.replace('"peak"', '"rms"')
+    (tmp_path / "mine" / "entry.toml").write_text(f"{rms}grid = 0.0405\n")
+    capsys.readouterr()
+    main(["mine", "--json"])
+    ((one,),) = (each["numbers"] for each in json.loads(capsys.readouterr().out)["entries"])
+    assert one["grid"] == pytest.approx(np.sqrt(np.mean(run.continuous["sprung_acceleration"][::81] ** 2)), rel=1e-9)
     (tmp_path / "mine" / "entry.toml").write_text(f"{text}grid = 1e-6\n")
     with pytest.raises(InputError, match="grid = 1e-06 s is of a peak or an rms"):
         main(["mine"])

@@ -30,8 +30,8 @@ from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
-from sim.studies.stability.report import _loop_lines, _loop_object
-from sim.studies.stability.robustness import read_variations, robustness, varied_text
+from sim.studies.stability.report import _fragile_lines, _loop_lines, _loop_object
+from sim.studies.stability.robustness import _worst, read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
 from sim.studies.stability.stability_margins import (
     LONGEST,
@@ -503,6 +503,33 @@ def test_worst_norm_is_inside_or_on_the_box(paper, designer):
     assert box.holds
 
 
+@pytest.mark.parametrize(("until", "samples", "still"), [(140, 4, True), (160, 4, False), (100, 90, True), (120, 90, False)])
+def test_a_run_is_still_over_what_is_on_its_way(until, samples, still):
+    """A run of 200 samples has no motion in its last quarter, nor in as many as a force may be on its way."""
+    states = np.ones((2, 200))
+    states[:, until:] = 0.0
+    assert growth_test._still(states, samples, 1e-12) is still
+
+
+def test_a_rate_is_read_before_a_wheel_may_lift():
+    """The rate of a run that grows is that of its first course, however small: what is 25 times its first energy is left out."""
+    time = np.arange(4000) * 1e-3
+    lifts = 3.3  # s; the energy of its first second is 25 times as large at 3.16 s
+    size = 1e-2 * np.exp(0.9 * np.minimum(time, lifts) - 3.0 * np.maximum(time - lifts, 0.0))
+    states = size * np.stack([np.cos(8 * time), np.sin(8 * time)])
+    assert growth_test._rate(states, 1e-3, 1) == pytest.approx(0.9, rel=1e-6)
+
+
+def test_a_worst_norm_between_the_points_of_its_grid_is_found():
+    """From a grid's best points the worst norm of a smooth one is refined to its top, inside the box and on its side."""
+    box = [Variation("mass", 0.7, 1.4), Variation("tyre", 0.75, 1.25)]
+    for top, at in ((7.0, (1.0137, 0.9031)), (7.0 - 2 * 0.05**2, (1.0137, 1.25))):
+        tyre = 0.9031 if at[1] < 1.25 else 1.30
+        _, norms, worst, where = _worst(lambda point, t=tyre: 7.0 - (point[0] - 1.0137) ** 2 - 2 * (point[1] - t) ** 2, box)
+        assert norms.max() < worst == pytest.approx(top, rel=1e-9)
+        assert where == pytest.approx(at, abs=1e-4)
+
+
 def test_what_varies_may_be_asked_for(paper, designer, monkeypatch):
     """The box is the one that is asked for, and its worst norm is the largest of as many vehicles as it says, no other."""
     norms = []
@@ -826,7 +853,7 @@ def test_variations_that_are_none(smallest, largest):
         Variation("mass", smallest, largest)
 
 
-def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
+def test_printed_margins_are_those_of_json(paper, designer, capsys, of_one_search):
     """Every number of the table with -v is that of --json, in the table's units; without, a terminal shows all."""
     assert main(["--controller", "I", "--timestep", "4e-3"]) == 0
     brief = capsys.readouterr().out
@@ -849,12 +876,22 @@ def test_printed_margins_are_those_of_json(paper, capsys, of_one_search):
         [1e3 * result["sample_period"][of] for of in ("predicted", "found")], rel=1e-5
     )
     _check_fragility(printed, result["fragility"])
+    _check_rows_of_steps(paper, designer.design("I"), pkgutil.resolve_name("sim.studies.stability.fragility.find_fragility")())
     assert f"of {result['robustness']['computed']} vehicles computed, not proved between" in " ".join(brief.split())
     ranges = re.findall(r"([\w ]+?) (-\d+) to \+(\d+) %", printed)
     varied = {name.strip(): [1 + float(low) / 100, 1 + float(high) / 100] for name, low, high in ranges}
     assert varied == result["robustness"]["varied"] == {"sprung mass": [0.7, 1.4], "tyre stiffness": [0.75, 1.25]}
     masses = {corner["sprung_mass"] / paper.parameters["sprung_mass"] for corner in result["robustness"]["corners"]}
     assert sorted(masses) == pytest.approx(varied["sprung mass"])
+
+
+def _check_rows_of_steps(vehicle, controller, fragile) -> None:
+    """Checks that errors of a loop that needs two steps are in percent at each."""
+    edge = dataclasses.replace(fragile.edge, sampled=(0.2, 0.25), search=search_that_found(0.19), finer=search_that_found(0.24))
+    rows = [line.split() for line in _fragile_lines(vehicle, controller, dataclasses.replace(fragile, edge=edge), True)]
+    rows = [row[2:6] for row in rows if row[:2] == ["sampled", "every"]]
+    assert [row[:2] for row in rows] == [["4", "ms"], ["2", "ms"]]
+    assert [[float(word) for word in row[2:]] for row in rows] == [pytest.approx(each, rel=1e-4) for each in ([20, 19], [25, 24])]
 
 
 def _check_fragility(printed: str, fragile) -> None:

@@ -18,6 +18,7 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.between_samples import DEGREE, Pieces, exact
 from sim.studies.ride.step_response import NEVER_OUTSIDE, NOT_SETTLED, SETTLED, measure_step, step_metrics
 from synth.vehicle.designer import Designer
+from tests.analysed import continuous_response
 from tests.commands import attacks, prose
 from tests.shared import ran
 from tests.test_python_laws import GAIN, vehicle_of
@@ -61,6 +62,17 @@ def test_an_edge_within_a_step():
     found = measure_step(run)["unsprung_acceleration"].continuous
     assert found is not None
     assert (found.peak, found.peak_time) == pytest.approx((own.max(), solution.t[own.argmax()]), rel=1e-4)
+
+
+def test_an_edge_under_a_later_wheel():
+    """An edge of 0.2 ms is followed within its step of 1 ms under every wheel: as by samples 20 times as close."""
+    vehicle, road = read_vehicle("half_car"), Step(height=0.004, edge=4e-3, speed=20.0)
+    (run,) = ran(vehicle, "passive", road=road, duration=0.2)
+    fine = np.arange(3200) * 5e-5
+    close = continuous_response(vehicle, run.controller, road, fine)
+    between = exact(run, ("tyre_deflection_front", "tyre_deflection_rear"))
+    for name, one in between.items():
+        assert one.at(fine) == pytest.approx(close[name], abs=1e-3 * close.peak(name)), name
 
 
 @pytest.mark.parametrize("height", [0.2, -0.2])
@@ -186,6 +198,19 @@ def test_a_vertical_edge(kind):
         (near,) = ran(vehicle, "passive", road=quick, duration=0.6)
         apart = np.abs(near.continuous["suspension_deflection"] - run.continuous["suspension_deflection"]).max()
         assert 0 < apart < 1e-4 * run.continuous.peak("suspension_deflection")  # half of 1 us, at the wheel's own rate
+
+
+def test_a_vertical_edge_at_once():
+    """An edge where a run begins leaves what an impulse of the road's velocity leaves, too."""
+    vehicle, time = read_vehicle("quarter_car"), np.arange(1, 60) * 1e-3
+    road = Step(height=0.004, edge=0.0, speed=10.0, start=0.0)
+    model, found = (
+        vehicle.linear_model,
+        continuous_response(vehicle, Designer(vehicle).design("passive"), road, np.append(0.0, time)),
+    )
+    for name in ("suspension_deflection", "sprung_velocity"):
+        own = [0.004 * model.C[model.outputs.index(name)] @ linalg.expm(model.A * t) @ model.Bw[:, 0] for t in time]
+        assert found[name][1:] == pytest.approx(own, abs=1e-9 * found.peak(name)), name
 
 
 def test_a_step_that_begins_later():

@@ -14,7 +14,7 @@ from sim.linear.frequency_response import continuous_frequency_response, sampled
 from sim.response.response import SILENT
 from sim.studies.frequency.figure import drawn_line
 from sim.studies.frequency.identification import difference, identify
-from sim.studies.frequency.sweep import failures, short_lines, sweep
+from sim.studies.frequency.sweep import failures, short_lines, summary_lines, sweep
 from sim.studies.frequency.worst_case_gain import extremes
 from sim.sweep import main
 from synth.vehicle.designer import Designer
@@ -44,6 +44,7 @@ def test_several_are_a_table(some):
         )  # 4 decimals
         assert float(cells[5]) == pytest.approx(one.lines.error(one.lines.sampled).max(), rel=0.05)  # 2 digits
     assert "DOES NOT AGREE" not in " ".join(printed)
+    assert summary_lines(some)[1] == "I        agrees: every line, the invariants, and the norm as the largest gain"
     worse = dataclasses.replace(some[0], lines=dataclasses.replace(some[0].lines, measured=1.01 * some[0].lines.measured))
     assert f"  {SOME[0]} DOES NOT AGREE: a line of " in " ".join(short_lines([worse, some[1]]))
 
