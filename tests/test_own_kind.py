@@ -9,11 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from models.common.errors import InputError
 from models.common.files import TEXT
-from models.kinds.user_kind import wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
+from models.kinds.user_kind import wrong_angles, wrong_distance, wrong_linear_model, wrong_parts, wrong_place, wrong_rest
 from models.vehicle.vehicle import kinds, read_vehicle
 from sim.bump import main
 from tests.commands import environment
@@ -185,6 +186,15 @@ def test_parameters_stay(folder):
     vehicle = read_vehicle(folder / "hopper.toml")
     vehicle.kind.linear_model(vehicle.parameters)
     assert list(vehicle.parameters) == ["mass", "stiffness"]
+
+
+def test_angles_are_finite_sums_of_signals():
+    """An angle of the body is a sum of the kind's signals with finite factors; what is not both is refused."""
+    kind = read_vehicle("half_car").kind
+    known = kind.signals[0].name
+    assert not wrong_angles({"pitch_angle": {known: -0.5}}, kind)
+    for angles in ({"pitch_angle": {"nothing": 0.5}}, {"pitch_angle": {known: np.nan}}, {"yaw_angle": {known: 0.5}}):
+        assert "give {'pitch_angle': {signal: factor}}" in wrong_angles(angles, kind)
 
 
 @pytest.mark.parametrize("name", kinds())
