@@ -403,6 +403,19 @@ def test_words_are_the_cells(tmp_path, capsys, of_one_map):
         assert cell["predicted"] is None or shares[cell["predicted"]] >= 1
 
 
+def test_a_line_has_its_runs(limited, designer, cells):
+    """Along one axis a run is marked at the largest share of the way to an end: beyond all of it where MuJoCo has an end."""
+    (axis,) = read_axes([one for one in AXES if one.startswith("height")])
+    speed = max(bump.speed for bump in cells.bumps)
+    some = [i for i, bump in enumerate(cells.bumps) if bump.speed == speed]
+    arrays = {name: getattr(cells, name)[some] for name in cells.__dataclass_fields__ if name != "bumps"}
+    line = dataclasses.replace(cells, bumps=tuple(cells.bumps[i] for i in some), **arrays)
+    (panel,) = envelope_figure(limited, designer.design("I"), line, (axis,), {"length": 5.0, "speed": speed}, 0.05).panels
+    whole, ends = (next(one for one in panel.curves if one.label == f"MuJoCo: {what}") for what in ("nothing breaks", "it ends"))
+    assert sorted([*whole.x, *ends.x]) == list(axis.values)
+    assert 0 < whole.y.min() <= whole.y.max() < 1 <= ends.y.min()
+
+
 @pytest.mark.parametrize("axes", [AXES, AXES[::-1]])
 def test_picture_is_the_cells(limited, designer, cells, axes):
     """Every cell of the picture has the colour of what broke there first, whatever order the axes were asked for in."""
