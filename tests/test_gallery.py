@@ -24,6 +24,7 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.gallery import entries
 from sim.studies.gallery.entries import names
 from sim.studies.gallery.numbers import OF_A_RUN
+from sim.studies.gallery.summary import BRACKETS
 from sim.studies.ride.step_response import measure_step
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, prose
@@ -123,7 +124,9 @@ def test_what_is_not_reproduced(tmp_path, monkeypatch, capsys):
     ):
         (tmp_path / "mine" / "entry.toml").write_text(text.replace("VALUE", value) + more)
         assert main(["mine"]) == code
-        assert word in prose(capsys.readouterr().out)
+        said = prose(capsys.readouterr().out)
+        assert word in said
+        assert BRACKETS not in said  # nothing is derived, and nothing in brackets
 
 
 def test_a_source_with_a_grid(tmp_path, monkeypatch, capsys):

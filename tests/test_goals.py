@@ -242,6 +242,7 @@ def test_saved_goals_are_checked_again(tmp_path, capsys):
         ("tolerance = { sprung_velocity = 1.5 }", "is not allowed"),
         ("tolerance = { force = 0.1, control_force = 0.1 }", "give one or the other"),
         ("family = []", "is no list of vehicles"),
+        ("family = [{}, 3]", "is no list of vehicles"),
         ("family = [{ sprung_mass = 0 }]", "is not allowed"),
         ("family = [{ colour = 2 }]", "has no parameter 'colour'"),
         ("structure = 'wheel'", "is not allowed; give"),

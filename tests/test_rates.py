@@ -251,6 +251,7 @@ def test_sentence(capsys, norms_once):
         said,
     )
     assert words
+    assert "late: the forces act 1 sample late; designed: anew" in said  # the columns are explained where they stand
     (at,) = [at for at in row["rates"] if at["sample_period"] == 1e-2]
     assert at["sampled_norm"]["loss"] < LITTLE < row["rates"][-1]["sampled_norm"]["loss"]
     numbers = [100, -100 * at["sampled_norm"]["loss"], 100 * at["late_norm"]["loss"], -100 * at["designed_norm"]["loss"]]

@@ -70,6 +70,27 @@ def test_up_to_three_blocks_the_bounds_meet(errors, performance):
         assert closed is None or not is_stable(closed.A) or hinf_norm(closed).value >= found.mu * (1 - 1e-9)  # rounding
 
 
+def test_the_loop_closed_by_errors_is_a_linear_fraction():
+    """The response of a loop that errors close is M11 + M12 E (1 - M22 E)^-1 M21, feedthroughs included."""
+    for seed in (3, 6):  # which have some
+        loop = random_loop(seed, 2, True)
+        assert loop.loop.Dw.all()
+        errors = [_all_pass(0.1, angle, 2.0) for angle in (0.5, -2.0)]
+        closed = closed_by_errors(loop, errors)
+        assert closed is not None
+
+        def at(s, A, B, C, D):
+            return C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
+
+        for s in (0.0, 1j, 30j):
+            M = at(s, loop.loop.A, loop.loop.Bw, loop.loop.C, loop.loop.Dw)
+            E = np.diag([at(s, one.A, one.B, one.C, one.D)[0, 0] for one in errors])
+            whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
+            assert np.allclose(
+                at(s, closed.A, closed.Bw, closed.C, closed.Dw), whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max()
+            )
+
+
 def test_no_sampled_error_does_more():
     """No random stable errors of the size that a bound allows make a loop unstable, or its norm larger than the bound."""
     rng = np.random.default_rng(7)
