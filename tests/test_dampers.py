@@ -8,7 +8,7 @@ import pytest
 from models.roads.iso8608 import Iso8608
 from models.roads.load import Lift
 from models.roads.loaded import RoadWithLoads
-from models.roads.road import Bump, RoadInput
+from models.roads.road import Bump, Road, RoadInput
 from models.vehicle.vehicle import parse_vehicle
 from sim.linear.dampers import scaled_commands
 from sim.linear.forced_response import forced_response
@@ -87,7 +87,7 @@ BOTH = HALF.replace('"REAR"', '"damper"\nc_min = 400.0\nc_max = 2500.0\nbandwidt
 BUMP = Bump(0.1, 5.0, 12.5)
 
 
-def runs(text, *names, road=BUMP, duration=0.8):
+def runs(text, *names, road: Road = BUMP, duration=0.8):
     """The runs of some controllers."""
     vehicle = parse_vehicle(text)
     return run_controllers(vehicle, [design(vehicle, name) for name in names], road, sample_times(vehicle, duration, 1e-3))

@@ -175,7 +175,8 @@ def held(rate: float, dt: float | None, cost: float) -> GeneralizedPlant:
     """x' = rate (u + w - x), held over dt if it is given, and z = (x, cost u)."""
     share, one = (rate if dt is None else 1 - np.exp(-rate * dt)), np.eye(1)
     kept = -share if dt is None else 1 - share
-    return GeneralizedPlant(kept * one, share * one, share * one, [[1], [0]], [[0], [cost]], [[0], [0]], dt=dt)
+    C, D = np.array([[1.0], [0.0]]), np.array([[0.0], [cost]])
+    return GeneralizedPlant(kept * one, share * one, share * one, C, D, 0 * D, dt=dt)
 
 
 @pytest.mark.parametrize(("rate", "dt"), [(1.0, 1e-3), (0.01, 0.1)])

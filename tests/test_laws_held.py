@@ -136,7 +136,7 @@ def test_over_class_c(kind, speed, duration):
 @pytest.mark.parametrize(("kind", "speed"), [("quarter_car", 25.0), ("full_car", 8.0)])
 def test_over_many_roads_of_class_c(kind, speed):
     """The same over roads of class C, slow and fast, on all kinds."""
-    check(kind, rough(with_laws(kind), 1, speed), DURATION if kind != "full_car" else DURATION / 2)
+    check(kind, rough(with_laws(kind), 1, speed), DURATION / 2)
 
 
 @pytest.mark.attack

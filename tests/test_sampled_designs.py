@@ -4,6 +4,7 @@ import json
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -72,11 +73,12 @@ def test_a_level_where_the_norm_falls_steeply(start):
     def found(norm):
         asked = []
 
-        def path(level):
+        def path(level: Any) -> Any:
             asked.append(level)
             return [SimpleNamespace(gamma=norm(level))]
 
-        return *_level(SimpleNamespace(at=lambda level: level), path, start), asked
+        posed: Any = SimpleNamespace(at=lambda level: level)
+        return *_level(posed, path, start), asked
 
     level, (point,), asked = found(lambda level: 2 / level)
     assert level == pytest.approx(2, rel=1e-12)  # rounding

@@ -142,7 +142,7 @@ def test_a_solution_is_enclosed_just_where_the_worst_equation_has_one():
     c, share = rng.uniform(0, 0.6, 1000), rng.choice([1e-6, 0.5, 0.99, 1.01, 1.5, 3.0], 1000)
     e = 10 ** rng.uniform(-12, 3, 1000)
     k = share * (1 - c) ** 2 / (2 * e)  # a tangent at a share of 1
-    x = np.zeros(1000)
+    x = before = np.zeros(1000)
     with np.errstate(all="ignore"):
         for _ in range(1000):
             x, before = e + c * x + k * x**2 / 2, x
