@@ -78,6 +78,7 @@ def plan_of(file: Path) -> Plan:
     return Plan(campaign, designed(campaign))
 
 
+@pytest.mark.attack
 def test_a_gain_in_python_has_its_metrics_and_no_claims(tmp_path, capsys):
     """Written in Python, vectorised or not, a gain has the metrics of its linear law, and none of the columns that compare."""
     rows = rows_of(campaign_of(tmp_path))

@@ -71,6 +71,7 @@ def test_what_it_claims_in_vain_still_fails(held, tmp_path, capsys):
     assert "FAILS: unstable" in prose(capsys.readouterr().out)
 
 
+@pytest.mark.attack
 def test_a_run_of_it_holds_in_its_log(held, tmp_path, capsys):
     """MuJoCo drives it as analysis says, and what its log claims is found to hold."""
     where = str(tmp_path / "logs")

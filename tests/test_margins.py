@@ -334,6 +334,7 @@ def test_periods_side_by_side(paper, measured):
         np.testing.assert_allclose(together[i], Phi + Gamma @ G, rtol=0, atol=1e-12 * np.abs(together[i]).max())  # of 40 products
 
 
+@pytest.mark.attack
 def test_each_force_of_a_pid_has_margins():
     """Each force alone of a half-car's PID has margins, with an integrator that turns nothing."""
     pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'

@@ -169,7 +169,8 @@ def test_without_an_implementation_there_is_none(capsys, of_one_sweep):
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"), [(0.99, "only; the norm of the sampled loop is 7.865064"), (1.001, "above the norm 7.865064 of the")]
+    ("factor", "words"),
+    [*attacks([(0.99, "only; the norm of the sampled loop is 7.865064")]), (1.001, "above the norm 7.865064 of the")],
 )
 def test_a_false_norm_is_said(capsys, car, monkeypatch, of_one_sweep, factor, words):
     """A gain that is not what is predicted, below the norm or above it, is a disagreement."""
