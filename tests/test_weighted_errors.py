@@ -78,17 +78,11 @@ def test_the_loop_closed_by_errors_is_a_linear_fraction():
         errors = [_all_pass(0.1, angle, 2.0) for angle in (0.5, -2.0)]
         closed = closed_by_errors(loop, errors)
         assert closed is not None
-
-        def at(s, A, B, C, D):
-            return C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
-
-        for s in (0.0, 1j, 30j):
-            M = at(s, loop.loop.A, loop.loop.Bw, loop.loop.C, loop.loop.Dw)
-            E = np.diag([at(s, one.A, one.B, one.C, one.D)[0, 0] for one in errors])
+        omega = np.array([0.0, 1.0, 30.0])
+        for w, M, found in zip(omega, *(one.frequency_response(omega) for one in (loop.loop, closed)), strict=True):
+            E = np.diag([(one.C @ np.linalg.solve(1j * w * np.eye(len(one.A)) - one.A, one.B) + one.D)[0, 0] for one in errors])
             whole = M[:-2, :-2] + M[:-2, -2:] @ E @ np.linalg.solve(np.eye(2) - M[-2:, -2:] @ E, M[-2:, :-2])
-            assert np.allclose(
-                at(s, closed.A, closed.Bw, closed.C, closed.Dw), whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max()
-            )
+            assert np.allclose(found, whole, rtol=1e-8, atol=1e-10 * np.abs(whole).max())
 
 
 def test_no_sampled_error_does_more():

@@ -46,9 +46,7 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     signals = _signals(vehicle, response)
     sides = [signals]
     if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
-        forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
-        leaps = np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
-        sides = [signals, signals - leaps]
+        sides = [signals, _before_leaps(vehicle, response, signals)]
     sizes = [np.linalg.norm(_weighted(vehicle, side, period)) for side in sides]
     size = sizes[0] if len(sizes) == 1 else math.hypot(*sizes) / math.sqrt(2)
     return float(size / np.linalg.norm(_roads(vehicle, response)))
@@ -80,13 +78,19 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
     Args:
         response: whole periods and one sample before them, which gives the first leap.
     """
-    model = vehicle.linear_model
     signals = _signals(vehicle, response)
-    forces = np.stack([response[name] for name in model.inputs], axis=-1)
-    sides = signals[1:], signals[1:] - np.diff(forces, axis=0) @ _at_once(vehicle).T
+    sides = signals[1:], _before_leaps(vehicle, response, signals)[1:]
     count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
     weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
     return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
+
+
+def _before_leaps(vehicle: Vehicle, response: Response, signals: Array) -> Array:
+    """Returns the output signals and sums as they are before the forces of each sample replace those of the one before, shape
+    (T, p); before the first sample there are none.
+    """
+    forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
+    return signals - np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
 
 
 def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:
