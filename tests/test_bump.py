@@ -19,6 +19,7 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.bump import main
 from sim.command.comparison import short_lines
 from sim.runs.agreement import ROUNDING, compare
+from sim.runs.report import verdict_lines
 from sim.runs.run import run_controllers, sample_times
 from sim.runs.time_histories import history_figure
 from synth.vehicle.designer import Designer
@@ -268,6 +269,17 @@ def test_a_short_answer_of_a_few_says_where_more_is(paper, designer):
     assert not any("-v adds" in line for line in short_lines([run] * 4))
 
 
+def test_a_run_alone_whose_loop_is_not_stable_is_explained():
+    """The short answer explains the verdict on a single run whose loop grows or stands still; beside others it does not."""
+    bad = parse_vehicle(f'{VEHICLE}\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[450.0]]\n')
+    (run,) = ran(bad, "bad", road=Bump(), duration=0.05)
+    assert run.prediction.radius > 1
+    for radius, explained in ((run.prediction.radius, True), (1.0, True), (0.99, False)):
+        one = replace(run, prediction=replace(run.prediction, radius=radius))
+        verdict = f"  {verdict_lines(one)[0]}"
+        assert [verdict in short_lines(some) for some in ([one], [one, one])] == [explained, False]
+
+
 def test_a_tyre_squeezed_flat_is_reported(capsys):
     """A ten-metre bump at 12.5 m/s puts the hub into the road: the run says so, and compares no further."""
     assert main(["--controller", "passive", "--no-logs", "--height", "10", "-v"]) == 0
@@ -459,6 +471,30 @@ def test_a_picture_is_of_the_signals():
             marked = np.concatenate([curve.y for curve in own if curve.marker])
             assert [marked.min(), marked.max()] == [run.physics[name].min(), run.physics[name].max()]
             assert {curve.filled for curve in own if curve.marker} == {False, True}
+
+
+def test_a_run_that_grows_widens_an_axis_as_far_as_it_helps():
+    """Beside another run it widens the axis by its linear regime alone, by itself by all of it, and thrice as far at most."""
+    bad = parse_vehicle(f'{VEHICLE}\n[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[3000.0]]\n')
+    passive, grown = runs = ran(bad, "passive", "bad", road=Bump(height=0.1), duration=1.0)
+    assert grown.broke_off is None
+    assert grown.prediction.radius > 1
+    until = grown.agreement.until
+    for shown in (runs, [grown]):
+        figure = history_figure(shown, "a bump")
+        assert figure is not None
+        for panel in figure.panels:
+            name = panel.title.partition(",")[0].replace(" ", "_")
+            linear = [one.until(until)[name] for one in (grown.sampled, grown.physics)]
+            beside = [one[name] for one in (passive.sampled, passive.physics)] if len(shown) > 1 and name != "control_force" else []
+            within = np.concatenate(beside or linear)
+            wide = np.concatenate(linear if beside else [grown.physics[name]])
+            size = np.ptp(within)
+            low = min(within.min(), max(wide.min(), within.min() - size))
+            high = max(within.max(), min(wide.max(), within.max() + size))
+            assert panel.ylim is not None
+            assert low - 0.05 * (high - low) < panel.ylim[0] <= low, name
+            assert high <= panel.ylim[1] < high + 0.05 * (high - low), name
 
 
 def test_a_long_road_is_drawn_whole_and_near():

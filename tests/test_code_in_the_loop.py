@@ -39,7 +39,7 @@ from synth.controller.export.folder import is_law_of
 from synth.controller.export.rounding import SteadyRounding, steady_rounding
 from synth.controller.open_loop import LoopModel
 from synth.vehicle.designer import Designer
-from synth.vehicle.exported_numbers import numbers_object
+from synth.vehicle.exported_numbers import numbers_object, numbers_rows
 from tests.commands import attacks, prose
 from tests.test_export import BUILT, LAW, needs_cc
 from tests.test_export import _given as given
@@ -393,6 +393,16 @@ def test_a_wrong_margin_is_found_out():
     found = find_exported_margins(vehicle, dataclasses.replace(driver, code=code), 2e-3)
     assert not found.agrees
     assert found.gain.found == pytest.approx(found.predicted.gain / 1.01, rel=2e-3)  # how closely is looked
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_margins_are_compared_where_both_loops_have_them(order):
+    """If rounding makes a loop unstable, or stable, the table has its norm, and no margins to compare."""
+    margins = dict.fromkeys(("gain", "gain_lower", "phase", "phase_lead", "delay"), 2.0)
+    stable = {"norm": 8.0, "promises": 0, "kept": 0, "margins": margins}
+    loops = [stable, stable | {"norm": None, "margins": None}][::order]
+    rows = numbers_rows({"loops": dict(zip(("ideal", "float"), loops, strict=True)), "rounding": None, "why": ""})
+    assert rows == [("norm as implemented", *("8", "infinite")[::order], "")]
 
 
 def test_dampers_have_no_such_margins():

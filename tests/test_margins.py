@@ -27,7 +27,7 @@ from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.fragility import find_fragility, with_errors
 from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
-from sim.studies.stability.late_loop import late_loop
+from sim.studies.stability.late_loop import LateLoop, late_loop
 from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.report import _fragile_lines, _loop_lines, _loop_object
@@ -510,6 +510,29 @@ def test_a_run_is_still_over_what_is_on_its_way(until, samples, still):
     states = np.ones((2, 200))
     states[:, until:] = 0.0
     assert growth_test._still(states, samples, 1e-12) is still
+
+
+@pytest.mark.parametrize(
+    ("gone", "last", "grows"), [(1e-12, False, False), (1e-12, True, False), (1e-9, False, None), (1e-9, True, False)]
+)
+def test_a_run_of_which_nothing_is_left_decays(gone, last, grows):
+    """It decays; where more than rounding counts as nothing, what grows may be faint at first, and the longest run decides."""
+    states = np.ones((2, 200))
+    states[:, 100:] = 0.0
+    assert growth_test._grows(states, math.nan, gone, last) is grows
+
+
+@pytest.mark.parametrize(("rate", "follows", "grows"), [(0, True, False), (0, False, None), (2e-9, True, True), (-2e-9, True, False)])
+def test_a_state_that_stands_does_not_grow(paper, designer, rate, follows, grows):
+    """A run that keeps a state, as an integrator that nothing reads does, does not grow if it follows its loop; a slow one may."""
+    timestep, modes = 2e-3, np.array([rate, -3.0, -5.0])
+    mixed = np.array([[1.0, 0.5, 0.2], [-0.3, 1.0, 0.4], [0.1, -0.6, 1.0]])
+    loop = LateLoop(mixed * np.exp(modes * timestep) @ np.linalg.inv(mixed), np.zeros((3, 1)), np.zeros((1, 3)), 0, 1, timestep)
+    time = np.arange(2000) * timestep
+    states = mixed @ np.exp(modes[:, None] * time) + (1e-9 if follows else 0.2) * np.sin(700 * time)
+    trial = Trial(paper, designer.design("I"))
+    found = growth_test._confirmed(trial, loop, states, np.ones(3), np.zeros((0, 2000)), timestep, 4.0)
+    assert (None if found is None else found.grows) is grows
 
 
 def test_a_rate_is_read_before_a_wheel_may_lift():

@@ -307,6 +307,26 @@ def test_the_picture_is_the_data():
     assert line.attrib["d"].count("M") == 3
 
 
+def test_cells_are_where_the_axes_say():
+    """The cells of a map's classes lie in its area, each in its row from below and its column, and leave none out."""
+    kind = np.array([[0, 1, 1, 0, 1], [1, 0, 0, 0, 1], [0, 0, 1, 2, 1]])
+    colors = ("#111111", "#222222", "#333333")
+    ground = Classes(np.arange(5.0), np.arange(3.0), kind, colors, ("a", "b", "c"))
+    element = ElementTree.fromstring(svg(Panel("", "x", "y", (), ground), "p"))
+    left, top, width, height = json.loads(element.attrib["data-axes"])["area"]
+    found = np.full(kind.shape, -1)
+    for number, path in enumerate(one.attrib["d"] for one in element.iter("path") if one.get("class", "").startswith("cells")):
+        for x, y, wide, high in re.findall(r"M([\d.]+) ([\d.]+)h([\d.]+)v([\d.]+)h-\3z", path):
+            edges = float(x) - left, float(x) + float(wide) - left
+            first, last = (round(edge / width * 5) for edge in edges)
+            assert edges == pytest.approx([first * width / 5, last * width / 5], abs=0.02)
+            row = 3 - round((float(y) + float(high) - top) / height * 3)
+            assert float(high) == pytest.approx(height / 3, abs=0.02)
+            assert (found[row, first:last] == -1).all()
+            found[row, first:last] = number
+    assert found.tolist() == kind.tolist()
+
+
 def test_every_panel_is_sound_xml():
     """The SVG of any panel is well-formed, with names as they are; also where there is nothing to draw, or no number."""
     none, x = np.zeros(0), np.array([1.0, 2.0])
@@ -498,15 +518,18 @@ def test_a_place_with_a_name_is_told_by_it():
 
 @pytest.mark.parametrize("every", [1, 7, 60, 1000])
 def test_what_is_left_of_a_line_keeps_its_largest_and_least(every):
-    """For a line that is thinned the largest and the least are the whole line's, whatever falls between, and so are the words."""
+    """Of a line that is thinned the ends, the largest and the least are the whole line's, and so are the words."""
     y = np.sin(np.linspace(0.3, 30, 501)) * np.linspace(1, 2, 501)
-    some = y[thinned(y, every)]
+    some = y[kept := thinned(y, every)]
+    assert kept[[0, -1]].tolist() == [0, 500]
     assert some.max() == y.max()
     assert some.min() == y.min()
     assert len(some) <= len(y) / every + 4  # two of a block that is not whole, and both ends
     short = np.zeros(501)
     short[[40, 300, 477]] = 1.0, -2.0, 3.0
     assert set(short[thinned(short, every)]) >= ({1.0, -2.0, 3.0} if every < 200 else {-2.0, 3.0})
+    gone = np.where(np.arange(501) < 470, y, np.nan)  # a line that breaks off
+    assert np.nanmax(gone[thinned(gone, every)]) == np.nanmax(gone)
 
 
 def test_gains_are_matrices(designer):

@@ -81,7 +81,10 @@ def test_bars_are_two_standard_errors():
 
 
 def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(drawn):
-    """The finding counts the panels in which a controller is best, by vehicle; the title names controllers without a point."""
+    """The finding counts the panels in which a controller is best, by vehicle; the title names controllers without a point.
+
+    Every point has bars.
+    """
     _, plan = drawn
     cars = {name: replace(read_vehicle("quarter_car"), text="") for name in ("one", "two")}
     nothing: dict[str, dict] = {name: {} for name in cars}
@@ -93,7 +96,8 @@ def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(dr
         ("two", "bump"): ((0.1, 2.0), (0.2, 3.0)),
     }
     entries = [
-        {"vehicle": vehicle, "controller": name, "road": road, "speed": 20.0} | {"load": {"rms": load}, "ride": {"rms": ride}}
+        {"vehicle": vehicle, "controller": name, "road": road, "speed": 20.0}
+        | {key: {"rms": rms, "standard_error": 0.01} for key, rms in (("load", load), ("ride", ride))}
         for (vehicle, road), every in numbers.items()
         for name, (load, ride) in zip(("passive", "I", "sky"), (*every, (None, None)), strict=True)
     ]
@@ -104,6 +108,9 @@ def test_the_finding_names_the_best_of_each_vehicle_and_those_without_a_point(dr
         "two: passive rides best and holds the road best"
     )
     assert "no run has both numbers: sky, one; sky, two." in figure.title
+    for panel in figure.panels:
+        bars = [curve.name.partition(", two standard errors")[0] for curve in panel.curves if "standard errors" in curve.name]
+        assert bars == ["passive", "I"] * 2
 
 
 def test_the_line_is_of_cars_with_those_dampers(drawn):

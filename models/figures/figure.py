@@ -251,7 +251,7 @@ def thinned(y: Array, every: int) -> Array:
     starts = np.arange(0, len(y), 2 * every)
     missing = np.isnan(blocks)
     largest, least = np.where(missing, -np.inf, blocks).argmax(axis=1), np.where(missing, np.inf, blocks).argmin(axis=1)
-    return np.union1d(np.minimum(np.concatenate([starts + largest, starts + least]), len(y) - 1), [0, len(y) - 1])
+    return np.unique(np.concatenate([[0, len(y) - 1], starts + largest, starts + least]))
 
 
 def level(x: Array, y: Array, z: Array, height: float) -> tuple[Array, Array]:
