@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -21,13 +22,15 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from models.common.errors import InputError
-from models.vehicle.vehicle import read_vehicle
+from models.vehicle.vehicle import Vehicle, read_vehicle
+from sim.campaign import batch
 from sim.campaign import store as campaign_store
 from sim.campaign.__main__ import main
 from sim.campaign.file import read_campaign
 from sim.campaign.manifest import locked, read_manifest
 from sim.studies.ride.expected import expect, settled
 from sim.studies.ride.metrics import measure, metrics_of
+from synth.controller.controller import Driver
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
 from tests.commands import prose
@@ -309,6 +312,22 @@ def test_a_late_controller_has_no_exact_response_here(tmp_path):
     bumps = [(row["linear_dynamic_load"] is None) == no for row, no in zip(rows, late, strict=True) if row["road"][:4] == "bump"]
     assert bumps
     assert all(bumps)
+
+
+def test_only_linear_runs_have_an_exact_response():
+    """On a car with adjustable dampers the passive run alone is linear; beside one that is not, none counts as such."""
+    semi, plain = read_vehicle("quarter_car_semi_active"), read_vehicle("quarter_car")
+    passive, sky = (Planned(semi, Designer(semi).design(name)) for name in ("passive", "sky"))
+    law = Planned(plain, semi.controllers["skyhook"].driver())
+    for runs, exact in (([passive], True), ([sky], False), ([passive, sky], False), ([law], False)):
+        assert batch._is_exact(cast(Any, runs)) is exact
+
+
+class Planned(NamedTuple):
+    """A run of a campaign, as far as it matters to its exact response."""
+
+    vehicle: Vehicle
+    controller: Driver
 
 
 def test_where_it_is_linear_it_agrees(small):
