@@ -33,7 +33,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import weighing
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
-from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
+from synth.vehicle.trade_off.front import MARKED, Front, _limits, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
 from tests.commands import attacks, prose
 from tests.shared import made
@@ -164,6 +164,18 @@ def test_nobody_crosses_the_line(axes, random):
     for limit in front.limits:
         assert np.any(limit.norms > 0)
         assert np.min(limit.share(values[:, list(limit.axes)])) >= 1 - 1e-9  # norms are good to 1e-9
+
+
+def test_a_norm_in_a_band_is_bounded_within_it(few, monkeypatch):
+    """Between 3 and 3.1 Hz there is a line, and no design lies below it, though each has a larger norm elsewhere."""
+    monkeypatch.setattr(synth.vehicle.trade_off.lower_bound, "RATIOS", range(1))
+    axes = axes_of(few.vehicle, "band=3-3.1:travel")
+    (limit,) = _limits(few.vehicle, axes, np.zeros((0, 2)), ())
+    entry, laws = entry_of(few.vehicle, "I"), [one.controller.law for one in few.points[::3]]
+    values = np.array([[norm_on(few.vehicle, axis, entry, law).value for axis in axes] for law in laws])
+    assert np.min(limit.share(values)) >= 1 - 1e-9
+    assert np.all(values[:, 0] < few.values[::3, 0])
+    assert limit.norms[2] > 0
 
 
 def test_the_line_is_where_its_shares_are_one(few):
