@@ -486,7 +486,8 @@ def test_a_run_that_grows_widens_an_axis_as_far_as_it_helps():
         for panel in figure.panels:
             name = panel.title.partition(",")[0].replace(" ", "_")
             linear = [one.until(until)[name] for one in (grown.sampled, grown.physics)]
-            beside = [one[name] for one in (passive.sampled, passive.physics)] if len(shown) > 1 and name != "control_force" else []
+            moves = len(shown) > 1 and name != "control_force"
+            beside = [one[name] for one in (passive.sampled, passive.physics) if moves]
             within = np.concatenate(beside or linear)
             wide = np.concatenate(linear if beside else [grown.physics[name]])
             size = np.ptp(within)

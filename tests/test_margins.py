@@ -522,9 +522,11 @@ def test_a_run_of_which_nothing_is_left_decays(gone, last, grows):
     assert growth_test._grows(states, math.nan, gone, last) is grows
 
 
-@pytest.mark.parametrize(("rate", "follows", "grows"), [(0, True, False), (0, False, None), (2e-9, True, True), (-2e-9, True, False)])
+@pytest.mark.parametrize(
+    ("rate", "follows", "grows"), [(0, True, False), (0, False, None), (2e-9, True, True), (-2e-9, True, False)]
+)
 def test_a_state_that_stands_does_not_grow(paper, designer, rate, follows, grows):
-    """A run that keeps a state, as an integrator that nothing reads does, does not grow if it follows its loop; a slow one may."""
+    """A state that stays, as of an integrator that nothing reads, does not grow if the run follows its loop; a slow mode may."""
     timestep, modes = 2e-3, np.array([rate, -3.0, -5.0])
     mixed = np.array([[1.0, 0.5, 0.2], [-0.3, 1.0, 0.4], [0.1, -0.6, 1.0]])
     loop = LateLoop(mixed * np.exp(modes * timestep) @ np.linalg.inv(mixed), np.zeros((3, 1)), np.zeros((1, 3)), 0, 1, timestep)
