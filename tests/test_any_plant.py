@@ -1,5 +1,6 @@
 """Whatever the plant: a design, a bound or a certificate, or one line that says why there is none; and nothing on stderr."""
 
+import dataclasses
 import math
 import time
 import warnings
@@ -291,6 +292,19 @@ def test_gains_that_leave_floats_are_not_stable():
     for far in (np.inf, np.nan):
         assert landscape.norm(np.array([far]))[0] == np.inf
         assert landscape.abscissa(np.array([far]))[0] == np.inf
+
+
+@pytest.mark.parametrize(("force", "reading"), [(8.0, 1.0), (1.0, 8.0)])
+def test_steps_of_a_search_do_not_depend_on_units(force, reading):
+    """If forces or readings have another unit, a search's coordinates are the same gains, also where a reading is a force."""
+    plant = of_lists([[-1, 2], [0, -3]], [[0], [5]], [[1], [1]], [[1, 0]], [[0]])
+    Cy, through = np.diag([1.0, 0.0]), np.array([[0.0], [1.0]])
+    own = Landscape(plant, Cy, through=through)
+    other = Landscape(
+        dataclasses.replace(plant, B=plant.B * force, D=plant.D * force), reading * Cy, None, force * reading * through
+    )
+    assert other.scale * force * reading == pytest.approx(own.scale, rel=1e-12)
+    assert own.scale[0, 1] == pytest.approx(1.0)  # a force that is read is as large as one that acts
 
 
 def test_a_norm_of_zero_has_its_smallest_gain():

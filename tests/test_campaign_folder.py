@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import threading
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -95,7 +96,15 @@ def test_groups_and_joined_parts(whole, tmp_path, monkeypatch):
     """Parts are joined while it runs, and groups cut, at places that are no batch's; the rows stay the same."""
     monkeypatch.setattr(campaign_store, "JOINED", 3)
     monkeypatch.setattr(campaign_store, "GROUP", 11)
+    finish, parts = campaign_store.Store.finish, list[Path]()
+
+    def finished(store: campaign_store.Store) -> None:
+        parts.extend(store.folder.glob("part-*"))
+        finish(store)
+
+    monkeypatch.setattr(campaign_store.Store, "finish", finished)
     assert start(tmp_path, "--batch", "2") == 0
+    assert len(parts) <= 4 + 2 * 5 < RUNS // 2  # those of a group, and two small ones beside each at most
     file = pq.ParquetFile(tmp_path / "results" / "results.parquet")
     assert [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)] == [11, 11, 11, 11, 8]
     assert file.read().to_pylist() == pq.read_table(whole[0] / "results.parquet").to_pylist()

@@ -26,7 +26,7 @@ from synth.__main__ import main
 from synth.controller.export import fmu
 from synth.controller.export.c_law import PythonStep, exported_law, random_inputs
 from synth.controller.export.fmu import HERE, ZIG, _universal, zipped
-from synth.controller.export.fmu_description import description
+from synth.controller.export.fmu_description import BASE, description
 from synth.controller.export.fmu_model import check_floating, linear_model
 from synth.controller.export.linear_system import loop_system, vehicle_system
 from synth.vehicle.designer import Designer
@@ -178,6 +178,17 @@ def test_validators_find_nothing(folder, name):
     """FMPy finds no problem in any of them."""
     pytest.importorskip("fmpy", reason="needs FMPy")
     assert import_module("fmpy.validation").validate_fmu(str(folder / f"{name}.fmu")) == []
+
+
+def test_base_units_are_those_of_the_name():
+    """What an FMU says that a unit is made of is what its name says, with N = kg m/s2."""
+    for unit, parts in BASE.items():
+        found: dict[str, int] = {}
+        for side, sign in zip(unit.split("/"), (1, -1), strict=False):
+            for name, power in re.findall(r"([A-Za-z]+)(\d?)", side):
+                for base, exponent in (("kg", 1), ("m", 1), ("s", -2)) if name == "N" else ((name, 1),):
+                    found[base] = found.get(base, 0) + sign * int(power or 1) * exponent
+        assert {base: exponent for base, exponent in found.items() if exponent} == parts, unit
 
 
 @pytest.mark.extra

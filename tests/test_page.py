@@ -497,6 +497,17 @@ def test_contrast_is_that_of_the_guidelines():
     assert contrast("#ffffff", "#767676") == contrast("#767676", "#ffffff")
 
 
+def test_a_figure_of_one_column_is_wide():
+    """Panels below each other are wide, a few side by side stand in a grid, and many in three columns."""
+    panel = Panel("", "x", "y", (Curve(np.arange(3.0), np.arange(3.0), "I"),))
+    figures = tuple(
+        Figure(f"f{count}-{columns}", "", (panel,) * count, columns=columns) for count, columns in ((4, 1), (4, 2), (9, 3))
+    )
+    page = Elements(render(Page("title", ("I",), Section("", ""), (Section("s", "t", figures=figures),))))
+    found = [one["@class"].split()[1:] for one in page.some("div") if one.get("@class", "").startswith("panels")]
+    assert found == [["wide"], [], ["three"]]
+
+
 def test_a_figure_in_words():
     """The text of a figure names every line with its largest value, and every class of a map with its share."""
     x = np.linspace(0, 3, 31)

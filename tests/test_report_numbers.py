@@ -125,9 +125,13 @@ def test_the_first_screen_answers(plain):
         ("peak travel [mm]", "travels least"),
     ):
         unit = heading.partition("[")[2].rstrip("]").replace("-", "")
+        less = f"{heading.split(' [')[0].removeprefix('peak ').replace('dynamic', 'tyre')}, %"
+        changes = {name: f" {row[less].replace('-', '−')} %" if row[less] != "-" else "" for name, row in rows.items()}
+        bars = [f"{name}: {row[heading].rstrip('*')}{changes[name]}{' ★' * ('*' in row[heading])}" for name, row in rows.items()]
+        assert f"{'. '.join(bars)}." in plain.text
         for name in [name for name, row in rows.items() if row[heading].endswith("*")]:
             (said,) = [said for said in plain.lead if said.startswith((f"{name} ", f"{name},"))]
-            change = rows[name].get(f"{heading.split(' [')[0].removeprefix('peak ').replace('dynamic', 'tyre')}, %", "-")
+            change = rows[name][less]
             size = f"{rows[name][heading].rstrip('*')} {unit}".rstrip()
             assert f"{verb} ({size}{f', {change[1:]} % below' if change != '-' else ''})" in said
             if name != "passive":
