@@ -35,6 +35,7 @@ from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
 from tests.commands import prose
 from tests.curved import DIGRESSIVE, curved_text
+from tests.shared import designed
 from tests.test_dampers import BOTH
 
 ROOT = Path(__file__).parent.parent
@@ -317,7 +318,7 @@ def test_a_late_controller_has_no_exact_response_here(tmp_path):
 def test_only_linear_runs_have_an_exact_response():
     """On a car with adjustable dampers the passive run alone is linear; beside one that is not, none counts as such."""
     semi, plain = read_vehicle("quarter_car_semi_active"), read_vehicle("quarter_car")
-    passive, sky = (Planned(semi, Designer(semi).design(name)) for name in ("passive", "sky"))
+    passive, sky = (Planned(semi, designed(semi, name)) for name in ("passive", "sky"))
     law = Planned(plain, semi.controllers["skyhook"].driver())
     for runs, exact in (([passive], True), ([sky], False), ([passive, sky], False), ([law], False)):
         assert batch._is_exact(cast(Any, runs)) is exact

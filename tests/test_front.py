@@ -169,6 +169,7 @@ def test_nobody_crosses_the_line(axes, random):
 def test_a_norm_in_a_band_is_bounded_within_it(few, monkeypatch):
     """Between 3 and 3.1 Hz there is a line, and no design lies below it, though each has a larger norm elsewhere."""
     monkeypatch.setattr(synth.vehicle.trade_off.lower_bound, "RATIOS", range(1))
+    monkeypatch.setattr(synth.vehicle.trade_off.lower_bound, "IN_BAND", 3)
     axes = axes_of(few.vehicle, "band=3-3.1:travel")
     (limit,) = _limits(few.vehicle, axes, np.zeros((0, 2)), ())
     entry, laws = entry_of(few.vehicle, "I"), [one.controller.law for one in few.points[::3]]
