@@ -136,6 +136,9 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.design.full_order.full_order.full_order_design",
     "synth.design.sampled_data.held_design",
     "synth.design.uncertainty.fragility.fragility",
+    "synth.design.descent.flatness.free_moves",
+    "synth.analysis.certificate.certify",
+    "synth.analysis.sampled_norm.sampled_norm",
 )
 
 BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
