@@ -49,8 +49,8 @@ def _matrices() -> Iterator[Damage]:
         "M * np.nan", "M + np.inf", "M - np.inf", "M + 1e308", "M[:-1]", "M[None]", "None", "'x'", "{}", "[]", "p",
         "np.where(np.arange(M.size).reshape(M.shape) == M.size - 1, np.nan, M)",
     )  # fmt: skip
-    for name in ("A", "B", "Bw", "C", "D", "Br", "Cr"):
-        for value in values:
+    for k, name in enumerate(("A", "B", "Bw", "C", "D", "Br", "Cr")):
+        for value in values if k == 0 else values[k % 3 :: 3]:  # one check is for them all
             yield Damage(f"{name} = {value}", "py", "linear_model", _of_linear_model(name, value))
         yield Damage(f"{name} is complex", "py", f"{name} has complex entries", _of_linear_model(name, "M + 0j"))
     for value in ("0.0", "-1.0", "np.nan", "np.inf", "'x'", "None", "M * 1j"):

@@ -37,6 +37,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 import cloudpickle
+import numpy as np
 import pytest
 from filelock import FileLock
 
@@ -135,6 +136,9 @@ DESIGNS = (  # functions of their arguments alone, which take long
     "synth.design.full_order.full_order.full_order_design",
     "synth.design.sampled_data.held_design",
     "synth.design.uncertainty.fragility.fragility",
+    "synth.design.descent.flatness.free_moves",
+    "synth.analysis.certificate.certify",
+    "synth.analysis.sampled_norm.sampled_norm",
 )
 
 BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
@@ -232,6 +236,8 @@ class _Content(cloudpickle.Pickler):
     """Writes what things are, not how they came to be: dataclasses by fields, not by what they cache, and functions by code."""
 
     def reducer_override(self, obj: Any) -> Any:
+        if type(obj) is np.ndarray and not obj.dtype.hasobject:  # most of what there is: cloudpickle takes five times as long
+            return getattr, (obj.dtype.str, obj.shape, obj.flags.c_contiguous, obj.tobytes())
         if isinstance(obj, VehicleKind):
             return VehicleKind, (_of_kind(obj),)
         if is_dataclass(obj) and not isinstance(obj, type):

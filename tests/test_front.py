@@ -125,6 +125,7 @@ def test_norms_are_those_of_a_sweep(few):
             assert value == pytest.approx(norm.value, rel=1e-4)  # a peak between two of the frequencies, 1e-3 apart
 
 
+@pytest.mark.attack
 def test_no_gain_of_a_grid_beats_the_front(few):
     """For many gains, all over and around the front, none is better than a design in both by more than rounding."""
     generator = np.random.default_rng(18)

@@ -78,7 +78,7 @@ def test_physics_agrees_to_rk4s_own_error(name, reality):
     # Half the step only without geometry: that of cars is not linear, and does not fall with the step.
     for h in (1e-3, 5e-4) if name == "quarter_car" else (1e-3,):
         how = replace(implementation, sample_period=implementation.sample_period or 1e-3)
-        runs = run_controllers(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.4, h))
+        runs = run_controllers(replace(vehicle, implementation=how), some, Bump(height=0.01), sample_times(vehicle, 0.25, h))
         assert all(run.agreement.agrees and run.energy is not None and run.energy.balances for run in runs)
         errors.append([max(one.sampled for one in run.agreement.signals.values()) for run in runs])
     if name == "quarter_car":

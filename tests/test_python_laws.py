@@ -209,7 +209,7 @@ def test_documented_law_is_driven(tmp_path, capsys):
     (tmp_path / "skyhook.py").write_text(text, encoding="utf-8")
     car = tmp_path / "car.toml"
     car.write_text((HERE / "quarter_car.toml").read_text(encoding="utf-8") + "\n" + entry, encoding="utf-8")
-    assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--no-logs", "-v"]) == 0
+    assert main_of("sim.bump")(["--vehicle", str(car), "--controller", "skyhook", "--duration", "1", "--no-logs", "-v"]) == 0
     said = prose(capsys.readouterr().out)
     assert "law in Python skyhook.py:step, told the road 0.5 s ahead" in said
     assert "no linear claim: a law in Python" in said

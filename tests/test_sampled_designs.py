@@ -36,7 +36,7 @@ def asked(name: str = "quarter_car", period: float = 0.01, delay: float = 0, mor
     return parse_vehicle(read_vehicle(name).text + ASKED.format(period=period, delay=delay) + more)
 
 
-@pytest.mark.parametrize(("name", "best"), [("I", 7.8613), *attacks([("state", 7.857), ("II", 7.881)])])
+@pytest.mark.parametrize(("name", "best"), attacks([("I", 7.8613), ("state", 7.857), ("II", 7.881)]))
 def test_at_ten_milliseconds(name, best):
     """At 10 ms the exact norm of each design is at most the best that was known, and below the level of its LMI."""
     vehicle = asked()

@@ -182,9 +182,8 @@ def test_cars(name):
 @pytest.mark.parametrize(
     "implementation",
     [
-        Implementation(delay=3),
         Implementation(sample_period=8e-3, delay=0.5),
-        *attacks([Implementation(sample_period=8e-3, delay=1)]),
+        *attacks([Implementation(delay=3), Implementation(sample_period=8e-3, delay=1)]),
     ],
 )
 def test_implemented(paper, designer, implementation):

@@ -181,7 +181,7 @@ def test_a_false_norm_is_said(capsys, car, monkeypatch, of_one_sweep, factor, wo
         return replace(found, gain=factor * found.gain)
 
     monkeypatch.setattr(sim.studies.frequency.sweep, "worst_road", other)
-    code, found, printed = sweep(capsys, car, "--controller", "I")
+    code, found, printed = sweep(capsys, car, "--controller", "I", timestep="5e-3")
     assert code == 1
     assert len(found["failures"]) == 2
     assert f"DOES NOT AGREE: {found['failures'][0]}" in printed

@@ -288,18 +288,25 @@ def kept_points(x: Array, y: Array, tolerance: float = TOLERANCE) -> Array:
     known = np.isfinite(x) & np.isfinite(y)
     kept = ~known
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
-    spans = [(first, last - 1) for first, last in edges.reshape(-1, 2).tolist()]
-    while spans:
-        first, last = spans.pop()
-        kept[[first, last]] = True
-        if last - first < 2:
-            continue
-        across, down = x[first : last + 1] - x[first], y[first : last + 1] - y[first]
-        length = float(np.hypot(across[-1], down[-1]))
-        away = np.hypot(across, down) if length < 1e-9 else np.abs(across * down[-1] - down * across[-1]) / length
-        furthest = int(away.argmax())
-        if away[furthest] > tolerance:
-            spans += [(first, first + furthest), (first + furthest, last)]
+    first, last = edges[::2], edges[1::2] - 1
+    kept[first] = kept[last] = True
+    while (wide := last - first > 1).any():  # all spans of a depth at once: a line is split hundreds of times, ten deep
+        first, last = first[wide], last[wide]
+        counts = last - first + 1
+        starts = np.cumsum(counts) - counts
+        span = np.repeat(np.arange(len(first)), counts)
+        at = np.arange(len(span)) + (first - starts)[span]
+        across, down = x[at] - x[first][span], y[at] - y[first][span]
+        right, up = x[last] - x[first], y[last] - y[first]
+        length = np.hypot(right, up)
+        closed = length < 1e-9
+        away = np.abs(across * up[span] - down * right[span]) / np.where(closed, 1.0, length)[span]
+        away = np.where(closed[span], np.hypot(across, down), away)
+        most = np.maximum.reduceat(away, starts)
+        reached = np.flatnonzero(away == most[span])
+        middle = at[reached[np.searchsorted(reached, starts)]][most > tolerance]
+        kept[middle] = True
+        first, last = np.concatenate([first[most > tolerance], middle]), np.concatenate([middle, last[most > tolerance]])
     return np.flatnonzero(kept)
 
 
