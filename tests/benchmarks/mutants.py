@@ -119,8 +119,16 @@ def tests_of(mutant: Mutant, known: dict) -> list[int]:
         return sorted({test for some in lines.values() for test in some})[:MOST_TESTS_A_LINE]
     for line in range(mutant.line, mutant.first - 1, -1):
         if str(line) in lines:
-            return lines[str(line)]
+            return with_neighbours(lines[str(line)], known)
     return []
+
+
+def with_neighbours(tests: list[int], known: dict) -> list[int]:
+    """Returns tests and behind them the others of their files: what a fixture runs counts for the first that asks for it."""
+    names = [test for test, _ in known["tests"]]
+    files = {names[number].partition("::")[0] for number in tests}
+    others = (number for number, name in enumerate(names) if name.partition("::")[0] in files)
+    return list(dict.fromkeys([*tests, *others]))[:MOST_TESTS_A_LINE]
 
 
 def tried(mutant: Mutant, tree: Path, known: dict, limit: float) -> Verdict:
