@@ -362,7 +362,10 @@ def _processor_time(pid: int) -> float:
 @pytest.mark.attack
 def test_nothing_finished_is_lost(tmp_path):
     """The later Ctrl-C comes, the more designs of a front are kept; nothing drops what was there."""
-    command, before = [sys.executable, "-m", "synth", "--front", "ride:travel"], os.times()
+    few = "import synth.command.trade_off; synth.command.trade_off.DESIGNS = 20"
+    run = "from models.common.command import run_command; from synth.__main__ import main"
+    call = f"{few}; {run}; run_command(lambda: main(['--front', 'ride:travel']))"
+    command, before = [sys.executable, "-c", call], os.times()
     subprocess.run(command, stdout=subprocess.PIPE, check=True)
     after, counts = os.times(), []
     whole = after.children_user + after.children_system - before.children_user - before.children_system
