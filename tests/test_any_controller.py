@@ -93,8 +93,9 @@ CONTROLLERS = [
 DESIGNED = [("car", "first"), ("car", "pi"), ("built", "slow")]  # a second each; laws with states as others, slow poles
 SHORT = ["--no-logs", "--timestep", "4e-3", "--duration"]
 QUICK = {"synth": [], "sim.bump": [*SHORT, "0.2"], "sim.drive": [*SHORT, "0.4"], "sim.envelope": MAP}
-LONG = {"sim.sweep": [], "sim.margins": ["--timestep", "4e-3"], "sim.report": ["--quick"]}
-LAWS = ("python", "skyhook")  # of which a sweep claims nothing that a coarse step would refute; others have their own
+COARSE = ["--timestep", "4e-3"]
+LONG = {"sim.sweep": [], "sim.margins": COARSE, "sim.report": ["--quick"]}
+LAWS = ("python", "skyhook")  # of which a sweep claims nothing that a coarse step would refute
 CAMPAIGN = 'controllers = ["{}"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 0.2\nsettle = 0.1\ntimestep = 4e-3\n'
 ALIKE_SLOW = ("sim.margins", "pi")  # a law with a slow pole as `slow` has, and as long as it
 FED_BACK = ("sim.margins", "ahead")  # the margins of a gain: what is known ahead is taken out
@@ -161,7 +162,7 @@ def test_every_command_takes_it(vehicles, tmp_path, monkeypatch, command, vehicl
     """A controller that is designed, given, sampled, noisy, with preview, in Python or semi-active is driven and judged by every
     command alike."""
     monkeypatch.chdir(tmp_path)
-    step = ["--timestep", "4e-3"] if command == "sim.sweep" and name in LAWS else []
+    step = COARSE if command == "sim.sweep" and name in (*LAWS, "slow") else []
     takes(command, name, ["--vehicle", f"{vehicles / vehicle}.toml", "--controller", name, *(QUICK | LONG)[command], *step])
 
 
