@@ -3,15 +3,12 @@
 import csv
 import itertools
 import json
-import math
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +32,7 @@ from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
 from synth.vehicle.trade_off.front import MARKED, Front, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
-from tests.commands import attacks, prose
+from tests.commands import attacks, prose, wait_for_processor_time
 from tests.shared import made
 
 COUNT, QUICK = 8, 5
@@ -350,15 +347,6 @@ def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp
     assert path.exists()
 
 
-def _processor_time(pid: int) -> float:
-    """Returns what a process has had of the processors [s]."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except OSError:  # it is over
-        return math.inf
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 @pytest.mark.attack
 def test_nothing_finished_is_lost(tmp_path):
     """The later Ctrl-C comes, the more designs of a front are kept; nothing drops what was there."""
@@ -371,8 +359,7 @@ def test_nothing_finished_is_lost(tmp_path):
     whole = after.children_user + after.children_system - before.children_user - before.children_system
     for share in (0.4, 0.9):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        while process.poll() is None and _processor_time(process.pid) < share * whole:  # whatever else the machine does
-            time.sleep(0.02)
+        wait_for_processor_time(process, share * whole)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate()
         kept = re.findall(r"(\d+) certified designs", out)

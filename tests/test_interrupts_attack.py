@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from models.common.interrupt import WORDS
-from tests.commands import ROOT, environment
+from tests.commands import ROOT, environment, wait_for_processor_time
 
 FIRST = ("sim/__init__.py", "synth/__init__.py", "models/__init__.py")
 
@@ -77,14 +77,15 @@ def left(folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
-    """A folder with a log to inspect, and how long each command takes there [s]."""
+    """A folder with a log to inspect, and what each command has of the processors there [s]."""
     folder, took = tmp_path_factory.mktemp("whole") / "folder", {}
     prepare(folder)
     for command in COMMANDS:
-        began = time.monotonic()
+        before = os.times()
         process = start(command, folder)
         out, err = process.communicate(timeout=ENOUGH)
-        took[command] = time.monotonic() - began
+        after = os.times()
+        took[command] = after.children_user + after.children_system - before.children_user - before.children_system
         assert process.returncode == 0, (command, err)
         assert isinstance(json.loads(out), dict)
         if command == "sim.bump":
@@ -120,9 +121,9 @@ def test_what_python_imports_as_it_starts_is_not_ours():
 
 
 def interrupted(command: str, folder: Path, after: float, by: signal.Signals) -> tuple[str, bool]:
-    """Returns what is wrong with a command that is told to end some seconds after its start, in words, and whether it was."""
+    """Returns what is wrong with a command that is told to end, in words, and whether it was; `after` is processor time [s]."""
     process = start(command, folder)
-    time.sleep(after)
+    wait_for_processor_time(process, after)
     os.killpg(process.pid, by)
     sent = time.monotonic()
     out, err = process.communicate(timeout=ENOUGH)
