@@ -350,7 +350,8 @@ def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp
 @pytest.mark.attack
 def test_nothing_finished_is_lost(tmp_path):
     """The later Ctrl-C comes, the more designs of a front are kept; nothing drops what was there."""
-    few = "import synth.command.trade_off; synth.command.trade_off.DESIGNS = 20"
+    few = "import synth.command.trade_off as command; command.DESIGNS = 40; "
+    few += "import synth.vehicle.trade_off.lower_bound as line; line.RATIOS = range(-1, 2)"
     run = "from models.common.command import run_command; from synth.__main__ import main"
     call = f"{few}; {run}; run_command(lambda: main(['--front', 'ride:travel']))"
     command, before = [sys.executable, "-c", call], os.times()

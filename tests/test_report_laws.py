@@ -32,10 +32,10 @@ step.vectorised = True
 MEASURED = ("sprung_velocity", "unsprung_velocity")
 
 
-def report_of(folder: Path, capsys, *options: str) -> tuple[dict, str, Path]:
+def report_of(folder: Path, capsys, *options: str, step: float = STEP) -> tuple[dict, str, Path]:
     """A report of a skyhook law: its JSON, its page, its vehicle file."""
     path, page = vehicle_of(folder, SKYHOOK, measured=MEASURED), folder / "report.html"
-    arguments = ["--vehicle", str(path), "--timestep", str(STEP), "--out", str(page), "--json", *options]
+    arguments = ["--vehicle", str(path), "--timestep", str(step), "--out", str(page), "--json", *options]
     assert main(arguments) == 0
     return json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8"), path
 
@@ -96,10 +96,10 @@ def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("sim.report.worker_processes.processes", lambda *_: 0)  # these are of this process
     for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
         monkeypatch.setattr(report_ride, name, value)
-    found, _, path = report_of(tmp_path, capsys, "--controller", "mine")
+    found, _, path = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
     assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
     vehicle = read_vehicle(path)
-    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, STEP, Bump().speed)
+    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, 2 * STEP, Bump().speed)
     check_describing(rows_of(found, "describing-functions"), own)
     check_ride(rows_of(found, "ride"), len(report_ride.CLASSES))
 
