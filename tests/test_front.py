@@ -350,7 +350,7 @@ def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp
 @pytest.mark.attack
 def test_nothing_finished_is_lost(tmp_path):
     """The later Ctrl-C comes, the more designs of a front are kept; nothing drops what was there."""
-    few = "import synth.command.trade_off as command; command.DESIGNS = 40; "
+    few = "import synth.command.trade_off as command; command.DESIGNS = 20; "
     few += "import synth.vehicle.trade_off.lower_bound as line; line.RATIOS = range(-1, 2)"
     run = "from models.common.command import run_command; from synth.__main__ import main"
     call = f"{few}; {run}; run_command(lambda: main(['--front', 'ride:travel']))"
@@ -358,7 +358,7 @@ def test_nothing_finished_is_lost(tmp_path):
     subprocess.run(command, stdout=subprocess.PIPE, check=True)
     after, counts = os.times(), []
     whole = after.children_user + after.children_system - before.children_user - before.children_system
-    for share in (0.4, 0.9):
+    for share in (0.45, 0.9):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         wait_for_processor_time(process, share * whole)
         process.send_signal(signal.SIGINT)
@@ -367,7 +367,7 @@ def test_nothing_finished_is_lost(tmp_path):
         counts.append(int(kept[0]) if kept else 0)
         assert process.returncode in (0, 130), err
         assert not out or process.returncode == 0 or "interrupted" in err
-    assert counts[-1] > 1
+    assert min(counts) > 1
     slack = 0.1 * max(counts)  # caches are warm or not: one is as far as another at a time of its own only roughly
     assert all(later >= earlier - slack for earlier, later in itertools.pairwise(counts)), counts
 
