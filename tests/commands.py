@@ -1,10 +1,13 @@
 """Commands as tests run them: in this process by their `main`, or in one of their own."""
 
 import importlib
+import math
 import os
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import Popen
 from typing import Any, TypeVar
 
 import pytest
@@ -56,6 +59,21 @@ def attacks(cases: Iterable[Any]) -> list[Any]:
 def in_the_suite(some: Collection[Any], cases: Iterable[Any]) -> list[Any]:
     """Returns cases of which all but some are for the attacks alone."""
     return [each for case in cases for each in ([case] if case in some else attacks([case]))]
+
+
+def wait_for_processor_time(process: Popen, seconds: float) -> None:
+    """Returns when a process has had so much of the processors [s], whatever else the machine does, or is over.
+
+    Where the system does not tell what it has had, the clock does.
+    """
+    if not Path("/proc/self/stat").exists():
+        time.sleep(seconds)
+        return
+    had = 0.0
+    while had < seconds:
+        fields = Path(f"/proc/{process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        had = math.inf if fields[0] == "Z" else (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        time.sleep(0.01)
 
 
 def environment() -> dict[str, str]:

@@ -34,6 +34,9 @@ LIGHTER = {
     "sim.drive --controller passive": "--duration 1 --no-logs",  # a shorter stretch of the same road
     "sim.drive --vehicle full_car": "--duration 0.5",
     "sim.margins --controller I --vehicle half_car": "--timestep 0.002",  # fewer steps of the same bisections
+    "sim.sweep --controller I": "--timestep 0.004",
+    "sim.sweep --vehicle half_car": "--timestep 0.004",
+    "sim.envelope --vehicle": "--timestep 0.004",
     "sim.envelope --controller II": "--timestep 0.004",  # fewer steps of the same cells
     "sim.campaign --verify": "--runs 4",
     "sim.report --out report": "--quick --timestep 0.004",  # test_report_numbers.py has whole reports

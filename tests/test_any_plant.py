@@ -128,12 +128,11 @@ def ask_everything(seed: int, search: bool) -> None:
 
 
 @pytest.mark.attack
-@pytest.mark.parametrize("first", range(0, 20, 10))
-def test_no_plant_is_too_odd(first, capfd):
-    """For 20 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
+def test_no_plant_is_too_odd(capfd):
+    """For 10 random plants, stable or not, in any units, with any zeros, every function answers in time, without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for seed in range(first, first + 10):
+        for seed in range(10):
             ask_everything(seed, search=seed == 0)
     assert capfd.readouterr() == ("", "")
 

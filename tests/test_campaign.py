@@ -487,11 +487,11 @@ def killed(folder, chance, signal_number, there=".lock"):
 
 
 @pytest.mark.attack
-def test_killed_twenty_times(tmp_path):
-    """Killed at twenty random moments and started again each time, it ends with the rows of an uninterrupted run, each once."""
+def test_killed_ten_times(tmp_path):
+    """Killed at ten random moments and started again each time, it ends with the rows of an uninterrupted run, each once."""
     (tmp_path / "campaign.toml").write_text(QUICK)
     rng, lives = random.Random(20261121), []
-    while len(lives) < 20:
+    while len(lives) < 10:
         code, _, _ = killed(tmp_path, rng.uniform(0, 0.9), signal.SIGKILL)
         names = [path.name for path in (tmp_path / "results").glob("*.parquet")]
         lives.append((code, len(names)))

@@ -185,9 +185,9 @@ def test_a_bad_part_is_run_again_and_said(whole, begun, tmp_path, capsys, damage
 
 @pytest.mark.attack
 def test_random_damage_to_parts(whole, begun, tmp_path):
-    """Forty random flips of a bit or cuts, in any file of a campaign that has begun: complete and the same, or named."""
+    """Twenty random flips of a bit or cuts, in any file of a campaign that has begun: complete and the same, or named."""
     rng = np.random.default_rng(8)
-    for trial in range(40):
+    for trial in range(20):
         folder = tmp_path / str(trial)
         shutil.copytree(begun, folder / "results")
         files = sorted(path for path in (folder / "results").iterdir() if path.name != ".lock")

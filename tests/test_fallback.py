@@ -158,12 +158,12 @@ def test_projected_starts_of_states_that_are_all_measured():
 def test_a_large_plant(monkeypatch):
     """A chain too large for the two steps has a gain by descent; that is said, and where rounding leaves no proof of a bound."""
     assert central.unknowns(chain(46)[0]) > design.MOST == 1100
-    plant, Cy = chain(24)
+    plant, Cy = chain(16)
     two_steps = two_step_design(plant, Cy)
-    monkeypatch.setattr(design, "MOST", 300)
+    monkeypatch.setattr(design, "MOST", 135)
     found = two_steps_or_descent(plant, Cy)
     certificate = found.certificate
     assert certificate.failures == ()
     assert (certificate.bound is None) == ("rounding leaves no proof of a bound" in found.instead)
     assert certificate.norm.value < 1.001 * two_steps.certificate.norm.value
-    assert "unknowns, and the two steps are gone with at most 300" in found.instead
+    assert "unknowns, and the two steps are gone with at most 135" in found.instead

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+from functools import partial
 from urllib.parse import unquote
 
 import numpy as np
@@ -21,13 +22,14 @@ from models.vehicle.vehicle import read_vehicle
 from sim.gallery import main
 from sim.report.__main__ import main as report
 from sim.runs.run import run_controllers, sample_times
-from sim.studies.gallery import entries
+from sim.studies.gallery import entries, numbers
 from sim.studies.gallery.entries import names
 from sim.studies.gallery.numbers import OF_A_RUN
 from sim.studies.gallery.summary import BRACKETS
 from sim.studies.ride.step_response import measure_step
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, prose
+from tests.shared import made
 from tests.test_page import Elements
 
 ENTRY = """
@@ -51,10 +53,12 @@ LIGHT = [name for name in names() if name not in ("control_lab", "ctms", "mathwo
 def said_of(*some: str):
     """Returns what the command says of some entries, of all if none is named: its text and its JSON."""
     said = []
-    for options in ([], ["--json"]):
-        with contextlib.redirect_stdout(io.StringIO()) as out:
-            assert main([*some, *options]) == 0
-        said.append(out.getvalue())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(numbers, "compared", partial(made, numbers.compared))
+        for options in ([], ["--json"]):
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                assert main([*some, *options]) == 0
+            said.append(out.getvalue())
     return said[0], {one["name"]: one for one in json.loads(said[1])["entries"]}
 
 

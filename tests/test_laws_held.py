@@ -136,7 +136,7 @@ def test_over_class_c(kind, speed, duration):
 @pytest.mark.parametrize(("kind", "speed"), [("quarter_car", 25.0), ("full_car", 8.0)])
 def test_over_many_roads_of_class_c(kind, speed):
     """The same over roads of class C, slow and fast, on all kinds."""
-    check(kind, rough(with_laws(kind), 1, speed), DURATION / 2)
+    check(kind, rough(with_laws(kind), 1, speed), DURATION / 4)
 
 
 @pytest.mark.attack
@@ -145,7 +145,7 @@ def test_cars_over_whole_roads(kind):
     """Over class C as it is, a car leaves the exact response as its geometry does, and no further; the verdict says so."""
     vehicle = with_laws(kind)
     road = choose_road(ROAD).build(vehicle, 15.0, 0, 15.0 * DURATION)
-    for run in driven(kind, road, 1e-3, DURATION / 2):
+    for run in driven(kind, road, 1e-3, DURATION / 4):
         assert verdict(run).startswith("agrees")
         assert apart(run, run.sampled) < 1e-3, run.controller.name  # measured 4e-4 at most
         small = [one.small for one in run.agreement.signals.values() if one.small is not None]

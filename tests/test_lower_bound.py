@@ -301,9 +301,9 @@ def test_stable_zeros_cost_nothing():
 
 @pytest.mark.attack
 def test_the_bound_is_sharp():
-    """On 120 random plants no bound lies above the full-order optimum by another solver, and 95 % of them within 0.1 % of it."""
-    ratios = gaps(range(120))
-    assert len(ratios) > 108
+    """On 60 random plants no bound lies above the full-order optimum by another solver, and 95 % of them within 0.1 % of it."""
+    ratios = gaps(range(60))
+    assert len(ratios) > 54
     assert np.all(ratios < 1 + OWN)
     assert np.mean(ratios > 0.999) >= 0.95
 

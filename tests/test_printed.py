@@ -43,7 +43,7 @@ SCREEN = {  # what is asked of every vehicle file that ships, and those whose an
     "sim.sweep --timestep 4e-3": (),
     "sim.margins --controller CONTROLLER --timestep 8e-3": (),
     "sim.envelope --controller CONTROLLER --vary height:0.02:0.4:2 --vary speed:5:20:2 --timestep 4e-3": ("full_car",),
-    "sim.report --quick": (),
+    "sim.report --quick --timestep 4e-3": (),
 }
 SHIPPED = ("quarter_car", "quarter_car_accelerometer", "quarter_car_goals", "quarter_car_semi_active", "half_car", "full_car")
 SOME = {

@@ -178,13 +178,12 @@ def test_table(capsys, never_lost, norms_once, rates, names):
 
 @pytest.mark.attack
 def test_designed_for_the_rate(never_lost):
-    """At 10 ms designs for the sampled loop have at most the norms that were found before, and below those of the others."""
+    """At 10 ms a design for the sampled loop has at most the norm that was found before, and below that of the other."""
     vehicle = read_vehicle("quarter_car")
-    for name, most in (("state", 7.857), ("I", 7.8613), ("II", 7.881)):
-        (at,) = cost(vehicle, design(vehicle, name), [1e-2], [1e-2]).rates
-        assert at.designed is not None
-        assert at.designed.value <= most
-        assert at.designed.value < at.undelayed_norm.value
+    (at,) = cost(vehicle, design(vehicle, "II"), [1e-2], [1e-2]).rates  # others are in test_sampled_designs.py
+    assert at.designed is not None
+    assert at.designed.value <= 7.881
+    assert at.designed.value < at.undelayed_norm.value
     given = cost(vehicle, design(vehicle, "I_printed"), [1e-2], [1e-2])
     assert given.rates[0].designed is None  # its gain is given, and not designed
 

@@ -8,13 +8,10 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.printed import percent
-from models.figures.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import read_vehicle
 from sim.report import ride as report_ride
 from sim.report.__main__ import main
-from sim.report.designs import frequency_section
-from sim.report.scope import Scope
 from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
@@ -35,10 +32,10 @@ step.vectorised = True
 MEASURED = ("sprung_velocity", "unsprung_velocity")
 
 
-def report_of(folder: Path, capsys, *options: str) -> tuple[dict, str, Path]:
+def report_of(folder: Path, capsys, *options: str, step: float = STEP) -> tuple[dict, str, Path]:
     """A report of a skyhook law: its JSON, its page, its vehicle file."""
     path, page = vehicle_of(folder, SKYHOOK, measured=MEASURED), folder / "report.html"
-    arguments = ["--vehicle", str(path), "--timestep", str(STEP), "--out", str(page), "--json", *options]
+    arguments = ["--vehicle", str(path), "--timestep", str(step), "--out", str(page), "--json", *options]
     assert main(arguments) == 0
     return json.loads(capsys.readouterr().out), page.read_text(encoding="utf-8"), path
 
@@ -93,30 +90,16 @@ def check_ride(ride: list[dict], classes: int) -> None:
 
 
 @pytest.mark.attack
-def test_tables_of_a_whole_report(tmp_path, monkeypatch):
-    """A whole report has a law's describing function, and its ride, from physics."""
-    monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
-    vehicle = read_vehicle(vehicle_of(tmp_path, SKYHOOK, measured=MEASURED))
-    law, step = vehicle.controllers["mine"].driver(), 2 * STEP
-    own = describing_function(vehicle, law, 1e-4, step, Bump().speed)
-    scope = Scope(vehicle, Designer(vehicle), (), step, False, print, (law,))
-    table = frequency_section(scope, [], [], Bump().speed, [own]).tables[-1]
-    check_describing([dict(zip(table.headings, row, strict=True)) for row in table.rows], own)
-    monkeypatch.setattr(report_ride, "CLASSES", "AB")
-    monkeypatch.setattr(report_ride, "SEEDS", (0,))
-    monkeypatch.setattr(report_ride, "WINDOW", 2.0)
-    rides = [*report_ride.OverRoads(vehicle, law, step).rides()]
-    table = report_ride.ride_section(vehicle, rides, styles(("mine",))).tables[0]
-    check_ride([dict(zip(table.headings, row, strict=True)) for row in table.rows], 2)
-
-
-@pytest.mark.attack
-def test_a_report_of_nothing_else(tmp_path, capsys):
+def test_a_report_of_nothing_else(tmp_path, capsys, monkeypatch):
     """A whole report of a law alone has its describing function and its ride from physics, and no margins, norms or map."""
-    found, _, path = report_of(tmp_path, capsys, "--controller", "mine")
+    monkeypatch.setattr("sim.studies.frequency.describing_function.SINUSOIDS", 8)
+    monkeypatch.setattr("sim.report.worker_processes.processes", lambda *_: 0)  # these are of this process
+    for name, value in {"CLASSES": "BC", "SEEDS": (0,), "WINDOW": 2.0, "LONGEST": 4.0}.items():
+        monkeypatch.setattr(report_ride, name, value)
+    found, _, path = report_of(tmp_path, capsys, "--controller", "mine", step=2 * STEP)
     assert {"margins", "gains", "regime", "validity", "robustness"}.isdisjoint(found["tables"])
     vehicle = read_vehicle(path)
-    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, STEP, Bump().speed)
+    own = describing_function(vehicle, vehicle.controllers["mine"].driver(), 1e-4, 2 * STEP, Bump().speed)
     check_describing(rows_of(found, "describing-functions"), own)
     check_ride(rows_of(found, "ride"), len(report_ride.CLASSES))
 

@@ -416,7 +416,7 @@ def test_nothing_stable(tmp_path):
 def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
     """The whole report of the README's example finishes, and its margins and its map are what the commands say."""
     path = tmp_path / "report.html"
-    assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), "--timestep", "0.001"]) == 0
+    assert report(["--vehicle", real_file, "--controller", "II", "--out", str(path), *COARSE]) == 0
     read = PageRead(path)
     assert read.state == "ends", read.answer
     assert len(path.read_bytes()) < 500_000
@@ -437,7 +437,7 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
             assert row[mine] == f"{factor * found[key][theirs]:.5g}"
     assert read.row("robustness", controller="II")["worst norm"] == f"{found['robustness']['worst_norm']:.5g}"
 
-    axes = ("--vary", "height:0.02:0.3:20", "--vary", "speed:3:30:20", "--timestep", "0.001")
+    axes = ("--vary", "height:0.02:0.3:20", "--vary", "speed:3:30:20", *COARSE)
     noiseless = vehicle_file(tmp_path, re.sub(r"(?m)^(noise|quantisation).*\n", "", REALITY))
     cells = printed(capsys, envelope, "--controller", "II", "--vehicle", noiseless, *axes)["cells"]
     row = read.row("validity", controller="II")
@@ -447,7 +447,7 @@ def test_whole_report_of_the_readme_example(tmp_path, real_file, capsys):
         assert row[f"{end} first"] == f"{100 * np.mean([cell['broke_first'] == end for cell in cells]):.1f} %"
     assert row["as predicted"] == f"{100 * np.mean([cell['agrees'] for cell in cells]):.2f} %"
     assert (
-        "each run in MuJoCo at 1 ms, without its noise and quantisation: what" in read.text
+        "each run in MuJoCo at 5 ms, without its noise and quantisation: what" in read.text
     )  # twice the step does not divide 5 ms
 
 

@@ -193,15 +193,15 @@ def test_forces_on_their_way(seed):
 
 @pytest.mark.attack
 def test_two_routes_meet_always():
-    """The same of 60 loops more."""
-    for seed in range(100, 160):
+    """The same of 30 loops more."""
+    for seed in range(100, 130):
         test_two_routes_meet(seed)
 
 
 @pytest.mark.attack
 def test_units_always():
-    """The same of 50 loops more in other units."""
-    for seed in range(100, 150):
+    """The same of 25 loops more in other units."""
+    for seed in range(100, 125):
         test_units(seed)
 
 
