@@ -216,6 +216,7 @@ def test_reversed_sensor(tmp_path, paper, designer):
     assert other.balances
 
 
+@pytest.mark.attack
 def test_own_kind_balances_and_its_faults_show(tmp_path, capsys):
     """The README's hopper, whose motor pushes against the world, balances to RK4's error.
 

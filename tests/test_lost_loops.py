@@ -130,6 +130,7 @@ def test_a_report_of_it(held, tmp_path, capsys):
     assert tables["regime"]
 
 
+@pytest.mark.attack
 def test_margins_are_of_the_controller_that_the_computer_was_thought_of_for(held, monkeypatch):
     """A sampled design keeps its gain where margins are found without the computer; where it has none, that is the reason."""
     with pytest.raises(InputError, match="without a computer its loop is not stable"):
