@@ -93,7 +93,8 @@ class Pieces:
 
     def at(self, times: Array) -> Array:
         """Returns the values at times within the steps [s], same shape."""
-        k = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right") - 1
+        after = np.searchsorted(self.start, times + ROUNDING * self.length[0], side="right")
+        k = np.clip(after - 1, 0, len(self.start) - 1)
         x = 2 * (times - self.start[k]) / self.length[k] - 1
         points = self.values.shape[1]
         coefficients = self.values[k] @ _fit(points).T
