@@ -76,7 +76,7 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
         pieces: of work; long ones first, so that the threads end at about the same time.
     """
     stop, coming = threading.Event(), enumerate(pieces)
-    name = f"side by side {id(stop)}"
+    name = f"side by side {id(stop)}_"
     with ThreadPoolExecutor(threads, name) as pool:
         running: dict[Future[Result], int] = {}
         try:

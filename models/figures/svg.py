@@ -304,9 +304,10 @@ def kept_points(x: Array, y: Array, tolerance: float = TOLERANCE) -> Array:
         away = np.where(closed[span], np.hypot(across, down), away)
         most = np.maximum.reduceat(away, starts)
         reached = np.flatnonzero(away == most[span])
-        middle = at[reached[np.searchsorted(reached, starts)]][most > tolerance]
+        split = most > tolerance
+        middle = at[reached[np.searchsorted(reached, starts)]][split]
         kept[middle] = True
-        first, last = np.concatenate([first[most > tolerance], middle]), np.concatenate([middle, last[most > tolerance]])
+        first, last = np.concatenate([first[split], middle]), np.concatenate([middle, last[split]])
     return np.flatnonzero(kept)
 
 
