@@ -33,7 +33,7 @@ from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout, 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, TypeVar
 
 import cloudpickle
@@ -142,6 +142,12 @@ DESIGNS = (  # functions of their arguments alone, which take long
 )
 
 BEYOND_DESIGNS = ("sim.", "synth.command.", "synth.vehicle.sample_rate.")  # which import designs, and not the other way round
+
+
+def share(patch: pytest.MonkeyPatch, home: ModuleType, *names: str) -> None:
+    """Has functions of a module, which must follow from their arguments alone, made once in a session while a patch lasts."""
+    for name in names:
+        patch.setattr(home, name, functools.partial(made, getattr(home, name)))
 
 
 def share_designs() -> None:

@@ -7,7 +7,6 @@ import io
 import json
 import math
 import re
-from functools import partial
 from urllib.parse import unquote
 
 import numpy as np
@@ -29,7 +28,7 @@ from sim.studies.gallery.summary import BRACKETS
 from sim.studies.ride.step_response import measure_step
 from synth.vehicle.designer import Designer
 from tests.commands import attacks, prose
-from tests.shared import made
+from tests.shared import share
 from tests.test_page import Elements
 
 ENTRY = """
@@ -54,7 +53,7 @@ def said_of(*some: str):
     """Returns what the command says of some entries, of all if none is named: its text and its JSON."""
     said = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(numbers, "compared", partial(made, numbers.compared))
+        share(patch, numbers, "compared")
         for options in ([], ["--json"]):
             with contextlib.redirect_stdout(io.StringIO()) as out:
                 assert main([*some, *options]) == 0

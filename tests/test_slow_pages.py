@@ -1,18 +1,16 @@
 """The sections of the pages whose commands take seconds to minutes: as `test_pages.py` has the others, after the suite."""
 
-from functools import partial
-
 import pytest
 
 from sim.studies.gallery import numbers
-from tests.shared import made
+from tests.shared import share
 from tests.test_pages import SECTIONS, check, slow
 
 
 @pytest.fixture(autouse=True)
 def gallery_once(monkeypatch):
     """Three pages show numbers of the gallery, which `test_gallery.py` holds."""
-    monkeypatch.setattr(numbers, "compared", partial(made, numbers.compared))
+    share(monkeypatch, numbers, "compared")
 
 
 @pytest.mark.attack

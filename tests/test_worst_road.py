@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from synth.controller.implementation_norm import norm_as_implemented
 from synth.vehicle.designer import design
 from tests.analysed import simulate
 from tests.commands import attacks, once, prose
-from tests.shared import made
+from tests.shared import made, share
 
 SAMPLED = "\n[implementation]\nsample_period = 0.01\n"
 
@@ -129,8 +128,7 @@ def test_a_road_under_each_wheel():
 def of_one_sweep(monkeypatch):
     """Words and `--json` are of one sweep, and all sweeps of a vehicle of the same lines, sinusoids, loads, norm and road."""
     monkeypatch.setattr(sim.studies.frequency.sweep, "sweep", once(sim.studies.frequency.sweep.sweep))
-    for name in ("identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_road"):
-        monkeypatch.setattr(sim.studies.frequency.sweep, name, partial(made, getattr(sim.studies.frequency.sweep, name)))
+    share(monkeypatch, sim.studies.frequency.sweep, "identify", "extremes", "minimum_loads", "norm_if_implemented", "worst_road")
 
 
 @pytest.fixture(scope="module")
