@@ -46,7 +46,11 @@ def described_road(description: Mapping[str, Any], points: bytes | None = None) 
         if points is None:
             raise InputError(f"the points of a {kind} are missing")
         source = str(description.get("source", ""))
-        return rig_from_csv(points, source) if kind == "rig" else from_csv(points, _number(description, "speed"), source)
+        if kind == "rig":
+            return rig_from_csv(points, source)
+        if "join" not in description:
+            raise InputError("its points were joined by an older version, from another start; drive over the road again")
+        return from_csv(points, _number(description, "speed"), source, str(description["join"]))
     if kind == "iso8608":
         return _random(description)
     if kind in MULTISINES:

@@ -7,10 +7,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.kinds.kind import Parameters, Wheel
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 from models.roads.load import Load
-from models.roads.road import DerivedRoad
+from models.roads.road import DerivedRoad, Road
 from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 
@@ -28,17 +27,9 @@ class RoadWithLoads(DerivedRoad):
     on_body: Sequence[Load]
 
     @property
-    def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """True if the road is laid."""
-        return self.road.laid
-
-    def track_of(self, wheel: Wheel) -> str:
-        """Returns the track of the road under a wheel."""
-        return self.road.track_of(wheel)
-
-    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
-        """Returns the delay of a wheel on the road [s]."""
-        return self.road.delay_of(wheel, parameters)
+    def from_start(self) -> Road:
+        """The road alone, measured from the steady motion in which the vehicle starts."""
+        return self.road.from_start
 
     @property
     def points(self) -> bytes | None:

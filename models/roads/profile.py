@@ -1,4 +1,4 @@
-"""Measured roads: heights over distance, and the smooth curve through them."""
+"""Measured roads: heights over distance, and the line through them."""
 
 import io
 from collections.abc import Callable
@@ -10,62 +10,84 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
-from models.common.errors import InputError
-from models.roads.road import LIMITS, Road, check_numbers
+from models.common.errors import InputError, quoted
+from models.roads.road import LIMITS, MeasuredRoad, check_numbers
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # largest spacing over the median one; in a wider gap the curve would be invented
+GAP = 10.0  # largest spacing over the median one; in a wider gap the line would be invented
 HIGHEST = 100.0  # m, largest height over the first point
 FEWEST = 4  # points
+START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
+ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
+JOINS = ("straight", "smooth")
 
 
 @dataclass(frozen=True, eq=False)
-class Profile(Road):
-    """Cubic spline through measured heights, with its exact derivative.
+class Profile(MeasuredRoad):
+    """Measured heights, joined by straight lines (ASTM E1926), or by a cubic spline.
 
-    The road begins at the first point, from its height there, and stays level after the last. Slopes are zero at both ends.
+    Before the first point lies the plane on which the vehicle starts: through the first heights, with the mean slope of the first
+    11 m, of both tracks together. A vehicle with one track has that of its own track. Behind the last point the road goes on with
+    the slope of the last 11 m.
 
     Attributes:
         distance: ascending [m], shape (P,).
         heights: of the left and the right track [m], shape (P, 2). A vehicle with one track drives on the left one.
         speed: V [m/s].
         source: the file.
+        join: "straight" or "smooth".
 
     Raises:
-        InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points.
+        InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points, or
+            an unknown join.
     """
 
     distance: Array
     heights: Array
     speed: float = 20.0
     source: str = field(default="")
+    join: str = "straight"
 
     def __post_init__(self) -> None:
         check_fields(self)
         check_numbers("profile", self, {"speed": LIMITS["speed"]})
         check_points(self.distance, self.heights)
+        if self.join not in JOINS:
+            raise InputError(f"profile join = {quoted(self.join)} is unknown; give {' or '.join(JOINS)}")
 
     @property
     def duration(self) -> float:
         """Time from the first point to the last [s]."""
-        return float(self.distance[-1] - self.distance[0]) / self.speed
+        return self._end / self.speed
 
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the spline, from its height at the first point."""
-        return self._track(side)(np.clip(np.asarray(t) * self.speed, 0.0, self._end))
+    def start(self, side: str) -> tuple[float, float]:
+        """Returns height and rate of the plane at time 0."""
+        first = self.heights[0]
+        return float(first[int(side == "right")] - first.mean()) if side else 0.0, self._slope(side, 0) * self.speed
 
-    def velocity(self, t: Array, side: str = "") -> Array:
-        """Returns the spline's own derivative."""
-        x = np.asarray(t) * self.speed
-        on = (x >= 0) & (x <= self._end)
-        return np.where(on, self.speed * self._track(side)(np.clip(x, 0.0, self._end), 1), 0.0)
+    def departure(self, t: Array, side: str) -> Array:
+        """Returns the height over the plane."""
+        x, z = self._x, self._over_plane[side]
+        at = np.asarray(t) * self.speed
+        on = np.interp(at, x, z) if self.join == "straight" else self._splines[side](np.clip(at, 0.0, self._end))
+        return on + (self._slope(side, 1) - self._slope(side, 0)) * np.maximum(at - self._end, 0.0)
 
-    @property
+    def departure_rate(self, t: Array, side: str) -> Array:
+        """Returns the derivative of `departure`; at a point that of the line behind it."""
+        x, z = self._x, self._over_plane[side]
+        at, after = np.asarray(t) * self.speed, self._slope(side, 1) - self._slope(side, 0)
+        if self.join == "straight":
+            slopes = np.concatenate([[0.0], np.diff(z) / np.diff(x), [after]])
+            return self.speed * slopes[np.searchsorted(x, at, side="right")]
+        on = self._splines[side](np.clip(at, 0.0, self._end), 1)
+        return self.speed * np.where(at < 0, 0.0, np.where(at > self._end, after, on))
+
+    @cached_property
     def kinks(self) -> tuple[float, ...]:
-        """Both ends. At the other points only the third derivative jumps: a step's quadrature does not see it."""
-        return (0.0, self.duration)
+        """Every point; of a spline both ends: at its other points a step's quadrature does not see the third derivative jump."""
+        return tuple((self._x / self.speed).tolist()) if self.join == "straight" else (0.0, self.duration)
 
     @property
     def points(self) -> bytes:
@@ -74,15 +96,17 @@ class Profile(Road):
         return ("distance,left,right\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)).encode()
 
     def describe(self) -> dict[str, float | str]:
-        """File, points, length, roughest height, speed."""
+        """File, points, first distance, length, lowest and highest height, speed, join."""
         return {
             "type": "profile",
             "source": self.source,
             "points": len(self.distance),
+            "from": float(self.distance[0]),
             "length": self._end,
             "lowest": float(self.heights.min()),
             "highest": float(self.heights.max()),
             "speed": self.speed,
+            "join": self.join,
         }
 
     def scaled(self, factor: float) -> "Profile":
@@ -94,14 +118,58 @@ class Profile(Road):
         return float(self.distance[-1] - self.distance[0])
 
     @cached_property
-    def _splines(self) -> "tuple[CubicSpline, CubicSpline]":
+    def _x(self) -> Array:
+        return self.distance - self.distance[0]
+
+    @cached_property
+    def _chords(self) -> Array:
+        """Mean slopes of both tracks over the first and the last 11 m, shape (2, 2)."""
+        reach = min(START, self._end)
+        ends = np.array([[np.interp(at, self._x, z) for z in self.heights.T] for at in (0, reach, self._end - reach, self._end)])
+        return (ends[1::2] - ends[::2]) / reach
+
+    def _slope(self, side: str, end: int) -> float:
+        """Returns the slope of the plane before the first point (0), or of that behind the last one (1)."""
+        return float(self._chords[end].mean() if side else self._chords[end, 0])
+
+    @cached_property
+    def _over_plane(self) -> dict[str, Array]:
+        """Heights of the points over the plane of the start [m], by side; exactly 0 where only rounding is left."""
+        rounding = ROUNDING * np.abs(self.heights).max() * (1 + self._x / min(START, self._end))
+        over = {}
+        for side in ("", "left", "right"):
+            z = self.heights[:, int(side == "right")]
+            rise = z - z[0] - self._slope(side, 0) * self._x
+            over[side] = np.where(np.abs(rise) <= rounding, 0.0, rise)
+        return over
+
+    @cached_property
+    def _splines(self) -> "dict[str, CubicSpline]":
         from scipy.interpolate import CubicSpline  # half a second
 
-        x, z = self.distance - self.distance[0], self.heights - self.heights[0]
-        return CubicSpline(x, z[:, 0], bc_type="clamped"), CubicSpline(x, z[:, 1], bc_type="clamped")
+        ends = {side: self._slope(side, 1) - self._slope(side, 0) for side in self._over_plane}
+        return {
+            side: CubicSpline(self._x, z, bc_type=((1, 0.0), (1, ends[side]))) for side, z in self._over_plane.items()
+        }
 
-    def _track(self, side: str) -> "CubicSpline":
-        return self._splines[side == "right"]
+
+def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:
+    """Returns the points of a road from a distance on, with one more there, on the line between its neighbours.
+
+    Args:
+        start: [m].
+        distance: ascending [m], shape (P,).
+        heights: [m], shape (P, K).
+
+    Raises:
+        InputError: the road does not reach there, or has too few points behind it.
+    """
+    rest = distance > start
+    if not distance[0] <= start or rest.sum() < FEWEST - 1:
+        last = distance[-min(FEWEST, len(distance))]
+        raise InputError(f"from = {start:g} m is not on the road; give a distance from {distance[0]:g} to {last:g} m")
+    here = [np.interp(start, distance, track) for track in heights.T]
+    return np.concatenate([[start], distance[rest]]), np.concatenate([[here], heights[rest]])
 
 
 def check_points(distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
@@ -151,7 +219,7 @@ def check_ascending(what: str, x: Array, heights: Array, where: Callable[[int], 
         raise InputError(f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill it, or cut the {what} there")
 
 
-def from_csv(content: bytes, speed: float, source: str) -> Profile:
+def from_csv(content: bytes, speed: float, source: str, join: str) -> Profile:
     """Returns a profile from `Profile.points`, to the last bit.
 
     Raises:
@@ -160,7 +228,7 @@ def from_csv(content: bytes, speed: float, source: str) -> Profile:
     names, table = read_points(content, "road")
     if len(names) != 3:
         raise InputError(f"points of a road in {len(names)} column(s); distance, left and right are three")
-    return Profile(table[:, 0], table[:, 1:], speed, source)
+    return Profile(table[:, 0], table[:, 1:], speed, source, join)
 
 
 def read_points(content: bytes, what: str) -> tuple[list[str], Array]:

@@ -12,7 +12,7 @@ from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError, listing, quoted
 from models.kinds.kind import Parameters, Wheel
 from models.roads.profile import check_ascending, read_points
-from models.roads.road import Road
+from models.roads.road import MeasuredRoad
 from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -25,11 +25,12 @@ SHORT |= {"rl": "rear_left", "lr": "rear_left", "rr": "rear_right"}  # as drive 
 
 
 @dataclass(frozen=True, eq=False)
-class Rig(Road):
+class Rig(MeasuredRoad):
     """Cubic spline through the heights of every post over time, with its exact derivative.
 
     A post begins at its first height, rests there before, and stays at the last one after. Slopes are zero at both ends. The
-    vehicle stands, so no wheel meets what another one met, and speed changes nothing.
+    vehicle stands, so no wheel meets what another one met, and speed changes nothing. It starts at rest on the first heights,
+    which are measured from their mean.
 
     Attributes:
         time: ascending [s], shape (P,).
@@ -77,11 +78,16 @@ class Rig(Road):
         """Returns zero: the vehicle stands."""
         return 0.0
 
-    def displacement(self, t: Array, side: str = "") -> Array:
-        """Returns the spline of a post, from its first height; without a name that of the first post."""
+    def start(self, side: str) -> tuple[float, float]:
+        """Returns the first height of a post, and 0; without a name that of the first post."""
+        first = self.heights[0]
+        return float(first[self._index(side)] - first.mean()), 0.0
+
+    def departure(self, t: Array, side: str) -> Array:
+        """Returns the spline of a post, from its first height."""
         return self._splines[self._index(side)](np.clip(t, 0.0, self.duration))
 
-    def velocity(self, t: Array, side: str = "") -> Array:
+    def departure_rate(self, t: Array, side: str) -> Array:
         """Returns the derivative of the spline."""
         t = np.asarray(t, dtype=float)
         on = (t >= 0) & (t <= self.duration)

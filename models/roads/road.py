@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from models.roads.spectrum import Spectrum
 
 Track = Annotated[str, Must("left, right or both", lambda value: value in ("left", "right", "both"))]
+STEADY = 1e-12  # of the largest state, or term of a signal, in steady motion; what is smaller is rounding
 LOWEST = 1e-5  # m; the effect of a lower road is lost in the rounding of a vehicle's weight
 
 
@@ -57,6 +58,11 @@ class Road(ABC):
     def points(self) -> bytes | None:
         """Data too long for `describe`, as a CSV file; None if the description alone gives the road."""
         return None
+
+    @property
+    def from_start(self) -> "Road":
+        """The road measured from the steady motion in which the vehicle starts, see `MeasuredRoad`; itself if that is rest."""
+        return self
 
     @property
     def loaded(self) -> bool:
@@ -258,6 +264,75 @@ class DerivedRoad(Road):
         """Jumps of the road."""
         return self.road.jumps
 
+    @property
+    def laid(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """True if the road is laid."""
+        return self.road.laid
+
+    def track_of(self, wheel: Wheel) -> str:
+        """Returns the track of the road under a wheel."""
+        return self.road.track_of(wheel)
+
+    def delay_of(self, wheel: Wheel, parameters: Parameters) -> float:
+        """Returns the delay of a wheel on the road [s]."""
+        return self.road.delay_of(wheel, parameters)
+
+
+class MeasuredRoad(Road):
+    """Road of measured heights, on which a vehicle starts in steady motion: its wheels climb a straight line each.
+
+    Heights are measured from one datum, the mean of the heights at the first contacts.
+    """
+
+    @abstractmethod
+    def start(self, side: str) -> tuple[float, float]:
+        """Returns height [m] at time 0 and rate [m/s] of the steady motion on a side."""
+
+    @abstractmethod
+    def departure(self, t: Array, side: str) -> Array:
+        """Returns the height of the road over the steady motion [m] at times t [s], same shape; 0 up to time 0."""
+
+    @abstractmethod
+    def departure_rate(self, t: Array, side: str) -> Array:
+        """Returns the time derivative of `departure` [m/s] at times t [s], same shape."""
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Returns the height over the datum."""
+        height, rate = self.start(side)
+        return height + rate * np.asarray(t) + self.departure(t, side)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Returns the derivative."""
+        return self.start(side)[1] + self.departure_rate(t, side)
+
+    @property
+    def from_start(self) -> "Departure":
+        """The road measured from the steady motion."""
+        return Departure(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Departure(DerivedRoad):
+    """Measured road, measured from the steady motion in which the vehicle starts."""
+
+    road: MeasuredRoad
+
+    def displacement(self, t: Array, side: str = "") -> Array:
+        """Returns the height over the steady motion."""
+        return self.road.departure(t, side)
+
+    def velocity(self, t: Array, side: str = "") -> Array:
+        """Returns its derivative."""
+        return self.road.departure_rate(t, side)
+
+    def describe(self) -> dict[str, float | str]:
+        """Returns the description of the road."""
+        return self.road.describe()
+
+    def scaled(self, factor: float) -> Road:
+        """Returns the multiplied road, measured from its own steady motion."""
+        return self.road.scaled(factor).from_start
+
 
 @dataclass(frozen=True)
 class ScaledRoad(DerivedRoad):
@@ -318,6 +393,9 @@ def under_wheels(function: Callable[[Array, str], Array], road: Road, vehicle: V
 class RoadInput:
     """Road and loads at the samples of a run on a vehicle, each computed once, when first needed.
 
+    Heights and velocities are measured from the steady motion in which the vehicle starts (`MeasuredRoad`), which is an inertial
+    frame: in it, the run starts from rest. `steady` is that motion.
+
     Attributes:
         vehicle: r wheels, and a body that l loads push.
         road: the road.
@@ -344,19 +422,48 @@ class RoadInput:
         return self.loaded or self.vehicle.linear_model.tyres_damp
 
     @cached_property
+    def felt(self) -> Road:
+        """The road measured from the steady motion."""
+        return self.road.from_start
+
+    def steady_signals(self, time: Array) -> Array | None:
+        """Returns the vehicle's signals in the steady motion, by its linear model, shape (T, S); None for rest on a flat road.
+
+        The state rests at x = -A^-1 (Bw w + Br z_r): velocities are those of the plane, and deflections are zero, except where
+        posts twist the vehicle, or the weight of a body with a roll or pitch axis leans.
+
+        Args:
+            time: times [s], shape (T,).
+        """
+        if not isinstance(self.felt, Departure):
+            return None
+        start, model, kind = self.felt.road.start, self.vehicle.linear_model, self.vehicle.kind
+        z = under_wheels(lambda t, side: start(side)[0] + start(side)[1] * t, self.felt, self.vehicle, time)
+        w = under_wheels(lambda t, side: np.full(np.shape(t), start(side)[1]), self.felt, self.vehicle, time)
+        state = np.linalg.lstsq(model.A, -(model.Bw @ w[0] + model.Br @ z[0]))[0] if len(time) else np.zeros(len(model.A))
+        state[np.abs(state) <= STEADY * np.abs(state).max(initial=0.0)] = 0.0
+        outputs = model.C @ state + z @ model.Cr.T + w @ model.Dw.T
+        terms = np.abs(model.C) @ np.abs(state) + np.abs(z) @ np.abs(model.Cr.T) + np.abs(w) @ np.abs(model.Dw.T)
+        outputs[np.abs(outputs) <= STEADY * terms] = 0.0
+        values = dict(zip(model.outputs, outputs.T, strict=True))
+        for i, wheel in enumerate(kind.wheels):
+            values |= {wheel.road_displacement: z[:, i], wheel.road_velocity: w[:, i]}
+        return np.stack([values.get(signal.name, np.zeros(len(time))) for signal in kind.signals], axis=-1)
+
+    @cached_property
     def heights(self) -> Array:
         """Heights under the wheels at the samples [m], shape (T, r)."""
-        return under_wheels(self.road.displacement, self.road, self.vehicle, self.time)
+        return under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time)
 
     @cached_property
     def midway(self) -> Array:
         """Heights half a step after the samples [m], where MuJoCo holds the road over the step, shape (T, r)."""
-        return under_wheels(self.road.displacement, self.road, self.vehicle, self.time + self.timestep / 2)
+        return under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time + self.timestep / 2)
 
     @cached_property
     def velocities(self) -> Array:
         """Rates of the heights at the samples [m/s], shape (T, r)."""
-        return under_wheels(self.road.velocity, self.road, self.vehicle, self.time)
+        return under_wheels(self.felt.velocity, self.felt, self.vehicle, self.time)
 
     @cached_property
     def loads(self) -> Array:
@@ -374,7 +481,7 @@ class RoadInput:
 
         With them a tyre's damping has the impulse c dz of every step, also over a kink or an edge.
         """
-        end = under_wheels(self.road.displacement, self.road, self.vehicle, self.time[-1:] + self.timestep)
+        end = under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time[-1:] + self.timestep)
         return np.diff(self.heights, axis=0, append=end) / self.timestep
 
     @cached_property
@@ -387,7 +494,7 @@ class RoadInput:
     def ahead(self, count: int) -> Array:
         """Returns heights under the wheels at so many further samples after the last [m], shape (count, r)."""
         after = self.time[-1] + self.timestep * np.arange(1, count + 1)
-        return under_wheels(self.road.displacement, self.road, self.vehicle, after)
+        return under_wheels(self.felt.displacement, self.felt, self.vehicle, after)
 
     def scaled(self, share: float) -> "RoadInput":
         """Returns the input with heights and loads multiplied."""

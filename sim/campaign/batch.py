@@ -42,7 +42,7 @@ class ReferenceResponse:
 
     def __init__(self, runs: Sequence[PlannedRun], watched: MonitoredBatch, first: int | None, loaded: bool) -> None:
         """Prepares monitored runs, measured from sample `first` on, as a `Meter` does, or not at all if that is None."""
-        vehicle = runs[0].vehicle
+        vehicle, self.watched = runs[0].vehicle, watched
         self.signals, self.now, self.midway, self.loads = vehicle.kind.signals, watched.now, watched.midway, watched.held
         heights = np.concatenate([watched.now, watched.beyond]) if len(watched.beyond) else watched.now
         controllers, vehicles = [run.controller for run in runs], [run.vehicle for run in runs]
@@ -89,13 +89,15 @@ class ReferenceResponse:
                 np.add.reduce(products, axis=1, out=self.xi)
                 self.xi += push[k]
             states += jump
-            linear = times[-1] < until
+            linear, moving = times[-1] < until, list(self.watched.steady(some))
             for i in self.known if self.meter is None else range(len(self.outputs)):
                 output = states[:, i] if self.meter is None else _row(self.C[i], states) + _row(self.Cr[i], now)
                 if self.meter is not None and loads is not None and felt is not None:
                     output = output + _row(self.Dl[i], loads) + _row(self.D_felt[i], felt)
                 if self.meter is not None and forces is not None:
                     output = output + _row(self.D[i], forces)
+                for run, steady in moving:
+                    output[:, run] += steady[:, self.index[i]]
                 apart = np.abs(values[:, self.index[i]] - output)
                 size = np.abs(output)
                 if not linear.all():

@@ -270,7 +270,7 @@ def readings_of_loads(cut: OpenLoop, controller: Controller) -> Array:
 
 def road_forcing(A: Array, model: LinearModel, road_input: RoadInput) -> Array:
     """Returns the contribution of a road to the states of x' = A x + ... over the step from each of its samples, shape (T, n)."""
-    road, vehicle = road_input.road, road_input.vehicle
+    road, vehicle = road_input.felt, road_input.vehicle
 
     def push(t: Array) -> Array:
         pushed = under_wheels(road.velocity, road, vehicle, t) @ model.Bw.T
@@ -291,7 +291,7 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
         A: of the closed loop, shape (n, n).
         B: of the forces, shape (n, m).
     """
-    road, vehicle, time, h, T = road_input.road, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
+    road, vehicle, time, h, T = road_input.felt, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
     whole, later, count = int(T / h * (1 + WHOLE)), linalg.expm(preview.A * T), len(time)
     in_steps = abs(whole * h / T - 1) <= WHOLE
@@ -320,12 +320,15 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
         drive += weight * come @ P.T @ linalg.expm(A * (h - s)).T
         ahead += weight * come @ linalg.expm(preview.A * s).T
         end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
-    for k, edges in _cut_steps(np.concatenate([kinks, kinks - T]), time, h):
-        pieces = list(itertools.pairwise(edges))
-        drive[k] = _pieces(A, lambda t: change(t) @ P.T, edges)
-        ahead[k] = sum(back(change, left, right, time[k]) for left, right in pieces)
-    for k, edges in _cut_steps(kinks, after, h):
-        end[k] = sum(back(met, left, right, after[k]) for left, right in itertools.pairwise(edges))
+    for cuts, start, push, given in ((_cut_steps(np.concatenate([kinks, kinks - T]), time, h), time, change, ahead), (_cut_steps(kinks, after, h), after, met, end)):
+        steps = [k for k, _ in cuts]
+        if len(cuts) > FEW:
+            given[steps] = _many_pieces(preview.A, push, cuts, h, backward=True)
+        else:
+            for k, edges in cuts:
+                given[k] = sum(back(push, left, right, start[k]) for left, right in itertools.pairwise(edges))
+        if given is ahead:
+            drive[steps] = _at_cuts(A, lambda t: change(t) @ P.T, cuts, h)
     Phi = linalg.expm(preview.A * h)
     last = _recursion_from(np.zeros(len(preview.A)), Phi, end[::-1])[-1]
     if not in_steps:  # a part of a step is left
@@ -358,10 +361,11 @@ def _recursion_from(start: Array, Phi: Array, forcing: Array) -> Array:
 def load_forcing(A: Array, Bh: Array, road_input: RoadInput) -> Array:
     """Returns the contribution of loads over the same steps, through Bh, shape (n, l), and of the road's velocity, (n, l + r)."""
     road, vehicle, count = road_input.road, road_input.vehicle, len(road_input.vehicle.kind.loads)
+    velocity = road_input.felt.velocity
 
     def push(t: Array) -> Array:
         pushed = road.loads(vehicle, t) @ Bh[:, :count].T
-        return pushed + under_wheels(road.velocity, road, vehicle, t) @ Bh[:, count:].T if Bh[:, count:].any() else pushed
+        return pushed + under_wheels(velocity, road, vehicle, t) @ Bh[:, count:].T if Bh[:, count:].any() else pushed
 
     kinks = list(road.load_kinks)
     if Bh[:, count:].any():
@@ -404,10 +408,46 @@ def _forcing(A: Array, push: Callable[[Array], Array], kinks: Array, time: Array
     kinks [s].
     """
     h = float(time[1] - time[0])
-    forcing = _convolution(A, push, time, h)
-    for k, edges in _cut_steps(kinks, time, h):
-        forcing[k] = _pieces(A, push, edges)
+    forcing, cuts = _convolution(A, push, time, h), _cut_steps(kinks, time, h)
+    forcing[[k for k, _ in cuts]] = _at_cuts(A, push, cuts, h)
     return forcing
+
+
+FEW = 64  # cut steps, each with matrix exponentials of its own; of more, as on a measured road, these are interpolated
+
+
+def _at_cuts(A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float) -> Array:
+    """Returns the contribution of push(t) over each of these steps, see `_pieces`, shape (K, n)."""
+    if len(cuts) > FEW:
+        return _many_pieces(A, push, cuts, h)
+    return np.array([_pieces(A, push, edges) for _, edges in cuts]).reshape(len(cuts), len(A))
+
+
+def _many_pieces(
+    A: Array, push: Callable[[Array], Array], cuts: "Sequence[tuple[int, list[float]]]", h: float, backward: bool = False
+) -> Array:
+    """Returns the integral of exp(A (end - t)) push(t) over each step, or of exp(A (t - start)) push(t), shape (K, n).
+
+    The exponential over up to a step is a Chebyshev polynomial of degree 15: exact to rounding at any step that RK4 bears.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    pieces = np.array([(i, left, right, edges[0], edges[-1]) for i, (_, edges) in enumerate(cuts) for left, right in itertools.pairwise(edges)])
+    step, left, right, start, end = pieces.T
+    half = (right - left)[:, None] / 2
+    t = left[:, None] + half * (nodes + 1)
+    pushed = (half * weights).ravel()[:, None] * push(t.ravel())
+    way = (t - start[:, None] if backward else end[:, None] - t).ravel()
+    at = np.cos(np.pi * (np.arange(CHEBYSHEV) + 0.5) / CHEBYSHEV)  # on [-1, 1], as is 2 way / h - 1
+    known = np.stack([linalg.expm(A * (h * (1 + x) / 2)) for x in at]).reshape(CHEBYSHEV, -1)
+    shares = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, CHEBYSHEV - 1), known).reshape(CHEBYSHEV, *A.shape)
+    basis = np.polynomial.chebyshev.chebvander(2 * way / h - 1, CHEBYSHEV - 1)
+    total = np.zeros((len(cuts), A.shape[0]))
+    carried = sum(basis[:, [i]] * (pushed @ share.T) for i, share in enumerate(shares))
+    np.add.at(total, np.repeat(step.astype(int), NODES), carried)
+    return total
+
+
+CHEBYSHEV = 16  # nodes
 
 
 def _cut_steps(kinks: Array, time: Array, h: float) -> list[tuple[int, list[float]]]:
@@ -475,7 +515,7 @@ def response_of(
         beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
         beside: signals that are no outputs of the model, of shape (T,), or None for the damper signals of these inputs.
     """
-    vehicle, z_r, w = road.vehicle, road.heights, road.velocities
+    vehicle, z_r, w, steady = road.vehicle, road.heights, road.velocities, road.steady_signals(road.time)
     if beside is None and vehicle.dampers:
         from sim.linear.dampers import linear_signals
 
@@ -487,7 +527,8 @@ def response_of(
     outputs = states @ model.C.T + inputs @ model.D.T + z_r @ model.Cr.T + beyond
     values |= dict(zip(model.outputs, outputs.T, strict=True)) | dict(beside or {})
     signals = vehicle.kind.signals
-    return Response(road.time, signals, np.stack([values[signal.name] for signal in signals], axis=-1))
+    stacked = np.stack([values[signal.name] for signal in signals], axis=-1)
+    return Response(road.time, signals, stacked if steady is None else stacked + steady)
 
 
 def largest_timestep(vehicle: Vehicle) -> float:

@@ -94,6 +94,9 @@ def simulate(controllers: Sequence[RunDriver], inputs: Sequence[RoadInput], thre
     velocity = np.stack([road.velocities for road in once], axis=1)
     recorded[:, [names.index(wheel.road_velocity) for wheel in wheels]] = np.moveaxis(velocity, 1, 2)
     diverged = block.diverged(time)
+    for i, road in enumerate(inputs):
+        if (steady := road.steady_signals(time)) is not None:
+            recorded[..., i] += steady
     recorded[np.broadcast_to((time[:, None] >= diverged)[:, None], recorded.shape)] = np.nan
     qpos, qvel = block.qpos.swapaxes(0, 1), block.qvel.swapaxes(0, 1)
     response, requested = Response(time, signals, np.moveaxis(recorded, 2, 0)), block.requested_force.swapaxes(0, 1)
@@ -194,12 +197,12 @@ class MonitoredBatch:
     def __init__(self, controllers: Sequence[RunDriver], inputs: Sequence[RoadInput]) -> None:
         """Takes N controllers, and vehicles that read out alike with their roads, all at the same sample times from 0 [s]."""
         vehicles, time = [road.vehicle for road in inputs], inputs[0].time
-        self.vehicles, self.controllers, self.time = vehicles, controllers, time
+        self.vehicles, self.controllers, self.time, self.inputs = vehicles, controllers, time, inputs
         ahead = steps_ahead(vehicles, controllers, self.timestep)
         halves = np.arange(2 * (len(time) + ahead)) * (self.timestep / 2)
         heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
         for i, road in enumerate(inputs):
-            heights[:, i] = under_wheels(road.road.displacement, road.road, road.vehicle, halves)
+            heights[:, i] = under_wheels(road.felt.displacement, road.felt, road.vehicle, halves)
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
         self.held = held_on(inputs)
         self.velocities: Array | None = None
@@ -219,6 +222,12 @@ class MonitoredBatch:
     def until(self) -> Array:
         """Returns the time before which each run is linear [s], shape (N,), or infinity."""
         return np.minimum(self.ends.first, self.diverged)
+
+    def steady(self, samples: slice) -> Iterator[tuple[int, Array]]:
+        """Yields every run that does not start from rest at 0, by index, with its signals in steady motion, shape (B, S)."""
+        for i, road in enumerate(self.inputs):
+            if (steady := road.steady_signals(self.time[samples])) is not None:
+                yield i, steady
 
     def blocks(self) -> Iterator[Block]:
         """Yields every block in its turn; the values of runs that have diverged are clipped."""
@@ -243,5 +252,7 @@ class MonitoredBatch:
                 names = [signal.name for signal in self.vehicles[0].kind.signals]
                 roads = [names.index(wheel.road_velocity) for wheel in self.vehicles[0].kind.wheels]
                 block.values[:, roads] = self.velocities[block.start : block.start + len(block.values)]
+            for i, steady in self.steady(slice(block.start, block.start + len(block.values))):
+                block.values[..., i] += steady
             self.ends.update(block.start, block.values)
             yield block

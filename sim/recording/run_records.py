@@ -63,7 +63,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
         physics: the response, at equidistant sample times from 0.
         qpos: generalized positions, shape (T, nq).
     """
-    vehicle, road, time, timestep = road_input.vehicle, road_input.road, physics.time, road_input.timestep
+    vehicle, time, timestep = road_input.vehicle, physics.time, road_input.timestep
     model = build_model(vehicle, timestep)
     data = mujoco.MjData(model)
     frames = np.unique(np.round(np.arange(0, time[-1], 1 / FRAMES) / timestep).astype(int))
@@ -94,7 +94,7 @@ def scene_of(road_input: RoadInput, physics: Response, qpos: Array) -> Scene:
         springs={name: coils[:, i] for i, name in enumerate(springs)},
         tyres=tuple(_tyre(model, i, tendons[model.geom(i).name], lengths) for i in rubber),
         forces={name: physics[signal][frames] for name, signal in _actuators(model).items() if name in springs},
-        tracks=_tracks(vehicle, road, data.mocap_pos[mocap], time[frames], heights),
+        tracks=_tracks(vehicle, road_input.felt, data.mocap_pos[mocap], time[frames], heights),
     )
 
 

@@ -37,7 +37,7 @@ from sim.linear.sampled_response import grown, roundings
 from sim.response.regime import AT, END_NAMES, FLAT, LIFT_OFF, REGIME_ENDS, reached
 from sim.response.response import Response
 from sim.runs.prediction import Prediction, ScaledPrediction
-from sim.runs.steps import StepAgreement, compare_steps, left_over, motion_of
+from sim.runs.steps import StepAgreement, compare_steps, from_steady, left_over, motion_of
 from synth.controller.controller import Controller, has_anti_windup
 
 ROUNDING = 1e-9  # of a peak, over thousands of steps
@@ -334,7 +334,7 @@ def _first_loose(met: RoadInput, physics: Response) -> float:
     MuJoCo holds the road at its height in the middle of a step, so there a tyre is shorter or longer than at the samples. The
     curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
-    vehicle, first = met.vehicle, np.inf
+    vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)
     static = vehicle.kind.static_tyre_deflection(vehicle.parameters)
     damped = vehicle.kind.damped_tyres(vehicle.parameters)
     for i, (wheel, held) in enumerate(zip(vehicle.kind.wheels, met.midway.T, strict=True)):

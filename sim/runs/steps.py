@@ -123,6 +123,16 @@ def motion_of(vehicle: Vehicle) -> "Motion | None":
         return None
 
 
+def from_steady(road: RoadInput, response: Response) -> Response:
+    """Returns a response measured from the steady motion in which its vehicle starts; itself if that is rest."""
+    steady = road.steady_signals(response.time)
+    if steady is None:
+        return response
+    values = response.values.copy()
+    values[..., : steady.shape[-1]] -= steady
+    return Response(response.time, response.signals, values)
+
+
 def compare_steps(
     motion: "Motion",
     road: RoadInput,
@@ -137,7 +147,7 @@ def compare_steps(
         requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
         rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
     """
-    physics = physics.until(until)
+    physics = from_steady(road, physics.until(until))
     starts = _starts(motion, road, physics, requested_force)
     if not len(starts.state):
         return StepAgreement(0.0, EXACT, motion.names[0], np.inf, 0.0)
@@ -183,7 +193,7 @@ def left_over(
         requested_force: as for `compare_steps`.
         until: physics is taken before this time [s].
     """
-    model, physics = road.vehicle.linear_model, physics.until(until)
+    model, physics = road.vehicle.linear_model, from_steady(road, physics.until(until))
     starts = _starts(motion, road, physics, requested_force)
     ahead, there = _stepped(motion, starts)
     apart = dict(zip(motion.names, np.where(starts.known[:, None], there - ahead, 0.0).T, strict=True))
