@@ -111,9 +111,10 @@ class Parser(argparse.ArgumentParser):
             "--vehicle", default="quarter_car", metavar="FILE", help="vehicle file, or one that ships (default: quarter_car)"
         )
 
-    def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
-        """Adds an option that takes a finite number."""
-        self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
+    def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
+        """Adds an option that takes a finite number; `unset` says what None does."""
+        usual = unset if default is None else f"{default:g}"
+        self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {usual})")
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
         """Adds an option that takes one or more finite numbers."""

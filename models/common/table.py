@@ -170,8 +170,8 @@ class NumberTable:
         for number, text in enumerate(self.texts[self.first :], self.first + 1):
             if "#" in text:
                 text = text[: text.index("#")]
-            if text and not text.isspace():
-                yield number, split_cells(text, self.mark)
+            if text and not text.isspace() and any(cells := split_cells(text, self.mark)):  # `;;` ends many a spreadsheet
+                yield number, cells
 
     def check_marks(self, columns: Sequence[int]) -> None:
         """Refuses a table in which comma and dot both are decimal marks: one of them may separate thousands.

@@ -1,11 +1,12 @@
 """Roads by name: converts the text `KIND[:NAME=VALUE...]` of a command line or a campaign file to a road."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from models.common.errors import InputError
+from models.common.errors import InputError, listing, quoted
 from models.common.printed import settings
 from models.roads.iso8608 import Iso8608, long_enough
 from models.roads.load import Load
@@ -13,13 +14,16 @@ from models.roads.load_choice import choose_load, setting
 from models.roads.loaded import RoadWithLoads
 from models.roads.obstacles import OBSTACLES
 from models.roads.opencrg import Surface, read_surface
-from models.roads.profile import Profile
+from models.roads.profile import JOINS, Profile
 from models.roads.rig import Rig
 from models.roads.road import Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
 from models.vehicle.vehicle import Vehicle
 
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
+DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
+READ = "a .csv or .txt file has columns of distance and height, a .crg file is OpenCRG"
+Measured = TypeVar("Measured", Profile, Surface)
 RPC = "; a file in RPC III (.rsp, .drv) is not read: have its channels exported as text"
 
 
@@ -100,26 +104,40 @@ def choose_road(text: str, folder: Path = Path()) -> RoadChoice:
     return replace(choice, text=text, loads=tuple(choose_load(load, folder) for load in loads)) if loads else choice
 
 
+def driven(text: str) -> dict[str, float | str]:
+    """Returns the settings of a file's road that its description repeats: where it begins [m], and how points are joined."""
+    file = FILE.fullmatch(text)
+    given = settings(file["settings"], (*TABLE, *DRIVEN)) if file else {}
+    return {name: setting(name, given[name]) if name == "from" else given[name] for name in DRIVEN if name in given}
+
+
 def _choose(text: str, folder: Path) -> RoadChoice:
     """Returns a road without loads, as `choose_road`."""
     if text.partition(":")[0] == "rig":
         return _rig(text, folder)
     file = FILE.fullmatch(text)
     if file and file["suffix"].lower() == "crg":
-        if file["settings"]:
-            raise InputError(f"road {text!r}: an OpenCRG file says its own units; leave {file['settings']!r} out")
-        return RoadChoice(text, "profile", {}, surface=read_surface(folder / file["path"]))
+        try:
+            given = settings(file["settings"], DRIVEN[:1])
+        except InputError as error:
+            raise InputError(f"road {text!r}: an OpenCRG file says its own units and joins its own points; {error}") from error
+        return RoadChoice(text, "profile", {}, surface=_begun(text, given, read_surface(folder / file["path"])))
     if file:
         from models.roads.profile_file import read_profile, table_format
 
         try:
-            table = table_format(settings(file["settings"], TABLE))
+            given = settings(file["settings"], (*TABLE, *DRIVEN))
+            table = table_format({name: value for name, value in given.items() if name in TABLE})
+            join = given.get("join", JOINS[0])
+            if join not in JOINS:
+                raise InputError(f"join = {join!r} is unknown; give one of {listing(JOINS)}")
         except InputError as error:
             raise InputError(f"road {text!r}: {error}") from error
-        return RoadChoice(text, "profile", {}, read_profile(folder / file["path"], 20.0, table))
+        profile = replace(read_profile(folder / file["path"], 20.0, table), join=join)
+        return RoadChoice(text, "profile", {}, _begun(text, given, profile))
     kind, colon, rest = text.partition(":")
     if kind not in ROAD_KINDS:
-        raise InputError(f"unknown road {text!r}; {ROAD_SYNTAX}")
+        raise InputError(_unread(text, folder) or f"unknown road {text!r}; {ROAD_SYNTAX}")
     allowed = {"class": "C", "iri": 0.0} if kind == "iso8608" else _defaults(OBSTACLES[kind])
     try:
         given = settings(colon + rest, allowed)
@@ -134,6 +152,30 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     else:
         OBSTACLES[kind](**values)  # numbers that are not allowed at any speed
     return RoadChoice(text, kind, values)
+
+
+def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
+    """Returns a road from the distance on that its settings give, or the whole of it."""
+    if "from" not in given:
+        return road
+    try:
+        return road.begun_at(setting("from", given["from"]))
+    except InputError as error:
+        raise InputError(f"road {text!r}: {error}") from error
+
+
+def _unread(text: str, folder: Path) -> str:
+    """Returns a message on a road that is an existing file of another type; empty if there is none."""
+    path = folder / text
+    if not path.exists():
+        path = folder / re.sub(r"(:\w+=[^:]*)+$", "", text)
+    if not path.exists():
+        return ""
+    if path.is_dir():
+        return f"road {text!r} is a folder; give a file in it: {READ}"
+    what = f"files {quoted(path.suffix)} are not read" if path.suffix else "its name has no ending"
+    rpc = RPC if path.suffix.lower() in (".rsp", ".drv") else ""
+    return f"road {text!r}: the file exists, but {what}; {READ}; rename or convert it{rpc}"
 
 
 def _rig(text: str, folder: Path) -> RoadChoice:

@@ -25,7 +25,7 @@ from functools import lru_cache
 import numpy as np
 
 from models.common.arrays import Array
-from models.roads.profile import Profile
+from models.roads.profile import START, Profile
 from models.roads.road import Road, track_width
 from models.roads.spectrum import Spectrum, coherency
 from models.vehicle.vehicle import Vehicle
@@ -33,7 +33,6 @@ from models.vehicle.vehicle import Vehicle
 SPEED = 80 / 3.6  # m/s
 SPRING, TYRE, DAMPER, WHEEL = 63.3, 653.0, 6.0, 0.15  # k_s/m_s, k_u/m_s [1/s2], c/m_s [1/s], m_u/m_s
 BASE = 0.25  # m, length of the moving average
-START = 11.0  # m, over which the car's initial slope is the mean
 SETTLED = 100.0  # m, after which 1e-5 is left of the start
 FORGOTTEN = 1e-18  # relative decay at which a response is cut off, below rounding
 

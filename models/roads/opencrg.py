@@ -5,7 +5,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.errors import InputError, first_few
 from models.common.files import MIB, open_plain
-from models.roads.profile import Profile
+from models.roads.profile import Profile, begun_at
 
 LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
 AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
@@ -42,8 +42,17 @@ class Surface:
     z: Array
     source: str
 
+    def begun_at(self, start: float) -> "Surface":
+        """Returns the surface from a distance on [m].
+
+        Raises:
+            InputError: it does not reach there, or has too few cross-sections behind it.
+        """
+        u, z = begun_at(start, self.u, self.z)
+        return replace(self, u=u, z=z)
+
     def profile(self, track_width: float, speed: float) -> Profile:
-        """Returns the profile under the wheels of a vehicle in the middle; between the grid's lines, straight across.
+        """Returns the profile under the wheels of a vehicle in the middle, straight between the grid's lines, as in OpenCRG.
 
         Args:
             track_width: from the right wheels to the left ones [m].

@@ -109,6 +109,11 @@ class Profile(MeasuredRoad):
             "join": self.join,
         }
 
+    def begun_at(self, start: float) -> "Profile":
+        """Returns the profile from a distance on [m]; see `begun_at`."""
+        distance, heights = begun_at(start, self.distance, self.heights)
+        return replace(self, distance=distance, heights=heights)
+
     def scaled(self, factor: float) -> "Profile":
         """Returns the profile higher or lower."""
         return replace(self, heights=factor * self.heights)
@@ -148,9 +153,7 @@ class Profile(MeasuredRoad):
         from scipy.interpolate import CubicSpline  # half a second
 
         ends = {side: self._slope(side, 1) - self._slope(side, 0) for side in self._over_plane}
-        return {
-            side: CubicSpline(self._x, z, bc_type=((1, 0.0), (1, ends[side]))) for side, z in self._over_plane.items()
-        }
+        return {side: CubicSpline(self._x, z, bc_type=((1, 0.0), (1, ends[side]))) for side, z in self._over_plane.items()}
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:

@@ -210,7 +210,7 @@ def _measured(road: RoadChoice) -> list[str]:
     """Checksums of the file that a road was measured in, and loads that are files; none of a road that is computed."""
     arrays = [road.profile.distance, road.profile.heights] if road.profile else []
     arrays += [road.rig.time, road.rig.heights] if road.rig else []
-    named = [*road.rig.posts] if road.rig else []
+    named = [*road.rig.posts] if road.rig else [road.profile.join] if road.profile else []
     named += [load.content for load in road.loads if load.content != load.text]
     arrays += [road.surface.u, road.surface.v, road.surface.z] if road.surface else []
     return [*named, *(f"{array.shape} {hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()}" for array in arrays)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.command import Parser, chosen
 from models.common.errors import InputError
 from models.common.printed import percent, wrapped
-from models.vehicle.names import CLASSES, ROAD_SYNTAX, named_file, split_off
+from models.vehicle.names import CLASSES, PLUS, ROAD_SYNTAX, named_file, split_off
 from sim.command.road_options import add_loads, add_run_options, without_loads
 
 if TYPE_CHECKING:
@@ -50,6 +50,9 @@ def parser() -> Parser:
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
+    parser.add_number(
+        "--from", None, "m", "where the vehicle starts on a road from a file, in the file's distances", "its first point"
+    )
     add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
     parser.add_number(
@@ -61,7 +64,7 @@ def parser() -> Parser:
 
 def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
     """Returns the log that these options lead to. Files of roads and loads are compared by name, and not read."""
-    from models.roads.choice import choose_road
+    from models.roads.choice import choose_road, driven
     from sim.command.road_options import ExpectedLog, same_path
     from sim.runs.run import sample_times
 
@@ -75,7 +78,8 @@ def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLo
         if file:
             path, kind = file
             speed = None if kind == "rig" else options.speed
-            return same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
+            same = all(road.get(name) == value for name, value in driven(text).items())
+            return same and same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
         return alone == _built(vehicle, options, choose_road(text)).describe()
 
     names = chosen(vehicle.controller_names, options.controller)
@@ -109,12 +113,19 @@ def end_lines(road: "Road", duration: float) -> list[str]:
         return []
     if ends > duration:
         return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
-    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is level from there on, which lowers every rms"
+    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it goes on straight from there, which lowers every rms"
     return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
 def _road_text(options: argparse.Namespace) -> str:
     """Returns the text of the requested road."""
+    if (start := vars(options)["from"]) is not None:
+        road, loads = split_off(options.road or "")
+        if (named_file(road) or ("", ""))[1] != "profile":
+            raise InputError(
+                "--from says where on a road from a file a vehicle starts; name one with --road, or leave --from out"
+            )
+        return PLUS.join([f"{road}:from={start!r}", *loads])
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")
     if options.road is not None:

@@ -320,7 +320,10 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
         drive += weight * come @ P.T @ linalg.expm(A * (h - s)).T
         ahead += weight * come @ linalg.expm(preview.A * s).T
         end += weight * known[count - 1 : count - 1 + whole] @ linalg.expm(preview.A * s).T
-    for cuts, start, push, given in ((_cut_steps(np.concatenate([kinks, kinks - T]), time, h), time, change, ahead), (_cut_steps(kinks, after, h), after, met, end)):
+    for cuts, start, push, given in (
+        (_cut_steps(np.concatenate([kinks, kinks - T]), time, h), time, change, ahead),
+        (_cut_steps(kinks, after, h), after, met, end),
+    ):
         steps = [k for k, _ in cuts]
         if len(cuts) > FEW:
             given[steps] = _many_pieces(preview.A, push, cuts, h, backward=True)
@@ -431,7 +434,9 @@ def _many_pieces(
     The exponential over up to a step is a Chebyshev polynomial of degree 15: exact to rounding at any step that RK4 bears.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    pieces = np.array([(i, left, right, edges[0], edges[-1]) for i, (_, edges) in enumerate(cuts) for left, right in itertools.pairwise(edges)])
+    pieces = np.array(
+        [(i, left, right, edges[0], edges[-1]) for i, (_, edges) in enumerate(cuts) for left, right in itertools.pairwise(edges)]
+    )
     step, left, right, start, end = pieces.T
     half = (right - left)[:, None] / 2
     t = left[:, None] + half * (nodes + 1)

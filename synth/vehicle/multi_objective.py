@@ -96,15 +96,25 @@ def _driven(vehicle: Vehicle, entry: ControllerEntry, bound: PeakBound, road: Ro
     of_height = model.Cr[model.outputs.index(bound.signal)]
     _refuse_pushed(f"[controllers.{entry.name}] over a road", vehicle, (bound.signal, *entry.measured))
 
+    felt, end = road.from_start, road.duration
+    displacement, velocity = felt.displacement, felt.velocity
+    if felt is not road:  # a measured road is level after its end
+
+        def displacement(t: Array, side: str) -> Array:
+            return felt.displacement(np.minimum(t, end), side)
+
+        def velocity(t: Array, side: str) -> Array:
+            return np.where(t <= end, felt.velocity(t, side), 0.0)
+
     @cache
     def heights(times: bytes) -> Array:
-        return under_wheels(road.displacement, road, vehicle, np.frombuffer(times))
+        return under_wheels(displacement, road, vehicle, np.frombuffer(times))
 
     later = delays(road, vehicle)
     kinks = np.unique([kink + delay for kink in road.kinks for delay in later])
     drive = RoadExcitation(
         lambda t: heights(np.ascontiguousarray(t).tobytes()),
-        lambda t: under_wheels(road.velocity, road, vehicle, t),
+        lambda t: under_wheels(velocity, road, vehicle, t),
         kinks,
         road.duration + max(later),
     )
