@@ -20,6 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.command import comparison
     from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
     from sim.runs.run import sample_times
+    from sim.runs.start import start_lines
     from sim.studies.ride import run_metrics
     from sim.studies.ride.metrics import DEFINITIONS
     from sim.studies.ride.standing import standing_lines, standings_object
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
-        lines += end_lines(road, options.duration)
+        lines += [*end_lines(road, options.duration), *start_lines(runs)]
         if options.verbose:
             for run, one, compared in zip(runs, measured, comparison.compared_lines(runs, passive), strict=True):
                 lines += ["", *compared, ""]

@@ -114,6 +114,14 @@ class Profile(MeasuredRoad):
         distance, heights = begun_at(start, self.distance, self.heights)
         return replace(self, distance=distance, heights=heights)
 
+    def turned(self, length: float) -> "Profile | None":
+        """Returns the first stretch [m], turned by half a turn about the first point, where it ends; None if it is too short."""
+        points = int(np.searchsorted(self._x, length, side="right"))
+        if points < FEWEST:
+            return None
+        distance, heights = self.distance[:points][::-1], self.heights[:points][::-1]
+        return replace(self, distance=2 * self.distance[0] - distance, heights=2 * self.heights[0] - heights)
+
     def scaled(self, factor: float) -> "Profile":
         """Returns the profile higher or lower."""
         return replace(self, heights=factor * self.heights)

@@ -148,7 +148,7 @@ class Road(ABC):
 
 
 LIMITS = {"height": (-100.0, 100.0), "length": (1e-3, 1e4), "speed": (1e-3, 1e3)}  # SI; no road vehicle is beyond them
-UNITS = dict.fromkeys(("height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
+UNITS = dict.fromkeys(("from", "height", "length", "edge", "depth", "amplitude", "track_width"), "m") | {
     "speed": "m/s",
     "lowest": "Hz",
     "highest": "Hz",

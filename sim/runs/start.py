@@ -1,0 +1,83 @@
+"""Effect of the unknown road before a measured one on the peaks of a run.
+
+A vehicle starts in steady motion on the plane of the first 11 m. In truth it comes from a road that was not measured. As rough as
+that may be, the measured road is itself: turned about its first point it leads there without a jump or a kink. The state in which
+a vehicle without control arrives from it, less the steady motion, dies away with the run's loop. It counts as long as it lasts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from models.common.printed import percent, wrapped
+from models.roads.profile import Profile
+from models.roads.road import Departure, RoadInput
+from sim.linear.forced_response import forced_response
+from sim.linear.sampled_response import roundings
+from sim.runs.run import Run
+
+RUN_IN = 10.0  # s, of the turned road at most
+SAID = 0.02  # of a peak
+ROUNDED = 1e3  # times the effect of rounding on a state: less is none
+
+
+@dataclass(frozen=True)
+class StartEffect:
+    """Largest effect of the start on a peak.
+
+    Attributes:
+        share: of the peak.
+        controller, signal: whose peak.
+        time: of the peak [s].
+    """
+
+    share: float
+    controller: str
+    signal: str
+    time: float
+
+
+def start_effect(runs: Sequence[Run]) -> StartEffect | None:
+    """Returns the largest effect of the start on a peak of a weighted signal, if it exceeds 2 %; None otherwise."""
+    felt, vehicle = runs[0].prediction.input.felt, runs[0].vehicle
+    road = felt.road if isinstance(felt, Departure) else None
+    turned = road.turned(RUN_IN * road.speed) if isinstance(road, Profile) else None
+    if road is None or turned is None:
+        return None
+    model, h = vehicle.linear_model, runs[0].prediction.timestep
+    on = RoadInput(vehicle, turned, np.arange(max(round(turned.duration / h), 1) + 1) * h)
+    before = forced_response(np.zeros((len(on.time), len(model.inputs))), on)
+    steady = RoadInput(vehicle, road, on.time).steady_signals(np.zeros(1))
+    assert steady is not None, "it is a measured road"
+    names = [signal.name for signal in vehicle.kind.signals]
+    apart = np.array([before[name][-1] - steady[0, names.index(name)] for name in model.states])
+    rounding = roundings(vehicle, None)
+    apart[np.abs(apart) <= ROUNDED * np.array([rounding[name] for name in model.states])] = 0.0
+    effects = [StartEffect(0.0, "", "", 0.0)]
+    for run in runs:
+        A, C, loop = model.A, model.C, run.prediction.loop
+        if loop is not None:
+            cut = loop.continuous
+            A, C = cut.model.A + cut.model.B @ cut.G, cut.model.C + cut.model.D @ cut.G
+        state = np.pad(apart, (0, len(A) - len(apart)))
+        for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
+            values = np.abs(np.nan_to_num(run.physics[signal]))
+            k = int(values.argmax())
+            left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
+            effects.append(StartEffect(left / float(values[k]) if left else 0.0, run.controller.name, signal, k * h))
+    worst = max(effects, key=lambda effect: effect.share)
+    return worst if worst.share > SAID else None
+
+
+def start_lines(runs: Sequence[Run]) -> list[str]:
+    """Returns a remark on the effect of the start on a peak, if it exceeds 2 %."""
+    effect = start_effect(runs)
+    if effect is None:
+        return []
+    peak = f"the peak of {effect.controller}'s {effect.signal} at {effect.time:.3g} s"
+    return wrapped(
+        f"remark: the road before the start is unknown, and may have changed {peak} by {percent(effect.share)}; "
+        "drive over more of the road before, or start elsewhere with --from"
+    )
