@@ -84,7 +84,7 @@ class Profile(MeasuredRoad):
         on = self._splines[side](np.clip(at, 0.0, self._end), 1)
         return self.speed * np.where(at < 0, 0.0, np.where(at > self._end, after, on))
 
-    @cached_property
+    @property
     def kinks(self) -> tuple[float, ...]:
         """Every point; of a spline both ends: at its other points a step's quadrature does not see the third derivative jump."""
         return tuple((self._x / self.speed).tolist()) if self.join == "straight" else (0.0, self.duration)
@@ -160,8 +160,11 @@ class Profile(MeasuredRoad):
     def _splines(self) -> "dict[str, CubicSpline]":
         from scipy.interpolate import CubicSpline  # half a second
 
-        ends = {side: self._slope(side, 1) - self._slope(side, 0) for side in self._over_plane}
-        return {side: CubicSpline(self._x, z, bc_type=((1, 0.0), (1, ends[side]))) for side, z in self._over_plane.items()}
+        ends = {side: ((1, 0.0), (1, self._slope(side, 1) - self._slope(side, 0))) for side in self._over_plane}
+        return {
+            side: CubicSpline(self._x, z, bc_type=ends[side])  # pyright: ignore[reportArgumentType] - a tuple, says scipy
+            for side, z in self._over_plane.items()
+        }
 
 
 def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Array]:

@@ -295,7 +295,7 @@ def labelled(low: float, high: float, margin: float = MARGIN) -> tuple[float, fl
 
     Where there is room, no label is nearer to the border than the margin of a step.
     """
-    if high <= low:  # a constant curve, shown in the middle
+    if high - low <= ROUNDING * max(abs(low), abs(high)):  # a constant curve, shown in the middle
         around = abs(low) or 1.0
         low, high = low - around, high + around
     around = margin * (high - low)
