@@ -203,7 +203,7 @@ def test_size_of_a_road():
 
 
 def test_measured_profiles():
-    """A profile at even distances has the IRI of its own points, cut where the drive ends; at uneven ones that of its curve."""
+    """A profile at even distances has the IRI of its own points, cut where the drive ends; at uneven ones that of straight lines."""
     heights = np.stack([heights_of(4, 0.25, 1200), heights_of(5, 0.25, 1200)], axis=-1)
     x = np.round(np.arange(1200) * 0.25 + 1e3, 3)
     own = {one.name: one.iri for one in roughness_of(Profile(x, heights), CAR, 1e9)}
@@ -216,8 +216,12 @@ def test_measured_profiles():
     smooth = Iso8608("B", 1, 1.0)  # the same road, at uneven distances
     uneven = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.06, 1500))
     points = np.repeat(smooth.displacement(uneven - uneven[0])[:, None], 2, axis=1)
-    (found,) = roughness_of(Profile(uneven, points), QUARTER, 50.0)
+    (found,) = roughness_of(Profile(uneven, points, join="smooth"), QUARTER, 50.0)
     assert found.iri == pytest.approx(roughness_of(smooth, QUARTER, 50.0)[0].iri, rel=2e-3)  # what is shorter than 0.1 m
+    (lines,) = roughness_of(Profile(uneven, points), QUARTER, 50.0)
+    even = np.interp(0.025 * np.arange(2001), uneven - uneven[0], points[:, 0])
+    assert lines.iri == pytest.approx(listing(even, 0.025), rel=1e-9)
+    assert lines.iri < 0.999 * found.iri
 
 
 def test_no_iri():

@@ -46,13 +46,13 @@ def written(rig: Rig, path, posts=None, scale: float = 1e3, unit: str = "mm") ->
 
 
 def test_every_wheel_has_its_own():
-    """Under each wheel lies its own column, whatever their order, from its first height, met at every point."""
+    """Under each wheel lies its own column, whatever their order, from the mean of the first heights, met at every point."""
     rig = history(("rear_right", "front_left", "rear_left", "front_right"))
     t = rig.time - rig.time[0]
     heights = under_wheels(rig.displacement, rig, CAR, t)
     for i, wheel in enumerate(CAR.kind.wheels):
         column = rig.heights[:, rig.posts.index(wheel.road_displacement.removeprefix("road_displacement_"))]
-        assert np.allclose(heights[:, i], column - column[0], rtol=0, atol=1e-16)
+        assert np.allclose(heights[:, i], column - rig.heights[0].mean(), rtol=0, atol=1e-16)
     middle, h = (t[1:] + t[:-1]) / 2, 1e-6
     ahead, behind = (under_wheels(rig.displacement, rig, CAR, middle + s) for s in (h, -h))
     slope = under_wheels(rig.velocity, rig, CAR, middle)
@@ -61,10 +61,11 @@ def test_every_wheel_has_its_own():
 
 
 def test_a_profile_is_a_history_at_its_speed():
-    """Posts that move as a profile does that is driven over give the same run, a wheelbase later behind: 1e-9 of peak."""
+    """Posts that move as a smooth profile does that is driven over give the same run, a wheelbase later behind: 1e-9 of peak."""
     speed, x = 12.5, np.arange(200) * 0.1
-    heights = np.repeat((0.004 * np.sin(1.3 * x) ** 3)[:, None], 2, axis=1)
-    driven = Profile(x, heights, speed)
+    heights = np.repeat((0.004 * np.sin(2 * np.pi / 11 * x) ** 3)[:, None], 2, axis=1)  # level over the first and the last 11 m
+    driven = Profile(x, heights - np.interp(x, [8.9, 19.9], [0, heights[-1, 0] - heights[-111, 0]])[:, None], speed, join="smooth")
+    heights = driven.heights
     stood = Rig(x / speed, heights[:, :1], ("road_displacement",))
     time, passive = sample_times(QUARTER, 1.5, 1e-3), design(QUARTER, "passive")
     (one,), (other,) = (run_controllers(QUARTER, [passive], road, time) for road in (driven, stood))
@@ -112,7 +113,7 @@ def test_files(text, settings, tmp_path):
     rig = choose_road(f"rig:file=drive.csv{settings}", tmp_path).build(HALF, 20.0, 0, 1.0)
     t = np.array([0.0, 0.1, 0.2, 0.3])
     found = under_wheels(rig.displacement, rig, HALF, t)
-    assert np.allclose(found, 1e-3 * np.array([[0, 0], [2, 2], [4, 4], [6, 7]]), rtol=0, atol=1e-15)
+    assert np.allclose(found - found[0, 0], 1e-3 * np.array([[0, 1], [2, 3], [4, 5], [6, 8]]), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("names", ["FL FR RL RR", "lf rf lr rr", "Front-Left Front-Right rear-left REAR_RIGHT"])
