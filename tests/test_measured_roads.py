@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from scipy import linalg
 
@@ -266,11 +267,19 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
         f'roads = ["{UNEVEN}", "{UNEVEN}:from=20", "{UNEVEN}:join=smooth"]\n'
     )
     (tmp_path / "campaign.toml").write_text(text)
-    assert campaign([str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out")]) == 0
-    assert campaign([str(tmp_path / "campaign.toml"), "--out", str(tmp_path / "out"), "--verify"]) == 0
+    assert campaign([str(tmp_path / "campaign.toml"), "--results", str(tmp_path / "out")]) == 0
+    rows = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
+    for row in rows:
+        (run,) = [driven(car(row["vehicle"]), choose_road(row["road"]).build(car(row["vehicle"]), 22.2222, 0, 10.0), 2.0)]
+        assert row["linear_error"] < 1e-3  # geometry, over some centimetres
+        names = [part.deflection for part in car(row["vehicle"]).kind.suspensions]
+        peak = max(float(run.physics.peak(name)) for name in names)
+        assert max(row[f"{name}_peak"] for name in names) == pytest.approx(peak, rel=1e-12)  # sums in another order
+    assert len(rows) == 6
+    assert campaign(["--verify", str(tmp_path / "out")]) == 0
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
-        campaign([str(tmp_path / "twice.toml"), "--out", str(tmp_path / "no")])
+        campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])
     capsys.readouterr()
 
 

@@ -272,7 +272,7 @@ def test_opencrg(tmp_path):
     car, quarter = read_vehicle("full_car"), read_vehicle("quarter_car")
     t = np.array([0.5, 1.7])
     for side, v0 in (("left", 1.51 / 2), ("right", -1.51 / 2)):
-        expected = 0.02 * np.sin(t * 2) + 0.01 * v0 * (np.cos(t * 2) - 1)
+        expected = 0.02 * np.sin(t * 2) + 0.01 * v0 * np.cos(t * 2)
         assert choice.build(car, 2.0, 0, 9.0).displacement(t, side) == pytest.approx(expected, abs=1e-9)
     assert choice.build(quarter, 2.0, 0, 9.0).displacement(t) == pytest.approx(0.02 * np.sin(t * 2), abs=1e-9)
     pyopencrg.CrgRoad(heights[:, 3:6], u_inc=0.1, v=v[3:6]).save(tmp_path / "narrow.crg", fmt="KDBI")
