@@ -165,7 +165,7 @@ def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
 
 
 def _unread(text: str, folder: Path) -> str:
-    """Returns a message on a road that is an existing file of another type; empty if there is none."""
+    """Returns a message on a text that is an existing file of another type, or an empty text."""
     path = folder / text
     if not path.exists():
         path = folder / re.sub(r"(:\w+=[^:]*)+$", "", text)
