@@ -87,13 +87,13 @@ def test_profile(capsys, tmp_path):
         (1.0, "50 % of the road is driven: --duration 2 drives all of it"),
         (
             2.5,
-            "the road's points end at 2 s of 2.5 s; it is level from there on, which lowers every rms: "
+            "the road's points end at 2 s of 2.5 s; it is straight from there on, which lowers every rms: "
             "--duration 2 measures the road alone",
         ),
     ],
 )
 def test_a_road_that_ends_before_its_run_or_after_it(capsys, tmp_path, duration, said):
-    """A run that is longer than the points of its road, or shorter, says so: a level end lowers the ride unseen."""
+    """A run that is longer than the points of its road, or shorter, says so: a straight end lowers the ride unseen."""
     path = tmp_path / "road.csv"
     path.write_text("distance,height\n" + "".join(f"{0.1 * i},{0.01 * ((i // 7) % 2)}\n" for i in range(201)))
     main(["--controller", "passive", "--road", str(path), "--speed", "10", "--duration", str(duration), "--no-logs"])

@@ -58,7 +58,9 @@ def own_response(vehicle: Vehicle, x: np.ndarray, z: np.ndarray, duration: float
     """Signals every `GRID` seconds of a passive car in absolute heights, by matrix exponentials of its equations of motion."""
     p, ends = vehicle.parameters, CORNERS[vehicle.kind.name]
     axle = ["_" + end.split("_")[1] if end else "" for end in ends]
-    forward = np.array([{"": 0.0, "_front": p.get("axle_distance_front"), "_rear": -p.get("axle_distance_rear", 0)}[a] for a in axle])
+    forward = np.array(
+        [{"": 0.0, "_front": p.get("axle_distance_front"), "_rear": -p.get("axle_distance_rear", 0)}[a] for a in axle]
+    )
     lateral = np.array([0.5 * p.get("track", 0) * (end.endswith("left") - end.endswith("right")) for end in ends])
     k, c, kt, m_u = (np.array([p[f"{name}{a}"] for a in axle]) for name in (
         "suspension_stiffness", "suspension_damping", "tyre_stiffness", "unsprung_mass"))  # fmt: skip
@@ -196,7 +198,10 @@ def test_many_kinks_are_those_of_few(kind, monkeypatch):
     """The exact response over many kinks, preview and tyres that damp included, is that of one kink after the other."""
     ahead = '\n[controllers.ahead]\ndesign = "preview"\npreview = 0.1\n' if kind == "quarter_car" else ""
     vehicle = parse_vehicle(car(kind).text + ahead)
-    cars = [(vehicle, Designer(vehicle).design("ahead" if ahead else "I")), (car(kind, 900.0), design(car(kind, 900.0), "passive"))]
+    cars = [
+        (vehicle, Designer(vehicle).design("ahead" if ahead else "I")),
+        (car(kind, 900.0), design(car(kind, 900.0), "passive")),
+    ]
     for one, controller in cars:
         on = RoadInput(one, Profile(*points(0.02, 0.01), V), np.arange(400) * 1e-3)
         many = continuous_response(LoopModel(one, controller, 1e-3), on)
@@ -289,7 +294,9 @@ def test_the_start_is_remarked_where_it_counts():
     rough = np.cumsum(np.random.default_rng(2).normal(0, 0.001, len(x)))
     vehicle = read_vehicle("half_car")
     late = rough + np.where((x > 170) & (x < 173), 0.1 * np.sin(np.pi * (x - 170) / 3) ** 2, 0.0)
-    effects = [start_effect([driven(vehicle, Profile(x, z[:, None] * np.ones(2), V), time)]) for z, time in ((rough, 1), (late, 9.5))]
+    effects = [
+        start_effect([driven(vehicle, Profile(x, z[:, None] * np.ones(2), V), time)]) for z, time in ((rough, 1), (late, 9.5))
+    ]
     assert effects[0] is not None
     assert effects[0].share > 0.02
     assert effects[1] is None

@@ -64,7 +64,9 @@ def test_a_profile_is_a_history_at_its_speed():
     """Posts that move as a smooth profile does that is driven over give the same run, a wheelbase later behind: 1e-9 of peak."""
     speed, x = 12.5, np.arange(200) * 0.1
     heights = np.repeat((0.004 * np.sin(2 * np.pi / 11 * x) ** 3)[:, None], 2, axis=1)  # level over the first and the last 11 m
-    driven = Profile(x, heights - np.interp(x, [8.9, 19.9], [0, heights[-1, 0] - heights[-111, 0]])[:, None], speed, join="smooth")
+    driven = Profile(
+        x, heights - np.interp(x, [8.9, 19.9], [0, heights[-1, 0] - heights[-111, 0]])[:, None], speed, join="smooth"
+    )
     heights = driven.heights
     stood = Rig(x / speed, heights[:, :1], ("road_displacement",))
     time, passive = sample_times(QUARTER, 1.5, 1e-3), design(QUARTER, "passive")

@@ -193,8 +193,6 @@ def test_flat_is_flat():
     road.check(read_vehicle("quarter_car"), np.arange(10) * 1e-3)
 
 
-
-
 def test_two_tracks_cohere_as_isotropy_says():
     """Left and right have the same spectrum, and the real coherency x K_1(x), x = 2 pi n b, of an isotropic surface."""
     width = 1.5
@@ -577,6 +575,11 @@ def test_a_road_of_another_encoding_is_to_be_saved(tmp_path, encoding):
         ("pothole:depth=deep", "depth = 'deep' is not a finite number"),
         ("pothole:depth", "'depth' is not NAME=VALUE"),
         ("pothole:edge=3", "pothole edge = 3 is not allowed"),
+        (
+            "pothole:length=0.3",
+            "length = 0.3 m is less than its two edges, each of 0.2 m; give at least 0.4 m, or edge=0.15 or less",
+        ),
+        ("watts_hump:length=0.1", "watts_hump length = 0.1 m is less than twice its height of 0.1 m; give at least 0.2 m"),
         ("bump:track=middle", "track = 'middle'"),
         ("watts_hump:height=2", "watts_hump height = 2 is not allowed"),
         ("step:speed=3", "'speed=3' is not NAME=VALUE"),
@@ -631,7 +634,9 @@ def test_a_road_is_level_after_its_duration(road):
         for side in sides:
             moving, after = np.abs(road.velocity(before, side)).max(), 0.0
             if isinstance(road, Profile):
-                ends = np.array([np.interp(road.distance[-1] - back, road.distance, z) for z in road.heights.T for back in (0, 11)])
+                ends = np.array(
+                    [np.interp(road.distance[-1] - back, road.distance, z) for z in road.heights.T for back in (0, 11)]
+                )
                 after = road.speed * np.mean(ends[::2] - ends[1::2]) / 11
             assert np.abs(road.velocity(late, side) - after).max() < 1e-12 * moving  # the sine of pi
     else:

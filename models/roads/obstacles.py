@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.checks import is_finite
 from models.common.errors import InputError
 from models.roads.road import LIMITS, Bump, Road, ScaledRoad, check_numbers
 from models.roads.sinusoids import START, Sine, SineSweep
@@ -34,7 +35,7 @@ class WattsHump(Road):
 
     def __post_init__(self) -> None:
         check_numbers("watts_hump", self, {"length": LIMITS["length"], "speed": LIMITS["speed"]})
-        _check_length(self, "watts_hump", "height", f"twice its height of {self.height:g} m")
+        _check_length(self, "watts_hump", "height", "twice its height of")
         check_numbers("watts_hump", self, {"height": (1e-6, self.length / 2)})
 
     @property
@@ -165,7 +166,7 @@ class Pothole(Road):
 
     def __post_init__(self) -> None:
         check_numbers("pothole", self, {"depth": LIMITS["height"], "length": LIMITS["length"], "speed": LIMITS["speed"]})
-        _check_length(self, "pothole", "edge", f"its two edges of {self.edge:g} m")
+        _check_length(self, "pothole", "edge", "its two edges, each of")
         check_numbers("pothole", self, {"edge": (LIMITS["length"][0], self.length / 2)})
 
     @property
@@ -245,12 +246,10 @@ class Flat(Road):
 
 def _check_length(road: WattsHump | Pothole, kind: str, other: str, least: str) -> None:
     """Refuses a length below twice another number that has its default, and so is not what was given."""
-    usual = getattr(type(road), other)
-    if getattr(road, other) == usual and road.length < 2 * usual:
-        raise InputError(
-            f"{kind} length = {road.length:g} m is less than {least}; give at least {2 * usual:g} m, or {other} of at most "
-            f"{road.length / 2:g} m"
-        )
+    usual, value = getattr(type(road), other), getattr(road, other)
+    if is_finite(value) and value == usual and road.length < 2 * usual:
+        short = f"{kind} length = {road.length:g} m is less than {least} {usual:g} m"
+        raise InputError(f"{short}; give at least {2 * usual:g} m, or {other}={road.length / 2:g} or less")
 
 
 # By their names on a command line, in a campaign file or in a log.

@@ -113,7 +113,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
         return []
     if ends > duration:
         return wrapped(f"{percent(duration / ends)} of the road is driven: --duration {ends:.4g} drives all of it")
-    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it goes on straight from there, which lowers every rms"
+    lower = f"the road's points end at {ends:.4g} s of {duration:g} s; it is straight from there on, which lowers every rms"
     return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
