@@ -203,7 +203,7 @@ def test_size_of_a_road():
 
 
 def test_measured_profiles():
-    """A profile at even distances has the IRI of its own points, cut where the drive ends; at uneven ones that of straight lines."""
+    """A profile at even distances has the IRI of its own points, cut where the drive ends; at uneven ones that of lines."""
     heights = np.stack([heights_of(4, 0.25, 1200), heights_of(5, 0.25, 1200)], axis=-1)
     x = np.round(np.arange(1200) * 0.25 + 1e3, 3)
     own = {one.name: one.iri for one in roughness_of(Profile(x, heights), CAR, 1e9)}

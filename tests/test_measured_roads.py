@@ -1,4 +1,4 @@
-"""Measured roads: the start in steady motion, straight lines between points, `--from`, and the same road in MuJoCo and analysis."""
+"""Measured roads: the start in steady motion, straight lines between points, `--from`, one road in MuJoCo and analysis."""
 
 import json
 from functools import cache

@@ -624,7 +624,7 @@ EVERY = [
 
 @pytest.mark.parametrize("road", EVERY, ids=lambda road: road.describe()["type"])
 def test_a_road_is_level_after_its_duration(road):
-    """Nothing moves after a road's own end, or with the plane of the last 11 m of a measured one, and something does right before;
+    """Nothing moves behind a road's own end, or with the plane of the last 11 m of a measured one, and something does before;
     scaled, it ends then, too, under the same wheels.
     """
     sides = [side for side in ("left", "right") if road.track in ("both", side)]
