@@ -58,15 +58,16 @@ def start_effect(runs: Sequence[Run]) -> StartEffect | None:
     effects = [StartEffect(0.0, "", "", 0.0)]
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
+        physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
         if loop is not None:
             cut = loop.continuous
             A, C = cut.model.A + cut.model.B @ cut.G, cut.model.C + cut.model.D @ cut.G
         state = np.pad(apart, (0, len(A) - len(apart)))
         for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
-            values = np.abs(np.nan_to_num(run.physics[signal]))
-            k = int(values.argmax())
+            k = int(np.abs(physics[signal]).argmax())
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
-            effects.append(StartEffect(left / float(values[k]) if left else 0.0, run.controller.name, signal, k * h))
+            if (peak := physics.scale(signal)) > 0:
+                effects.append(StartEffect(left / peak, run.controller.name, signal, k * h))
     worst = max(effects, key=lambda effect: effect.share)
     return worst if worst.share > SAID else None
 
