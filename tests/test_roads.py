@@ -639,6 +639,8 @@ def test_a_road_is_level_after_its_duration(road):
                 )
                 after = road.speed * np.mean(ends[::2] - ends[1::2]) / 11
             assert np.abs(road.velocity(late, side) - after).max() < 1e-12 * moving  # the sine of pi
+            further = road.displacement(late, side) - road.displacement(late[:1], side)
+            assert further == pytest.approx(after * (late - late[0]), rel=1e-9, abs=1e-12)
     else:
         late = 1e3 + np.linspace(0.0, 3.0, 1000)
         assert all(np.any(road.velocity(late, side) != 0) for side in sides)
