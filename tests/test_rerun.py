@@ -254,6 +254,7 @@ def test_axes_of_any_values_have_numbers() -> None:
         # A step's multiples are rounded to 16 digits of numbers 1e9 times as large.
         assert count(bottom, top, spacing(top - bottom)) >= LABELS or top - bottom == pytest.approx(tight, rel=1e-6)
         assert top - bottom <= FURTHEST * tight * (1 + 1e-6)
+    assert labelled(1.0, 1.0 + 1e-15) == pytest.approx(labelled(1.0, 1.0))  # constant but for rounding
 
 
 def test_the_highest_difference_has_its_label():
