@@ -90,7 +90,8 @@ class OwnLaw:
         """
         law = controller.law
         self._path, self._forces = law.path or law.folder, forces
-        self._what, self._name = f"controller {controller.name!r}, law {law.law}", law.function
+        self._fmu, self._name = law.is_fmu, law.function
+        self._what = f"controller {controller.name!r}, {'FMU' if self._fmu else 'law'} {law.law}"
         self._index = {name: i for i, name in enumerate(controller.measured)}
         self._left = LONGEST  # s that calls may still take
         self._state: Any = None
@@ -126,7 +127,11 @@ class OwnLaw:
         try:
             return self._run(self._name, min(LONGEST, self._left), lambda: self._called(sample, shape))
         except InputError as error:
-            raise InputError(f"{str(error).removesuffix('; mend that')} at {time:.6g} s; mend that") from None
+            said = str(error).removesuffix("; mend that")
+            if self._fmu:
+                at = f", at {time:.6g} s" if time else ""
+                raise InputError(f"{self._what}{at}: {said.removeprefix(f'{self._what}: ')}") from None
+            raise InputError(f"{said} at {time:.6g} s; mend that") from None
         finally:
             self._left -= clock() - began
 
@@ -161,7 +166,7 @@ class OwnLaw:
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
-                    return run_own(self._what, self._path, name, code)
+                    return run_own(self._what, self._path, name, code, refuses=self._fmu)
                 except InputError:
                     if not watched.late:
                         raise
