@@ -236,9 +236,7 @@ def read_description(content: bytes) -> Description:
         for one in root.iter("ScalarVariable"):
             real, causality = one.find("Real"), one.get("causality")
             if causality in found and real is None:
-                raise InputError(
-                    f"its {causality} {one.get('name')!r} is not of type Real; export measurements and forces as Real"
-                )
+                raise InputError(f"its {causality} {one.get('name')!r} is not of type Real; export its signals as Real")
             if causality in found and real is not None:
                 found[causality][one.attrib["name"]] = Variable(int(one.attrib["valueReference"]), real.get("unit", ""))
         computer = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Implementation")
