@@ -117,7 +117,7 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
 @needs_cc
 @pytest.mark.parametrize("numbers", ["double", "float"])
 def test_a_sensor_that_fails_is_held(numbers, tmp_path):
-    """NaN or infinity acts as the last finite input and is counted; a spike that overflows never leaves a force beyond the limit."""
+    """NaN or infinity acts as the last finite input and is counted; after a spike that overflows forces are within the limit."""
     vehicle = parse_vehicle(TEXT.replace("[limits]", "delay = 1\n[limits]"))
     law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law")
     library, number = compiled(law, tmp_path), cortex_m4.C_TYPES[numbers]
@@ -153,7 +153,7 @@ def test_a_sensor_that_fails_is_held(numbers, tmp_path):
 @needs_cc
 @pytest.mark.parametrize("numbers", ["int16", "int32"])
 def test_whole_numbers_take_any_law(numbers, tmp_path):
-    """A gain beyond the largest integer is scaled: the force is the law's within two of its steps, and any input is within the limit."""
+    """A gain beyond the largest integer is scaled: the force is the law's but for rounding, and any input is within the limit."""
     text = read_vehicle("quarter_car").text + BUILT + LIMITS
     text += '\n[controllers.law]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ngain = [[-4e9, -2000.0]]\n'
     vehicle = parse_vehicle(text.replace("-4e9", "-40000.0") if numbers == "int16" else text)

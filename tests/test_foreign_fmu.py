@@ -114,7 +114,7 @@ def packed(file: Path, library: bytes, guid: str = "good", change: Callable[[str
 
 
 def test_it_drives_as_its_law_does(tmp_path):
-    """Our law comes back as an FMU, in a process of its own, and drives MuJoCo as the law itself does, to rounding, delayed once."""
+    """Our law comes back as an FMU, in a process of its own, and drives MuJoCo as the law does, to rounding, delayed once."""
     (tmp_path / "car.toml").write_text(DELAYED)
     assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "law", "--export", str(tmp_path / "their.fmu")]) == 0
     (tmp_path / "both.toml").write_text(DELAYED + THEIRS)
@@ -143,11 +143,8 @@ def test_the_fmu_of_a_design_rides_as_the_design(tmp_path, capsys):
     (tmp_path / "corner.toml").write_text(CORNER)
     assert main(["--vehicle", str(tmp_path / "corner.toml"), "--controller", "full", "--export", str(tmp_path / "full.fmu")]) == 0
     (tmp_path / "both.toml").write_text(CORNER + THEIRS.replace("velocity", "acceleration").replace("their.fmu", "full.fmu"))
-    road = Iso8608("C", speed=25.0)
-    ours, theirs = (
-        measure_run(one, 2000).metrics["sprung_acceleration_weighted"].mujoco
-        for one in run(read_vehicle(tmp_path / "both.toml"), ["full", "theirs"], road, duration=4.0)
-    )
+    both = run(read_vehicle(tmp_path / "both.toml"), ["full", "theirs"], Iso8608("C", speed=25.0), duration=4.0)
+    ours, theirs = (measure_run(one, 2000).metrics["sprung_acceleration_weighted"].mujoco for one in both)
     assert theirs == pytest.approx(ours, rel=1e-9)  # rounding of another order of summation
 
 
