@@ -114,10 +114,10 @@ def packed(file: Path, library: bytes, guid: str = "good", change: Callable[[str
 
 
 def test_it_drives_as_its_law_does(tmp_path):
-    """Our law comes back as an FMU, in a process of its own, and drives MuJoCo as the law does, to rounding, delayed once."""
+    """Our law comes back as an FMU, in a process of its own, and drives MuJoCo as the law does, to rounding: late once."""
     (tmp_path / "car.toml").write_text(DELAYED)
-    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "law", "--export", str(tmp_path / "their.fmu")]) == 0
-    (tmp_path / "both.toml").write_text(DELAYED + THEIRS)
+    assert main(["--vehicle", str(tmp_path / "car.toml"), "--controller", "law", "--export", str(tmp_path / "their.FMU")]) == 0
+    (tmp_path / "both.toml").write_text(DELAYED + THEIRS.replace(".fmu", ".FMU"))
     vehicle = read_vehicle(str(tmp_path / "both.toml"))
     ours, theirs = run(vehicle, ["law", "theirs"], Bump(height=0.06), duration=1.0)
     assert abs(ours.physics["control_force"]).max() == 500.0
@@ -125,9 +125,9 @@ def test_it_drives_as_its_law_does(tmp_path):
         scale = ours.physics.scale(name)
         assert abs(ours.physics[name] - theirs.physics[name]).max() < 1e-9 * scale  # rounding of another order of summation
     text = vehicle.text_for(tmp_path.parent / "elsewhere.toml")
-    assert f'fmu = "{tmp_path.name}/their.fmu"' in text
-    assert theirs.controller.record["fmu"] == "their.fmu"
-    with refused("controller 'theirs' is an FMU, their.fmu, which has no linear loop to analyse"):
+    assert f'fmu = "{tmp_path.name}/their.FMU"' in text
+    assert theirs.controller.record["fmu"] == "their.FMU"
+    with refused("controller 'theirs' is an FMU, their.FMU, which has no linear loop to analyse"):
         vehicle.linear_entry("theirs")
     with refused("controller 'theirs' is an FMU, and its own code; export a linear or semi-active one"):
         exported_law(vehicle, vehicle.controllers["theirs"].driver(), "double", "theirs")
