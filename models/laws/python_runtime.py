@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from models.common import interrupt
-from models.common.arrays import Array
+from models.common.arrays import Array, check_unmasked
 from models.common.command import BAD_INPUT, complain
 from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
@@ -143,6 +143,7 @@ class OwnLaw:
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
         force, self._state = given
+        check_unmasked("its force", force)
         forces = np.asarray(force)
         if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
             raise InputError(f"its force is {_short(force)}, which is no real number; give newtons")
