@@ -254,8 +254,9 @@ def test_numbers_of_numpy(names, monkeypatch, tmp_path):
         call, right = calls()[name]
         for argument, value in right.items():
             if isinstance(value, (int, float)) and not isinstance(value, bool):
-                call(**{**right, argument: np.array(value)})
-                call(**{**right, argument: np.array(value)[()]})
+                for given in (np.array(value), np.array(value)[()]):
+                    made = call(**{**right, argument: given})
+                    assert name == "preview_design" or type(getattr(made, argument, value)) is type(value)
             elif isinstance(value, (np.ndarray, list)) and np.size(value) and np.asarray(value).dtype.kind == "f":
                 call(**{**right, argument: np.ma.array(value, mask=False)})
                 mask = np.arange(np.size(value)).reshape(np.shape(value)) == 0
