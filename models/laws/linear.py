@@ -60,7 +60,7 @@ class LinearLaw:
                     "and a column per measured signal"
                 )
         for name in ("sample_period", "anti_windup"):
-            check(name, getattr(self, name), Positive | None)
+            object.__setattr__(self, name, check(name, getattr(self, name), Positive | None))
 
     @property
     def states(self) -> int:

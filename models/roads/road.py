@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.checks import Must, check, is_finite
+from models.common.checks import Must, check, is_finite, plain
 from models.common.errors import InputError, number_range, quoted
 from models.kinds.kind import Parameters, Wheel
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
@@ -166,7 +166,8 @@ def check_numbers(kind: str, road: Road, limits: Mapping[str, tuple[float, float
         InputError: it names the number, and the range; or the track.
     """
     for name, (smallest, largest) in limits.items():
-        value = getattr(road, name)
+        value = plain(getattr(road, name))
+        object.__setattr__(road, name, value)
         if not is_finite(value) or not smallest <= value <= largest:
             shown = f"{value:g}" if isinstance(value, int | float) else quoted(value)
             raise InputError(

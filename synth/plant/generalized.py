@@ -95,7 +95,8 @@ class GeneralizedPlant:
         for name, count, needed in (("Bw has no columns", size["r"], "a disturbance"), ("C has no rows", size["d"], "an output")):
             if not count:
                 raise InputError(f"{name}, so that there is no norm from w to z; give {needed}, of zeros if there is none")
-        if check("weights", self.weights, Index) > size["n"]:
+        object.__setattr__(self, "weights", check("weights", self.weights, Index))
+        if self.weights > size["n"]:
             raise InputError(f"weights = {self.weights} are more than the {size['n']} states; give at most so many")
         if self.beyond is not None:
             check_shape("beyond", check("beyond", self.beyond, Array), (size["n"] + size["d"], size["n"]), "as A and C are")
