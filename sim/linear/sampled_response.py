@@ -48,6 +48,7 @@ from models.laws.linear import LinearLaw
 from models.roads.road import Road, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, OpenLoop
@@ -436,27 +437,6 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
         if (pushed := push(start + s)).any():
             total += weight * pushed @ linalg.expm(A * (h - s)).T
     return total
-
-
-def recursion(Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
-
-    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
-    stretches from rest come first, side by side, and then what each adds to those behind it.
-    """
-    *runs, samples, n = forcing.shape
-    length = math.isqrt(samples) + 1
-    stretches = -(-samples // length)
-    padded = np.zeros((*runs, stretches * length, n))
-    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
-    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
-        for k in range(1, length):
-            states[..., k, :] += states[..., k - 1, :] @ transposed
-        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
-        for i in range(1, stretches):
-            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
-    return padded[..., :samples, :]
 
 
 def response_of(
