@@ -68,12 +68,18 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
     """Bounds the effect of rounding on every output signal [the signal's unit]; without a controller, under given forces."""
     model = vehicle.linear_model
     rate, shaken = _shaken(vehicle)
+    pushed = np.zeros(len(model.inputs))
+    if vehicle.dampers:  # the force of a damper is rounded as its velocity is
+        from sim.linear.dampers import stretching
+
+        pushed[[model.inputs.index(one.force) for one in vehicle.adjustable]] = [one.steepest_slope for one in vehicle.adjustable]
+        pushed *= np.abs(stretching(vehicle)) @ shaken
     if controller is None:
-        return dict(zip(model.outputs, (np.abs(model.C) @ shaken).tolist(), strict=True))
+        return dict(zip(model.outputs, (np.abs(model.C) @ shaken + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
     if controller.law.states:  # its forces may far exceed those of a static gain, and move the states
         shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
-    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
+    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (pushed + gain @ shaken)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 
 
