@@ -152,7 +152,11 @@ FEATURES: dict[str, dict[str, str]] = {
         ["synth", "export", "bump", "drive", "sweep", "margins", "envelope", "report", "inspect", "campaign"], ""
     ),
 }
-UNFELT = {"quarter_car": ("brake", "corner", "gust"), "half_car": ("corner", "gust")}  # loads that a type does not take
+LEFT_OUT = {  # levels that a type of vehicle does not have: loads that it does not feel, and designs that take minutes
+    "quarter_car": {"brake", "corner", "gust"},
+    "half_car": {"corner", "gust"},
+    "full_car": {"order", "pi", "band", "bounds", "family", "sampled"},
+}
 EITHER = ("type", "law", "command")
 CHEAP = {  # levels that the suite has, of features with others that take long
     "type": ("quarter_car", "half_car"),
@@ -296,7 +300,7 @@ def _toml(value: Any) -> str:
 
 def is_file(row: Row, folder: Path) -> bool:
     """True if the vehicle file of a row is one: its features go together. The folder has its law in Python."""
-    if row["load"] in UNFELT.get(row["type"], ()):
+    if LEFT_OUT[row["type"]] & set(row.values()):
         return False
     try:
         parse_vehicle(vehicle_text(row), folder=folder)

@@ -304,6 +304,16 @@ def test_nothing_but_rounding_agrees():
     assert run.agrees
 
 
+def test_a_ratio_of_what_is_rounded_can_be_any():
+    """Where a car stands still a law may ask for the ratio of two velocities that are rounding alone; a valve remembers it."""
+    damper = DAMPER.replace("c_min = 300.0", "c_min = 300.0\nbandwidth = 50.0")
+    vehicle = parse_vehicle(QUARTER + damper + '[controllers.both]\nsemi_active = "hybrid"\n')
+    road = choose_road("flat + payload:mass=60").build(vehicle, 15.0, 0, 10.0)
+    (run,) = run_controllers(vehicle, [vehicle.controllers["both"].driver()], road, sample_times(vehicle, 0.8, 1e-3))
+    assert any(one.time > 0.45 for one in run.prediction.otherwise)  # the load begins at 0.5 s
+    assert run.agrees
+
+
 def test_a_damper_takes_energy():
     """The power of a damper is never below zero in physics, and one that gave energy would not balance."""
     (run,) = runs(QUARTER + DAMPER, "sky")
