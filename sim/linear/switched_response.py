@@ -38,6 +38,7 @@ from synth.plant.discrete import held_inputs
 
 OTHERWISE = 1e-4  # of a damper's range: coefficients that differ by more are different decisions
 VELOCITY = "velocity"  # key of the suspensions' velocities, which are no signal
+TOGETHER = 256  # random changes of all compared signals at once
 NEAREST = 1e-13  # relative to the compared signals: the resolution of double precision
 
 
@@ -115,7 +116,10 @@ class Decisions:
         """
         seen, m = np.concatenate([y, velocity, self.kept]), len(self.forces)
         moves = np.concatenate([self._scales, self._largest])
-        rows = np.concatenate([np.diag(moves), -np.diag(moves)])
+        # Alone, and together: all are rounded at once, and a ratio of two that are nothing else can be any.
+        rng, shape = np.random.default_rng(0), (TOGETHER, len(moves))
+        together = rng.choice([-1.0, 1.0], shape) * 10 ** rng.uniform(-3.0, 0.0, shape)
+        rows = np.concatenate([np.diag(moves), -np.diag(moves), together * moves])
         margins, epsilon = np.full(m, np.inf), NEAREST
         while epsilon <= self._near * (1 + 1e-9):
             tried = seen + epsilon * rows
