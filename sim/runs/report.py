@@ -271,7 +271,8 @@ def verdict(run: Run) -> str:
         )
     if run.energy is not None:
         words += f"; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
-    return f"{words}; {LAW_OVERFLOW} at {run.diverged:.4g} s" if run.physics.ran_away else words
+    later = run.physics.ran_away and run.diverged > agreement.until
+    return f"{words}; {LAW_OVERFLOW} at {run.diverged:.4g} s" if later else words
 
 
 def summary_lines(runs: Sequence[Run]) -> list[str]:

@@ -49,7 +49,7 @@ from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
-MORE_WITH_ABOUT = "-v adds poles, proofs, notes and laws in full, and the loop of these numbers"
+MORE_WITH_ABOUT = "-v explains the columns and adds poles, proofs, notes and laws in full"
 ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer stands in place of gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 

@@ -1,7 +1,7 @@
 """Designs in words and numbers: the table on the terminal and the object for `--json`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
-from synth.analysis.stability import MARGINAL, Stability
+from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
 from synth.controller.law_margins import LawMargins
 from synth.controller.report import (
@@ -172,7 +172,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
     lines = heading_lines(controller)
-    lines += _pole_lines(certificate.own)
+    own = certificate.own
+    lines += _pole_lines(np.where(own.on_axis, 1j * np.imag(own.poles), own.poles))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:
@@ -371,9 +372,8 @@ def _at_least(share: float) -> str:
     return f"{math.floor(percents / digit) * digit:.2g} %"
 
 
-def _pole_lines(stability: Stability) -> list[str]:
+def _pole_lines(poles: Collection[complex]) -> list[str]:
     """Returns lines on poles: pairs with undamped natural frequency and damping ratio, a line each, and real ones on one."""
-    poles = np.where(stability.on_axis, 1j * np.imag(stability.poles), stability.poles)
     start, pairs = "  poles ", [pole for pole in poles if pole.imag > 0]
     numbers = [f"{pole.real:.4g} +- {pole.imag:.4g}j" for pole in pairs]
     width = max(map(len, numbers), default=0)
