@@ -18,10 +18,11 @@ from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.standing import KEYS, Standing, standing_lines
 from synth import design_controllers
 from synth.__main__ import main as synth
+from synth.controller.disk_margin import disk_margin
 from synth.controller.law_margins import LawMargins, law_margins, names_of_warnings, warning_lines
 from synth.controller.loop_transfer import loop_transfer
-from synth.controller.stability_margins import disk_margin, gain_crossings
-from tests.commands import prose, refused
+from synth.controller.stability_margins import gain_crossings
+from tests.commands import main_of, prose, refused
 from tests.test_windup import FAST, SLOW, limited, section, semi_active
 
 CORNER = """type = "quarter_car"
@@ -98,6 +99,19 @@ def test_a_controller_that_is_left_out_is_named(corner, capsys):
     for command, options in ((bump, road), (synth, [])):  # alone it is bad input
         with refused("I - D_c D is singular"):
             command(["--vehicle", arguments[1], "--controller", "loop", *options])
+
+
+@pytest.mark.attack
+@pytest.mark.parametrize("command", ["sim.sweep", "sim.report"])
+def test_a_sweep_and_a_report_leave_out_a_controller(command, corner, tmp_path, monkeypatch, capsys):
+    """A sweep and a report of several controllers leave out one that has no loop, name it, and their exit code is 1."""
+    monkeypatch.chdir(tmp_path)
+    names = ["--controller", "passive", "--controller", "loop"]
+    options = ["--quick"] if command == "sim.report" else ["--no-logs"]
+    assert main_of(command)(["--vehicle", corner(NO_LOOP), *names, *options, "--timestep", "5e-3", "--json"]) == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["left_out"] == ["loop"]
+    assert "controller 'loop' is left out: " in printed.err
 
 
 def test_a_section_that_cannot_be_read_is_bad_input(corner):
@@ -208,9 +222,10 @@ def test_an_overflow_is_not_blamed_on_the_physics():
     assert run.passed
     assert verdict(run) == f"agrees until {run.diverged:.4g} s (law overflow); energy balances"
     assert run.energy is not None
-    assert run.agreement.steps is not None
+    steps = run.agreement.steps
+    assert steps is not None
     off = replace(run, energy=replace(run.energy, residual=1.0))
-    late = replace(off, agreement=replace(off.agreement, steps=replace(off.agreement.steps, error=1.0)))
+    late = replace(off, agreement=replace(off.agreement, steps=replace(steps, error=1.0)))
     for one in (off, late):
         said = " ".join([verdict(one), *verdict_lines(one), *energy_lines(one)])
         assert verdict(one).startswith(f"LAW OVERFLOW at {run.diverged:.4g} s: ")

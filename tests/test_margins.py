@@ -35,6 +35,7 @@ from sim.studies.stability.slowest_mode import slowest_rate
 from synth.analysis.certificate import certify
 from synth.analysis.norm import hinf_norm
 from synth.controller import stability_margins
+from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import generalized_plant
@@ -43,7 +44,6 @@ from synth.controller.stability_margins import (
     _products,
     _sign_changes,
     crossovers,
-    disk_margin,
     gain_crossings,
     largest_sample_period,
     margins,

@@ -36,7 +36,7 @@ from synth.controller.report import (
     failures_of_sampled_loop,
     filter_lines,
     ideal_lines,
-    norm_if_implemented,
+    norm_or_failure,
     notes,
     notes_on_sampled_loop,
     sampled_lines,
@@ -245,13 +245,10 @@ def _built(vehicle: Vehicle, row: Row) -> Row:
     """A row with the norm as implemented, where the vehicle file says how, or with the reason why no computer runs the law."""
     if row.controller is None:
         return row
-    certificate = row.controller.certificate
-    try:
-        norm = norm_if_implemented(vehicle, row.controller)
-    except InputError as error:
-        return replace(row, failures=(*row.failures, str(error).removeprefix(f"controller {row.name!r}: ")))
+    (norm, why), certificate = norm_or_failure(vehicle, row.controller), row.controller.certificate
     said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
-    return replace(row, sampled=norm, notes=said, failures=failures_of_sampled_loop(vehicle, certificate, row.failures, norm))
+    failures = (*failures_of_sampled_loop(vehicle, certificate, row.failures, norm), *why)
+    return replace(row, sampled=norm, notes=said, failures=failures)
 
 
 def _bounded(designer: Designer, row: Row) -> Row:

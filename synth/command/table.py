@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from synth.command.fragility import FragilityReport
 
 
+LONGEST = 20  # letters of a name beside which a line has room
 WORSE = 1.005  # times the passive suspension's ride: less is within the digits shown
 
 
@@ -138,12 +139,13 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
     if bounded:  # a lower bound stands behind each of the two norms
         before, after, of_sampled = (BOUND, NORM, LOWER_BOUND), (), ("sampled", LOWER_BOUND.title, GAP.title)
     headings = (*titles(before), *of_sampled, *titles(after))
-    lines: list[tuple[str, ...]] = [("controller", *headings)]
+    lines: list[tuple[str, ...] | str] = [("controller", *headings)]
+    longest = max(len("controller"), *(len(row.name) for row in rows if len(row.name) <= LONGEST), 0)
     empty = ("",) * (len(headings) - 1)
     for row in rows:
         certificate = row.controller.certificate if row.controller is not None else None
         if certificate is None:
-            lines.append((row.name, "NOT DESIGNED", *empty))
+            lines.append(f"{row.name:{longest}}  NOT DESIGNED")  # a cell would be wider than all numbers
         elif not certificate.stable and (row.sampled is None or not row.sampled.stable):
             lines.append((row.name, certificate.stability.verdict.upper(), *empty))
         else:

@@ -23,8 +23,8 @@ from models.common.arrays import Array
 from models.common.printed import wrapped
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller, Driver
+from synth.controller.disk_margin import disk_margin
 from synth.controller.loop_transfer import LoopTransfer, loop_transfer
-from synth.controller.stability_margins import disk_margin
 
 LEAST_GAIN, LEAST_DISK = 2.0, 0.3
 FEW = 3  # warnings with a line of their own; more share a paragraph

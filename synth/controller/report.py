@@ -8,7 +8,7 @@ import numpy as np
 
 from models import USUAL_TIMESTEP
 from models.common.arrays import Array
-from models.common.errors import listing
+from models.common.errors import InputError, listing
 from models.common.printed import Column, finite, matrix, percent
 from models.kinds.signals import load_signal
 from models.laws.linear import LinearLaw
@@ -41,6 +41,14 @@ def norm_if_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     from synth.controller.implementation_norm import norm_as_implemented
 
     return norm_as_implemented(vehicle, controller, timestep)
+
+
+def norm_or_failure(vehicle: Vehicle, controller: Controller) -> tuple[SampledNorm | None, tuple[str, ...]]:
+    """Returns `norm_if_implemented`, or None and the reason, in words, why the law cannot be run at the sample period."""
+    try:
+        return norm_if_implemented(vehicle, controller), ()
+    except InputError as error:
+        return None, (str(error).removeprefix(f"controller {controller.name!r}: "),)
 
 
 def norm_record(norm: SampledNorm | None) -> dict[str, float]:
