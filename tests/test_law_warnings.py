@@ -107,7 +107,7 @@ def test_a_sweep_and_a_report_leave_out_a_controller(command, corner, tmp_path, 
     """A sweep and a report of several controllers leave out one that has no loop, name it, and their exit code is 1."""
     monkeypatch.chdir(tmp_path)
     names = ["--controller", "passive", "--controller", "loop"]
-    options = ["--quick"] if command == "sim.report" else ["--no-logs"]
+    options = ["--quick"] if command == "sim.report" else []
     assert main_of(command)(["--vehicle", corner(NO_LOOP), *names, *options, "--timestep", "5e-3", "--json"]) == 1
     printed = capsys.readouterr()
     assert json.loads(printed.out)["left_out"] == ["loop"]
@@ -250,16 +250,20 @@ def test_a_full_order_law_that_winds_up(corner, capsys):
 
 
 def test_a_vehicle_without_damping_is_no_failure(corner, capsys):
-    """A passive vehicle without damping has its natural frequencies in a line and in `-v`, and the exit code is 0."""
+    """A passive vehicle without damping has its natural frequencies in a line, in `-v` its poles, and the exit code is 0."""
     car = corner(suspension_damping=0.0)
     M, K = np.diag([380.0, 42.0]), np.array([[22000.0, -22000.0], [-22000.0, 212000.0]])
     slow, fast = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K))[[0, 1]]) / (2 * math.pi)
     slow, fast = sorted((slow, fast))
-    line = f"undamped without control; natural frequencies {slow:.4g} Hz, {fast:.4g} Hz"
-    for option in ([], ["-v"]):
+    line = f"passive: undamped without control; natural frequencies {slow:.4g} Hz, {fast:.4g} Hz"
+    poles = (
+        f"0 +- {2 * math.pi * slow:.4g}j {slow:.3g} Hz, damping 0",
+        f"0 +- {2 * math.pi * fast:.4g}j {fast:.3g} Hz, damping 0",
+    )
+    for option, texts in (([], (line,)), (["-v"], poles)):
         assert synth(["--vehicle", car, "--controller", "passive", *option]) == 0
         out = prose(capsys.readouterr().out)
-        assert line in out
+        assert all(text in out for text in texts)
         assert not any(word in out for word in ("FAILS", "UNSTABLE"))
         assert out.endswith("every claim holds, of 1 controller")
     assert synth(["--vehicle", car, "--controller", "passive", "--json"]) == 0

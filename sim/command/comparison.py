@@ -16,7 +16,7 @@ from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
-from sim.response.regime import FLAT, REGIME_ENDS, reached
+from sim.response.regime import FLAT, LAW_OVERFLOW, REGIME_ENDS, reached
 from sim.runs.report import (
     FEW,
     claims,
@@ -306,9 +306,10 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
 
     Claims of more than `FEW` controllers are left to `-v`.
     """
-    lines, without, few = [], dict[str, list[str]](), len(runs) <= FEW
+    without, few = dict[str, list[str]](), len(runs) <= FEW
     linear = {run.controller.name: run.controller for run in runs if isinstance(run.controller, Controller)}
     margins = {name: law_margins(runs[0].vehicle, one) for name, one in linear.items()}
+    lines = [] if few else warning_lines(margins)
     for run in runs:
         claim = claims(run.controller) if few else ""
         if not few:
@@ -323,8 +324,8 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
         if alone or not run.passed:
             lines += [f"{run.controller.name}:"] * (len(runs) > 1)
-            lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
-    lines += [] if few else warning_lines(margins)
+            said = [*verdict_lines(run), *energy_lines(run)]
+            lines += [f"  {line}" for line in said if not run.physics.ran_away or line.startswith(LAW_OVERFLOW)]
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
     lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
     return ["", *lines] if lines else []

@@ -211,7 +211,7 @@ def claims(controller: Driver) -> str:
         return NO_CLAIM.format(kind=controller.kind)
     certificate, norm = controller.certificate, controller.certificate.norm
     if not certificate.stable:
-        return certificate.own.words
+        return f"ideal loop {certificate.own.words}"
     where = f" at {norm.peak_frequency:.5g} rad/s" if math.isfinite(norm.peak_frequency) else ""
     alone = ", of its feedback alone" if controller.preview is not None else ""
     return f"norm {norm.value:.7g}{where}{f', bound {certificate.bound:.7g}' if certificate.bound is not None else ''}{alone}"
@@ -266,9 +266,7 @@ def verdict(run: Run) -> str:
     if agreement.until <= 0:
         words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
     if run.physics.ran_away and not run.passed:
-        return (
-            f"LAW OVERFLOW at {run.diverged:.4g} s: the law winds up, and rounding decides its forces; the physics is not judged"
-        )
+        return f"LAW OVERFLOW at {run.diverged:.4g} s: rounding decides the forces of this law; the physics is not judged"
     if run.energy is not None:
         words += f"; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
     later = run.physics.ran_away and run.diverged > agreement.until

@@ -191,7 +191,7 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
     for promise in controller.specifications:
         lines += wrapped(promise.text, "  promise: ", 4)
     free = undamped(controller)
-    lines += _undamped_lines(row, "  ") if free else [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
+    lines += [f"  {line}" for line in ([certificate.stability.words] if free else norm_lines(vehicle, controller, row.sampled))]
     if row.sampled_gap is not None and row.sampled_below is not None:
         lines.append(
             f"  sampled norm {percent(row.sampled_gap)} above {row.sampled_below.level:.7g}, which no controller with these "
@@ -271,7 +271,7 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     if row.controller is None:
         return _failure_lines(row)
     if undamped(row.controller):
-        return [*_undamped_lines(row, f"{row.name}: "), *_failure_lines(row)]
+        return [*_undamped_lines(row.controller), *_failure_lines(row)]
     promises = row.controller.specifications
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
@@ -285,16 +285,14 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     return [*lines, *_failure_lines(row)]
 
 
-def _undamped_lines(row: Row, start: str) -> list[str]:
-    """Returns the natural frequencies of an undamped vehicle, with the damping ratios of motions that decay, after some text."""
-    assert row.controller is not None
-    own = row.controller.certificate.own
-    motions = []
+def _undamped_lines(controller: Controller) -> list[str]:
+    """Returns the natural frequencies of an undamped vehicle, with the damping ratios of motions that decay."""
+    own, motions = controller.certificate.own, []
     for pole, free in sorted(zip(own.poles, own.on_axis, strict=True), key=lambda one: abs(one[0])):
         if pole.imag >= 0:
             damping = "" if free else f" (damping {-pole.real / abs(pole):.2g})"
             motions.append(f"{abs(pole) / (2 * math.pi) if abs(pole) > own.rounding else 0.0:.4g} Hz{damping}")
-    return wrapped(f"undamped without control; natural frequencies {', '.join(motions)}", start, 4)
+    return wrapped(f"undamped without control; natural frequencies {', '.join(motions)}", f"{controller.name}: ", 4)
 
 
 def semi_active_lines(vehicle: Vehicle) -> list[str]:
