@@ -256,10 +256,7 @@ def test_a_vehicle_without_damping_is_no_failure(corner, capsys):
     slow, fast = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K))[[0, 1]]) / (2 * math.pi)
     slow, fast = sorted((slow, fast))
     line = f"passive: undamped without control; natural frequencies {slow:.4g} Hz, {fast:.4g} Hz"
-    poles = (
-        f"0 +- {2 * math.pi * slow:.4g}j {slow:.3g} Hz, damping 0",
-        f"0 +- {2 * math.pi * fast:.4g}j {fast:.3g} Hz, damping 0",
-    )
+    poles = [f"0 +- {2 * math.pi * hertz:.4g}j {hertz:.3g} Hz, damping 0" for hertz in (slow, fast)]
     for option, texts in (([], (line,)), (["-v"], poles)):
         assert synth(["--vehicle", car, "--controller", "passive", *option]) == 0
         out = prose(capsys.readouterr().out)
