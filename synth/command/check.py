@@ -11,7 +11,7 @@ from synth.analysis.specification import Specification
 from synth.command.table import Row
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import false_sampled_bound
-from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_if_implemented, notes_on_sampled_loop
+from synth.controller.report import failures_of_sampled_loop, false_norm, judged_lines, norm_or_failure, notes_on_sampled_loop
 from synth.vehicle.designer import Designer
 
 
@@ -43,8 +43,8 @@ def _checked(designer: Designer, entry: ControllerEntry) -> Row:
         Controller(entry.name, entry.measured, entry.law, False, certificate, hardware=entry.hardware, specifications=kept)
     )
     failures += controller.unmet_specifications
-    norm = norm_if_implemented(designer.vehicle, controller)
-    failures = failures_of_sampled_loop(designer.vehicle, certificate, failures, norm)
+    norm, why = norm_or_failure(designer.vehicle, controller)
+    failures = (*failures_of_sampled_loop(designer.vehicle, certificate, failures, norm), *why)
     failures += false_sampled_bound(designer.vehicle, entry)
     failures += false_norm(entry.certificate, designer.vehicle, lambda: norm)
     note = "checked: every claim of its certificate holds" if entry.certificate and not failures else ""

@@ -63,7 +63,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         done = stage.counted(f"controller {name}", len(tried), "rates")
         try:
             costs.append(cost(vehicle, designer.design(name), tried, periods, done))
-        except DesignError as error:
+        except InputError as error:  # of one section, which hides no other
+            if len(names) == 1 and not isinstance(error, DesignError):
+                raise
             undesigned[name] = str(error)
     stage.end()
     if options.picture and costs:

@@ -14,7 +14,7 @@ from synth.analysis.bounding import roomy_proof
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import bound_record, to_record
 from synth.controller.controller import SUFFIX, Controller, check_feedback_alone
-from synth.controller.report import norm_if_implemented, norm_record
+from synth.controller.report import norm_or_failure, norm_record
 
 
 def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
@@ -79,7 +79,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
-    name, norm = controller.name + SUFFIX, norm_if_implemented(vehicle, controller)
+    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(vehicle, controller)
     checkable = replace(controller.certificate, proof=roomy_proof(controller.certificate))
     record = to_record(checkable) | norm_record(norm) | bound_record(sampled_bound)
     asked = vehicle.controllers.get(controller.name)

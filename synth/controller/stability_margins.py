@@ -12,8 +12,7 @@ is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
 - a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
 
 With H these are no problems of one matrix, and candidates come from a fine grid. What all this gives is then refined on the poles
-themselves. Of S = (I - L)^-1 the symmetric disk margin is 1 / ||S - I / 2||: each force may have a complex factor f of its own
-with |f - 1| / |f + 1| below half of it (Seiler, Packard, Gahinet 2020).
+themselves.
 """
 
 import itertools
@@ -27,9 +26,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
-from sim.studies.stability.loop_transfer import LoopTransfer
-from synth.analysis.norm import hinf_norm
-from synth.plant.generalized import GeneralizedPlant
+from synth.controller.disk_margin import DiskMargin, disk_margin
+from synth.controller.loop_transfer import LoopTransfer
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is
 FACTORS = np.geomspace(1.001 / LARGEST_FACTOR, LARGEST_FACTOR / 1.001, 4000)
@@ -67,29 +65,6 @@ class Crossover:
     def lead(self) -> float:
         """The lead that makes the eigenvalue 1, too: the rest of a whole turn [rad]."""
         return 2 * math.pi - self.phase
-
-
-@dataclass(frozen=True)
-class DiskMargin:
-    """Symmetric disk margin: what each force bears of complex factors of its own, all at once.
-
-    Attributes:
-        size: from 0 to 2. It is exact for one force; of several forces it is a bound, as theirs may be factors of each other.
-        frequency: where the loop is next to unstable [rad/s].
-    """
-
-    size: float
-    frequency: float
-
-    @property
-    def gain(self) -> tuple[float, float]:
-        """The smallest and the largest real factor."""
-        return (2 - self.size) / (2 + self.size), (2 + self.size) / (2 - self.size) if self.size < 2 else math.inf
-
-    @property
-    def phase(self) -> float:
-        """The largest turn, either way [rad]."""
-        return 2 * math.atan(self.size / 2)
 
 
 @dataclass(frozen=True)
@@ -159,23 +134,6 @@ def margins(loop: LoopTransfer) -> Margins:
         disk=disk_margin(loop),
         all_sampled=loop.sampling is not None and loop.sampling.whole and len(loop.H) < len(loop.sampling.controller.law.D),
     )
-
-
-def disk_margin(loop: LoopTransfer) -> DiskMargin:
-    """Returns the symmetric disk margin of a loop that is stable when closed."""
-    inverse, half = np.linalg.inv(np.eye(len(loop.H)) - loop.H), np.eye(len(loop.H)) / 2
-    n, k = loop.B.shape
-    # x' = A x + B u, u = v + d, and z = u - d / 2.
-    sensitivity = GeneralizedPlant(
-        A=loop.closed(1.0),
-        B=np.zeros((n, 1)),
-        Bw=loop.B @ inverse,
-        C=inverse @ loop.G,
-        D=np.zeros((k, 1)),
-        Dw=inverse - half,
-    )
-    norm = hinf_norm(sensitivity)
-    return DiskMargin(min(1 / norm.value, 2.0), norm.peak_frequency)
 
 
 def gain_crossings(loop: LoopTransfer) -> list[float]:
