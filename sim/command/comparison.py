@@ -28,7 +28,7 @@ from sim.runs.report import (
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver, code_of
-from synth.controller.law_margins import law_margins, unstable_by_itself, warning_lines
+from synth.controller.law_margins import law_margins, names_of_warnings, unstable_by_itself, warning_lines
 from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
@@ -309,7 +309,7 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
     without, few = dict[str, list[str]](), len(runs) <= FEW
     linear = {run.controller.name: run.controller for run in runs if isinstance(run.controller, Controller)}
     margins = {name: law_margins(runs[0].vehicle, one) for name, one in linear.items()}
-    lines = [] if few else warning_lines(margins)
+    lines = [] if few else names_of_warnings(margins)
     for run in runs:
         claim = claims(run.controller) if few else ""
         if not few:
