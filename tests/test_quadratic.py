@@ -126,7 +126,7 @@ def test_cars(kind):
     assert lqr.h2_norm < lqg.h2_norm < static
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
-    said = "this design needs noise on measurements that have little or none"
+    said = "this design needs noise on measurements that have none"
     assert lqg.remark == f"{said}: {100 * ASSUMED:g} % of the plant's own size was assumed"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
