@@ -41,7 +41,17 @@ DEMANDS = {  # beside a kind
 }
 WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-KEYS = ("stable", "fastest_pole", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the site's first table
+KEYS = (
+    "stable",
+    "fastest_pole",
+    "anti_windup",
+    "noise",
+    "lag",
+    "sampled",
+    "loads",
+    "goals",
+    "force",
+)  # columns of the site's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own

@@ -279,7 +279,13 @@ def _controller(
     anti_windup = _anti_windup(where, entry, law, clipped)
     law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
     claims = entry.get("certificate")
-    rest = {"stable": stable, "fastest_pole": _fastest_pole(where, entry), "anti_windup": anti_windup, "structure": structure, "preview": _preview(where, entry, dampers)}
+    rest = {
+        "stable": stable,
+        "fastest_pole": _fastest_pole(where, entry),
+        "anti_windup": anti_windup,
+        "structure": structure,
+        "preview": _preview(where, entry, dampers),
+    }
     return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
 
 

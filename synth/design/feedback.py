@@ -127,7 +127,7 @@ def design_feedback(
         order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
         design: "lqr", "lqg" or "h2", the best in the mean in place of the least norm.
         stable: True for a law with an order that is stable by itself.
-        fastest_pole: largest magnitude of the loop's poles [rad/s], for order = "full" of a continuous plant; no limit if omitted.
+        fastest_pole: largest magnitude of the loop's poles [rad/s], for order = "full" of a continuous plant; None for no limit.
         noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
             `lqg_design`.
         sample_period: of the computer that closes the loop of a continuous plant and holds the forces [s].
@@ -363,9 +363,10 @@ class _Asked:
                 ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
                 known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         if full:
-            from synth.design.full_order.sampled_data import sampled_full_order
+            from synth.design.full_order.sampled_data import lowest_level, sampled_full_order
             from synth.lmi.sampled_bound import find_sampled_bound
 
+            near, _ = lowest_level(problem, near, 0.0)
             found = sampled_full_order(problem, find_sampled_bound(problem, near), near, self.states, stable)
             law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
         elif structure is not None:

@@ -20,7 +20,7 @@ from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.certificate import FASTEST, Certificate
+from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
@@ -214,7 +214,9 @@ def full_order_design(
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
     if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
-        raise InputError("a discrete plant has a sample period, which limits the speed of its loop; omit fastest_pole and fastest")
+        raise InputError(
+            "a discrete plant has a sample period, which limits the speed of its loop; omit fastest_pole and fastest"
+        )
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
     search = RiccatiSearch(where.plant, where.Cy, where.Dyw, below.gamma, DEADBEAT / plant.dt if plant.dt is not None else 0.0)
@@ -332,10 +334,10 @@ def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]
-    instead = f", and fastest_pole = {_upwards(slower[-1].pole):g} a norm of {slower[-1].norm:.4g}" if slower else ""
+    instead = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {slower[-1].norm:.4g}" if slower else ""
     return (
-        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer that samples no faster than "
-        f"every {1 / best.pole:.1g} s cannot run it; fastest_pole [rad/s] gives a slower law{instead}"
+        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
+        f"{1 / best.pole:.1g} s or more cannot run it{instead}"
     )
 
 

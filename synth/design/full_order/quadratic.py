@@ -8,8 +8,8 @@ estimates; no linear controller does better (the separation theorem; Anderson, M
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
 plant the second. If a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
 assumed, in the plant's own units, and said. Any noise or cost that is given is used as given, however small: inputs and
-measurements are scaled until theirs is one, so that the Riccati equations know no small number. An integral that is measured without noise is known, and not estimated:
-it acts on nothing but z, so that the estimate of the other states does without it.
+measurements are scaled until theirs is one, so that no small number is in the Riccati equations. An integral that is measured
+without noise is known, and not estimated: it acts on nothing but z, so that the estimate of the other states does without it.
 
 White noise through Dw has no mean square; it is what no control changes, and left out.
 """
@@ -239,7 +239,14 @@ def _design(
 
 
 def _assumed(D: Array) -> tuple[Array, float]:
-    """Returns rows that raise what is zero of D, shape (d, m), to a share, shape (k, m), and the least singular value that is not."""
+    """Returns the rows that raise the zero singular values of D to `ASSUMED`, and the least of the others.
+
+    Args:
+        D: shape (d, m).
+
+    Returns:
+        The rows, shape (k, m), and the least singular value that is not zero; infinite if all are.
+    """
     _, sizes, directions = np.linalg.svd(D)
     sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
     there = sizes > NOTHING * max(1.0, sizes.max(initial=0.0))

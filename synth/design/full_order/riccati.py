@@ -385,7 +385,9 @@ class RiccatiSearch:
 
     def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
         """Returns controllers of shares between those of the last that is not too fast and the first that is, on a front."""
-        slow, quick = ([each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False))
+        slow, quick = (
+            [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
+        )
         if not slow or not quick:
             return []
         low, high, points = quick[0], slow[-1], list[TradeOffPoint]()

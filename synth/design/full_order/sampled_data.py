@@ -23,12 +23,15 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.full_order.full_order import discrete_law, full_order_design
 from synth.design.full_order.riccati import RiccatiSearch
-from synth.plant.discrete import mapped
+from synth.plant.discrete import Mapped, mapped
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
 ABOVE = 1e-4  # relative; how far above a bound within a period the first level is
-ROUNDS, STABLE_ROUNDS = 4, 2  # levels at which a law is designed, at most; one that is to be stable by itself takes a descent at each
+ROUNDS, STABLE_ROUNDS = (
+    4,
+    2,
+)  # levels at which a law is designed, at most; one that is to be stable by itself takes a descent at each
 HIGHER = {False: 1.01, True: 1.1}  # times a level without a law is the next, by whether it is to be stable by itself
 SHARES = (1e-3, 1e-5)  # of noise and cost, with which the lowest level is bracketed
 STEPS = 40  # of that, at most
@@ -83,9 +86,9 @@ def sampled_full_order(
             level *= 1.1
             continue
         Dyw = problem.Dyw(level)
-        where = mapped(plant, problem.rows, Dyw)
+        image = mapped(plant, problem.rows, Dyw)
 
-        def as_run(law: LinearLaw, where=where) -> LinearLaw:
+        def as_run(law: LinearLaw, where: Mapped = image) -> LinearLaw:
             return discrete_law(law, where, problem.period) if law.sample_period is None else law
 
         try:
@@ -95,7 +98,8 @@ def sampled_full_order(
         except InfeasibleError:
             raise
         except (DesignError, InputError, np.linalg.LinAlgError) as error:
-            failure, norm = error, np.inf
+            failure, level = error, level * HIGHER[stable]
+            continue
         if not np.isfinite(norm):
             level *= HIGHER[stable]
             continue
@@ -125,7 +129,7 @@ def lowest_level(problem: SampledDataProblem, start: float, below: float) -> tup
         if high <= low * (1 + CLOSE):
             break
         level = 2 * low if high == np.inf else (low * high) ** 0.5 if low else high / 2
-    return low, min(high, level)
+    return (low, high) if high < np.inf else (below, start)
 
 
 def _solvable(problem: SampledDataProblem, level: float) -> bool:
