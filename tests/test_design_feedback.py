@@ -1,5 +1,6 @@
 """One door to synthesis for any plant: it finds what any method finds, says how and why, and refuses in the table's words."""
 
+import re
 from itertools import combinations
 from typing import Any
 from xml.etree import ElementTree
@@ -77,7 +78,7 @@ def test_sampled_full_order_is_next_to_its_bound(seed):
     """A law of full order for a sampled loop comes next to what no controller beats, where the bound is sharp."""
     rng = np.random.default_rng(seed)
     A, B, Bw, z, Cy = (rng.standard_normal(shape) for shape in ((3, 3), (3, 1), (3, 1), (1, 3), (1, 3)))
-    plant = of_lists(A, B, Bw, np.vstack([z, 0 * z]), [[0], [0.05]])
+    plant = GeneralizedPlant(A, B, Bw, np.vstack([z, 0 * z]), np.array([[0.0], [0.05]]), np.zeros((2, 1)))
     found = design_feedback(plant, Cy, order="full", noise=[0.01], sample_period=0.1)
     above = re.search(r"([0-9.]+) % above the lower bound of the sampled loop", found.remark)
     assert above is None or float(above[1]) <= 0.12  # 0.1 %, and what a bracketed level and two digits leave

@@ -11,6 +11,7 @@ is designed there. If the norm of its loop is not near that level, the level mov
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -86,11 +87,7 @@ def sampled_full_order(
             level *= 1.1
             continue
         Dyw = problem.Dyw(level)
-        image = mapped(plant, problem.rows, Dyw)
-
-        def as_run(law: LinearLaw, where: Mapped = image) -> LinearLaw:
-            return discrete_law(law, where, problem.period) if law.sample_period is None else law
-
+        as_run = partial(_as_run, where=mapped(plant, problem.rows, Dyw), period=problem.period)
         try:
             aim = LowerBound(least / level)
             law = full_order_design(plant, problem.rows, Dyw, aim, names, stable=stable, as_run=as_run).law
@@ -116,6 +113,11 @@ def sampled_full_order(
     above = f"{percent(best.norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"
     stopped = "" if ended else f"; stopped after laws of {rounds} levels"
     return SampledFullOrderDesign(best.law, best.norm, f"{above}: none of the laws that were tried comes nearer{stopped}")
+
+
+def _as_run(law: LinearLaw, where: Mapped, period: float) -> LinearLaw:
+    """Returns the discrete law of one for the mapped plant."""
+    return discrete_law(law, where, period) if law.sample_period is None else law
 
 
 def lowest_level(problem: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
