@@ -196,6 +196,7 @@ SECTIONS = {
     "law": 'law = "mine.py:step"',
     "semi_active": 'semi_active = "skyhook"',
     "stable": "stable = true",
+    "fastest_pole": "fastest_pole = 1e4",
     "anti_windup": "anti_windup = 20.0",
     "noise": "noise = true",
     "lag": "lag = true",
@@ -246,7 +247,7 @@ def test_the_table_is_what_is_done(paper, one):
 
 
 @pytest.mark.parametrize(
-    "part", [part for part in SECTIONS if part not in ("force", "law", "semi_active", "stable", "anti_windup")]
+    "part", [part for part in SECTIONS if part not in ("force", "law", "semi_active", "stable", "fastest_pole", "anti_windup")]
 )
 def test_the_table_says_what_commands_do(paper, part):
     """A command is refused in a line that names it and the part that it does not go with, or it goes on."""

@@ -126,7 +126,7 @@ def test_cars(kind):
     assert lqr.h2_norm < lqg.h2_norm < static
     assert h2.h2_norm == pytest.approx(lqg.h2_norm, rel=1e-9)
     assert not lqr.remark
-    said = "this design needs noise on measurements that have little or none"
+    said = "this design needs noise on measurements that have none"
     assert lqg.remark == f"{said}: {100 * ASSUMED:g} % of the plant's own size was assumed"
     assert lqg.certificate.stable
     noisier = lqg_design(plant, Cy, [0.05] * len(Cy))
@@ -197,6 +197,51 @@ def test_refused():
         lqg_design(plant, Cy, [-0.1] * len(Cy))
     with pytest.raises(InputError, match="no disturbance"):
         lqr_design(replace(plant, Bw=0 * plant.Bw))
+
+
+def little_noise(part: float, cost: float = 1.0) -> tuple[GeneralizedPlant, np.ndarray, list[float]]:
+    """A plant with little noise on what is measured: parts of it, and of the costs of its forces."""
+    plant = GeneralizedPlant(
+        A=np.array([[-2.58841, 1.28038], [0.288104, -0.797557]]),
+        B=np.array([[-3.59307e-3, 0.298766], [-9.81854e-3, 2.0464]]),
+        Bw=np.array([[-1.00107], [-3.98213]]),
+        C=np.array([[0.0422803, -0.611982], [-0.252985, -0.716133], [0.0, 0.0], [0.0, 0.0]]),
+        D=np.vstack([np.zeros((2, 2)), cost * np.diag([3.77604e-4, 0.122917])]),
+        Dw=np.zeros((4, 1)),
+    )
+    return plant, np.array([[2510.11, -1148.33], [178423.0, -267928.0]]), [part * 4.34, part * 0.0227]
+
+
+@pytest.mark.parametrize(("part", "cost"), [(1.0, 1.0), (1e-2, 1e-2)])
+def test_small_noise_and_cost_are_taken_as_given(part, cost):
+    """The optimum is for the given noise and cost, however small: that of Riccati equations in units in which they are one."""
+    plant, Cy, noise = little_noise(part, cost)
+    found = lqg_design(plant, Cy, noise)
+    assert part != 1 or found.h2_norm == pytest.approx(0.7013, abs=5e-5)  # of SLICOT's law, given with four digits
+    assert not found.remark
+    unit = np.diag(plant.D[2:])
+    X = linalg.solve_continuous_are(plant.A, plant.B / unit, plant.C.T @ plant.C, np.eye(2))
+    Y = linalg.solve_continuous_are(plant.A.T, (Cy / np.array(noise)[:, None]).T, plant.Bw @ plant.Bw.T, np.eye(2))
+    F = -(plant.B / unit).T @ X
+    squared = np.trace(plant.Bw.T @ X @ plant.Bw) + np.trace(F @ Y @ F.T)
+    assert found.h2_norm**2 == pytest.approx(squared, rel=1e-5)  # rounding of a fast observer
+
+
+def test_noise_too_small_for_floats():
+    """Noise that no Riccati equation in floats keeps is refused in a line that gives its size, and never replaced."""
+    plant, Cy, noise = little_noise(1e-4)
+    with pytest.raises(DesignError, match=r"noise of a measurement is \S+ of the plant's own size.*give more, or none"):
+        lqg_design(plant, Cy, noise)
+
+
+def test_lqg_without_a_sample_period():
+    """Noise in a vehicle file is refused for LQG without the sample period that its intensity takes, and not left out."""
+    car = parse_vehicle(
+        f"{read_vehicle('quarter_car').text}\n[implementation]\nnoise = {{ sprung_velocity = 0.01 }}\n"
+        '[controllers.q]\nmeasured = ["sprung_velocity"]\ndesign = "lqg"\n'
+    )
+    with pytest.raises(DesignError, match=r"'q': LQG takes noise as .* gives noise without sample_period; give both, or neither"):
+        Designer(car).design("q")
 
 
 def regular_problem(seed: int) -> tuple[GeneralizedPlant, np.ndarray, np.ndarray]:

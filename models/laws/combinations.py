@@ -28,6 +28,7 @@ KINDS = {  # of controllers: a section is one of them
 }
 DEMANDS = {  # beside a kind
     "stable": "`stable`",
+    "fastest_pole": "`fastest_pole`",
     "anti_windup": "`anti_windup`",
     "noise": "`noise`",
     "lag": "`lag`",
@@ -40,7 +41,17 @@ DEMANDS = {  # beside a kind
 }
 WEIGHTS = "weights"  # in `tolerance`: of no controller a demand on its design, and so in no table
 COMMANDS = {"refine": "`--refine`", "zero_l": "`--zero-l`", "front": "`--front`", "rates": "`--rates`"}
-KEYS = ("stable", "anti_windup", "noise", "lag", "sampled", "loads", "goals", "force")  # columns of the site's first table
+KEYS = (
+    "stable",
+    "fastest_pole",
+    "anti_windup",
+    "noise",
+    "lag",
+    "sampled",
+    "loads",
+    "goals",
+    "force",
+)  # columns of the site's first table
 FLAGS = ("stable", "noise", "lag", "sampled")
 STATIC, FULL = "static", "full"  # values of `order` beside a number of states; a design is of the first where none is named
 PI, PID = PATTERNS = "pi", "pid"  # values of `structure` that are laws of their own
@@ -58,6 +69,12 @@ _REASONS = (  # a part or command, the parts that it does not go with, and why
         "it is a law designed with an order that is made stable by itself",
     ),
     ("stable", "pid", "its integral is a pole at 0, which is not stable by itself"),
+    (
+        "fastest_pole",
+        f"gain states steps order pid lqr lqg h2 preview {_GOALS}",
+        f'it limits the speed of the loop of order = "{FULL}" alone',
+    ),
+    ("fastest_pole", "sampled", "a design for the sampled loop knows its sample period, which limits its speed"),
     ("anti_windup", f"gain steps lqr preview {_GOALS}", "a static gain has no states that wind up"),
     ("noise", "lqr preview", _OF_STATE),
     ("noise", "lqg", "it takes the noise of its sensors by itself"),
@@ -122,7 +139,7 @@ def section_parts(section: Mapping[str, Any], inputs: Collection[str]) -> dict[s
     of_law = filtered or "order" in parts  # then the structure is that of the law, and no goal of a gain
     if goals := [key for key in GOAL_KEYS if key in section and not (of_law and key == "structure")]:
         parts["goals"] = goals[0]
-    parts |= {key: key for key in ("anti_windup", "tolerance", "family", "loads") if key in section}
+    parts |= {key: key for key in ("fastest_pole", "anti_windup", "tolerance", "family", "loads") if key in section}
     measured = section.get("measured")
     if isinstance(measured, list) and "lag" not in parts and (forces := [name for name in measured if name in inputs]):
         parts["force"] = f"measured = {quoted(forces[0])}"

@@ -42,10 +42,11 @@ CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
     *("law", "preview", "fmu"),  # what is run as it is
     "anti_windup",
-    *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
+    *("order", "stable", "fastest_pole", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 FASTEST_TRACKING = 1e6  # 1/s, of anti-windup
+FASTEST_LIMIT = 1e9  # rad/s, of a loop's poles
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
 
 
@@ -84,6 +85,7 @@ class ControllerEntry:
         goals: goals of its design; None for the least norm.
         semi_active: its law for adjustable dampers, without any claim; None for all others.
         stable: True if its law of full order is to be stable by itself.
+        fastest_pole: largest magnitude of the poles of the loop of its law of full order [rad/s]; None without a limit.
         anti_windup: rate of its law's anti-windup [1/s], see `models.laws.anti_windup`; None without it.
         structure: of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
@@ -101,6 +103,7 @@ class ControllerEntry:
     goals: "Goals | None" = None
     semi_active: SemiActiveLaw | None = None
     stable: bool = False
+    fastest_pole: float | None = None
     anti_windup: float | None = None
     structure: "LawStructure | None" = None
     errors: "WeightedErrors | None" = None
@@ -141,7 +144,7 @@ class ControllerEntry:
         parts |= {key: f"{key} = true" for key, value in flags.items() if value}
         if self.goals is not None:
             parts |= {"goals": "goals"} | {key: key for key in ("tolerance", "family") if getattr(self.goals, key)}
-        parts |= {"anti_windup": "anti_windup"} if self.anti_windup is not None else {}
+        parts |= {key: key for key in ("fastest_pole", "anti_windup") if getattr(self, key) is not None}
         parts |= {"weights": "a weight in tolerance"} if self.errors is not None else {}
         return parts | ({"loads": "loads"} if self.hardware.loads else {})
 
@@ -276,7 +279,13 @@ def _controller(
     anti_windup = _anti_windup(where, entry, law, clipped)
     law = law if law is None or anti_windup is None else replace(law, anti_windup=anti_windup)
     claims = entry.get("certificate")
-    rest = {"stable": stable, "anti_windup": anti_windup, "structure": structure, "preview": _preview(where, entry, dampers)}
+    rest = {
+        "stable": stable,
+        "fastest_pole": _fastest_pole(where, entry),
+        "anti_windup": anti_windup,
+        "structure": structure,
+        "preview": _preview(where, entry, dampers),
+    }
     return ControllerEntry(name, tuple(measured), law, claims, design, python, hardware, **rest)
 
 
@@ -345,6 +354,16 @@ def _stable(where: str, entry: Mapping[str, Any]) -> bool:
     if not isinstance(stable, bool):
         raise InputError(f"{where} stable = {quoted(stable)} is not allowed; give true or false")
     return stable
+
+
+def _fastest_pole(where: str, entry: Mapping[str, Any]) -> float | None:
+    """Returns the largest magnitude of a loop's poles [rad/s], or None without a limit."""
+    if "fastest_pole" not in entry:
+        return None
+    try:
+        return Parameter("fastest_pole", "rad/s", "of the loop", largest=FASTEST_LIMIT).check(entry["fastest_pole"])
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
 
 
 def _anti_windup(where: str, entry: Mapping[str, Any], law: LinearLaw | None, clipped: bool) -> float | None:

@@ -99,6 +99,7 @@ def design_feedback(
     order: str | int | None = None,
     design: str | None = None,
     stable: bool = False,
+    fastest_pole: Positive | None = None,
     noise: Sequence[float] = (),
     sample_period: Positive | None = None,
     delay: NotNegative = 0.0,
@@ -126,6 +127,7 @@ def design_feedback(
         order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
         design: "lqr", "lqg" or "h2", the best in the mean in place of the least norm.
         stable: True for a law with an order that is stable by itself.
+        fastest_pole: largest magnitude of the loop's poles [rad/s], for order = "full" of a continuous plant; None for no limit.
         noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
             `lqg_design`.
         sample_period: of the computer that closes the loop of a continuous plant and holds the forces [s].
@@ -171,7 +173,7 @@ def design_feedback(
     own = {"structure": goals.pop("structure")} if of_law and "structure" in goals else {}
     own |= {"pid": _plain(pid)} if pid is not None else {}
     heard = "Dyw" if Dyw is not None else "noise" if len(noise) and design != "lqg" else ""
-    check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family))
+    check_together(WHERE, _parts(order, design, stable, heard, sample_period, goals | own, family, fastest_pole))
     asked = _Asked(plant, Cy, Dyw, noise, lower_bound, tuple(states))
     if delay and sample_period is None:
         raise InputError(f"{WHERE} delay = {delay:g} samples, and there is no sample_period; give it, in seconds")
@@ -193,7 +195,7 @@ def design_feedback(
     if design is not None:
         return asked.quadratic(design)
     if order == FULL:
-        return asked.full(stable)
+        return asked.full(stable, fastest_pole)
     return asked.static(LARGEST_GAIN if largest_gain is None else largest_gain)
 
 
@@ -205,10 +207,11 @@ def _parts(
     sample_period: float | None,
     goals: Mapping[str, Any],
     family: Sequence[GeneralizedPlant],
+    fastest_pole: float | None,
 ) -> dict[str, str]:
     """Returns the parts of the table that are asked for, each as it is written."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
-    named = {"order": order, "design": design}
+    named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
     parts = section_parts(section | ({"family": family} if len(family) else {}), ())
     written = {"noise": heard, "sampled": "sample_period", "stable": "stable = True"}
@@ -278,19 +281,20 @@ class _Asked:
         remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
         return FeedbackDesign(static_law(found.gain), certificate, method, why, remark, certificate.norm.value)
 
-    def full(self, stable: bool) -> FeedbackDesign:
+    def full(self, stable: bool, fastest_pole: float | None) -> FeedbackDesign:
         """A law of full order; where no such law of the least norm is found, that of the least mean square, or a gain."""
         from synth.design.full_order.full_order import full_order_design
 
         plant, Dyw = self.loud
         method, why = "Riccati equations for the least norm", 'order = "full"'
         try:
-            found = full_order_design(plant, self.Cy, Dyw, self.lower_bound, self.states, stable=stable)
+            given = plant, self.Cy, Dyw, self.lower_bound, self.states
+            found = full_order_design(*given, stable=stable, fastest_pole=fastest_pole)
             law, certificate, remark = found.law, found.certificate, found.remark
         except InfeasibleError:
             raise
         except DesignError as error:
-            if stable:
+            if stable or fastest_pole is not None:
                 raise
             left = self._instead_of_full(plant, Dyw)
             if left is None:
@@ -348,15 +352,21 @@ class _Asked:
         (q, _), m = self.Cy.shape, self.plant.B.shape[1]
         rms = self.noise if np.any(self.noise) else None
         problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
+        plant, Dyw = self.loud
         known, near = list[Array](), 1.0
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            plant, Dyw = self.loud
-            ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
-            known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
+            if full:
+                from synth.lmi.full_order_bound import find_lower_bound
+
+                near = (self.lower_bound or find_lower_bound(plant, self.Cy, Dyw=Dyw)).gamma or 1.0
+            else:
+                ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+                known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         if full:
-            from synth.design.full_order.sampled_data import sampled_full_order
+            from synth.design.full_order.sampled_data import lowest_level, sampled_full_order
             from synth.lmi.sampled_bound import find_sampled_bound
 
+            near, _ = lowest_level(problem, near, 0.0)
             found = sampled_full_order(problem, find_sampled_bound(problem, near), near, self.states, stable)
             law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
         elif structure is not None:
@@ -377,7 +387,6 @@ class _Asked:
                 if gain.instead
                 else "the two steps lead to a gain of this sampled norm"
             )
-        plant, Dyw = self.loud
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
         said = [remark, "the certificate is of the ideal loop, without samples or delay"]
         return FeedbackDesign(

@@ -5,8 +5,10 @@ below 1 (`synth/analysis/sampled_loop.py`). Forces on their way are states of th
 its disturbances. So where no controller of any order brings the norm of that plant below 1, the level is a lower bound.
 """
 
+import contextlib
 import math
 
+from models.common.errors import InputError
 from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.lmi.full_order_bound import find_lower_bound
@@ -31,7 +33,9 @@ def find_sampled_bound(problem: SampledDataProblem, near: float) -> SampledBound
         if plant is None:  # no force answers within a period
             reached, discrete = math.inf, LowerBound(0.0)
         else:
-            discrete = find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(level))
+            discrete = LowerBound(0.0)
+            with contextlib.suppress(InputError):  # next to a level at which the plant has no image
+                discrete = find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(level))
             reached = discrete.gamma
         bound = SampledBound(level, discrete, inside=plant is None)
         if bound.holds:

@@ -333,7 +333,8 @@ class Designer:
         states, noise = self.shared(hardware).states, white_noise(self.vehicle, entry, posed)
         as_run = partial(on_readings, posed=posed)
         designed = named_design(
-            entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found
+            *(entry.design, entry.structure, posed.plant, Cy, lower_bound, states, noise, Dyw, entry.stable, as_run, on_found),
+            fastest_pole=entry.fastest_pole,
         )
         law = replace(on_readings(designed.law, posed), anti_windup=entry.anti_windup)
         certificate = replace(designed.certificate, below=lower_bound)

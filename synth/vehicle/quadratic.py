@@ -27,8 +27,16 @@ def white_noise(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> lis
     """Returns the noise of each measurement that depends on the state, for LQG; None without noise.
 
     Drawn every T seconds, noise of rms sigma is white noise of sigma sqrt(T).
+
+    Raises:
+        DesignError: noise is given, and no T.
     """
     how = vehicle.implementation
+    if entry.design == "lqg" and how.sample_period is None and any(how.noise.get(name) for name in entry.measured):
+        raise DesignError(
+            "LQG takes noise as white noise of rms times root of sample_period, and [implementation] gives noise without "
+            "sample_period; give both, or neither"
+        )
     rms = [how.noise.get(name, 0.0) for name in entry.measured] + [0.0] * len(posed.measured_integrals)
     levels = [rms[i] * (how.sample_period or 0.0) ** 0.5 for i in posed.state_measurements]
     return levels if any(levels) else None

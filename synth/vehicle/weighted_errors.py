@@ -89,8 +89,8 @@ def robust_controller(
 
     def designs(name: str, structure: "LawStructure | None") -> Design:
         def design(plant: GeneralizedPlant, Cy: Array, Dyw: Array) -> LinearLaw:
-            law = named_design(name, structure, plant, Cy[kept], LowerBound(0.0), (), None, Dyw[kept], entry.stable, as_run).law
-            return as_run(law)
+            given = name, structure, plant, Cy[kept], LowerBound(0.0), (), None, Dyw[kept], entry.stable, as_run
+            return as_run(named_design(*given, fastest_pole=entry.fastest_pole).law)
 
         return design
 

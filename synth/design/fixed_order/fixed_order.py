@@ -275,7 +275,8 @@ class _Search:
         if best:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
                 given = self.plant, self.Cy, self.Dyw, self.below, states
-                laws.append(full_order_design(*given, stable=self.stable, as_run=self.as_run).law)
+                most = self.most if self.plant.dt is None else np.inf
+                laws.append(full_order_design(*given, most, self.stable, self.as_run).law)
         return laws
 
     def own(self, law: LinearLaw, where: Mapped) -> LinearLaw:

@@ -43,6 +43,7 @@ def named_design(
     stable: bool,
     as_run: Callable[[LinearLaw], LinearLaw],
     on_found: Callable[[LinearLaw], None] = lambda law: None,
+    fastest_pole: float | None = None,
 ) -> NamedDesign:
     """Designs a controller by one of these methods.
 
@@ -56,6 +57,7 @@ def named_design(
         stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.
         on_found: for "order", see `fixed_order_design`.
+        fastest_pole: largest magnitude of the loop's poles [rad/s], for "full".
 
     Raises:
         InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
@@ -64,7 +66,7 @@ def named_design(
         found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
         return NamedDesign(found.law, found.certificate, found.remarks)
     if name == "full":
-        full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run)
+        full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run, fastest_pole=fastest_pole)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())
     quadratic = quadratic_design(name, plant, Cy, states, noise, Dyw)
     # Noise in D_yw is part of w, in the scale in which that counts it; LQG's has its own intensity.

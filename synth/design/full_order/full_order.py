@@ -20,7 +20,7 @@ from models.common.errors import InputError
 from models.common.printed import percent
 from models.laws.linear import LinearLaw, static_law
 from synth.analysis.bounding import certify_tightly
-from synth.analysis.certificate import FASTEST, Certificate
+from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape
@@ -85,12 +85,15 @@ def numbers(search: RiccatiSearch) -> int:
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
-    """Returns the result of a descent from a law among those of its order, which ends next to the bound; empty of none.
+    """Returns the stages of a descent from a law among those of its order, which ends next to the bound; empty of none.
 
     Args:
         search: of the plant, whose own units are used.
         start: the law to descend from.
         fastest: largest pole, times the plant's own speed, or times that of the start where it is faster.
+
+    Returns:
+        The laws that its stages ended at.
     """
     if not start.own.states:
         return []
@@ -110,7 +113,7 @@ def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> 
             x, reached = along_edges(landscape, x, np.full(len(x), most), ROUNDS, enough)
             each = point(landscape.gain(x))
             if each is not None and each.speed_up <= limit:
-                best = [each]
+                best.append(each)
                 if enough < reached < norm * (1 - FALLING):
                     norm = reached
                     continue
@@ -123,7 +126,7 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
 
     Args:
         search: of the plant, whose own units are used.
-        fastest: largest pole, times the plant's own speed.
+        fastest: largest pole of the share, times the plant's own speed.
         rival: norm that a law has, in the units given; a gain that stays far above it is not looked for to its last digit.
     """
     own, points = search.own, list[TradeOffPoint | None]()
@@ -151,8 +154,9 @@ class FullOrderDesign:
         law: on y = C_y x + Dyw w; as many states as the plant, without negligible ones.
         certificate: of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
         trade: the Pareto front of norm and speed, the slowest first; empty if the controller is within the requested distance of
-            the bound. For a discrete plant they belong to its continuous image.
-        remark: distance from the bound and its reason, in words; empty if it is within the requested one.
+            the bound and not fast. For a discrete plant they belong to its continuous image.
+        remark: distance from the bound and its reason, and a fast pole and its price, in words; empty if it is within the
+            requested distance and not fast.
         stable: True if the law itself is stable; an unstable one grows while its loop is open, as when a force saturates.
     """
 
@@ -170,11 +174,14 @@ def full_order_design(
     Dyw: Array | None = None,
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
-    fastest: Positive = FASTEST,
+    fastest: float = np.inf,
     stable: bool = False,
     as_run: Callable[[LinearLaw], LinearLaw] = as_designed,
+    fastest_pole: Positive | None = None,
 ) -> FullOrderDesign:
-    """A full-order controller within 0.1 % of what no controller beats, stable and slow if may be; else the nearest not too fast.
+    """A full-order controller within 0.1 % of what no controller beats, stable and slow if possible; else the nearest.
+
+    Beyond 100 times the plant's own speed, ten times the speed must be worth 0.1 % of the norm.
 
     Args:
         plant: n states, m inputs.
@@ -182,15 +189,15 @@ def full_order_design(
         Dyw: shape (q, r); zero where it is not given.
         lower_bound: what no controller from these measurements beats, if known.
         states: names of the states, for messages.
-        fastest: times the plant's own speed; faster loops are taken only where no slower one is stable. Of a discrete plant
-            deadbeat is never too fast.
+        fastest: largest magnitude of the loop's poles, times the plant's own speed; of a continuous plant.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, for a law that takes forces out of what it reads.
+        fastest_pole: the same limit in rad/s.
 
     Raises:
         InputError: a matrix does not fit the plant, nothing disturbs it, or nothing is weighed.
         InfeasibleError: the plant cannot be stabilised from what is measured; the message names the mode.
-        DesignError: no law was found whose loop is stable beyond rounding, or none that is stable by itself.
+        DesignError: no law was found whose loop is stable beyond rounding, or slow enough, or none that is stable by itself.
 
     Example:
         >>> from synth import GeneralizedPlant, full_order_design
@@ -206,11 +213,16 @@ def full_order_design(
     check_posed(plant)
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states)):
         raise InfeasibleError(reasons)
+    if plant.dt is not None and (fastest_pole is not None or fastest < np.inf):
+        raise InputError(
+            "a discrete plant has a sample period, which limits the speed of its loop; omit fastest_pole and fastest"
+        )
     below = find_lower_bound(plant, Cy, Dyw=Dyw) if lower_bound is None else lower_bound
     where = mapped(plant, Cy, Dyw)
-    search = RiccatiSearch(where.plant, where.Cy, where.Dyw, below.gamma)
-    if plant.dt is not None:
-        fastest = max(fastest, DEADBEAT / plant.dt / search.fastest)
+    search = RiccatiSearch(where.plant, where.Cy, where.Dyw, below.gamma, DEADBEAT / plant.dt if plant.dt is not None else 0.0)
+    if fastest_pole is not None:
+        fastest = min(fastest, fastest_pole / search.fastest)
+    much = min(fastest, search.much)
 
     def proved(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> FullOrderDesign:
         reduced = search.reduced(best)
@@ -218,28 +230,32 @@ def full_order_design(
         certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), below, by_itself=plant)
         if certificate.failures:
             raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        remark = _remark(reduced, trade, below.gamma, fastest)
+        said = [_remark(reduced, trade, below.gamma), _speed(reduced, trade) if plant.dt is None else ""]
+        remark = "; ".join(text for text in said if text)
         return FullOrderDesign(law, certificate, tuple(trade), remark, is_stable(law.A, plant.dt))
 
     def nearest() -> FullOrderDesign:
-        lost = list[Exception]()
+        lost, enough = list[Exception](), below.gamma * (1 + WITHIN)
         near = search.near(fastest)
-        if near is not None:
+        if near is not None and near.excess == 1:
             try:
                 return proved(near, ())
             except (InputError, np.linalg.LinAlgError) as error:
                 lost.append(error)
-        trade = pareto_front(search.trade(fastest))
-        best = select(trade, fastest)
-        small, enough = numbers(search) <= MOST, below.gamma * (1 + WITHIN)
-        if small and best is not None and (lost or best.norm > enough):
-            trade = pareto_front([*trade, *refined_law(search, best, fastest)])
-            best = select(trade, fastest)
-        if small and (lost or best is None or best.norm > enough):
-            rival = best.norm if best is not None and best.speed_up <= fastest and not lost else np.inf
-            trade = pareto_front([*trade, *static_gains(search, fastest, rival)])
+                near = None
+        trade = pareto_front([*search.trade(much), *([near] if near is not None else [])])
+        if fastest < np.inf:
+            trade = pareto_front([*trade, *search.next_to(trade, fastest)])
+        for limit in dict.fromkeys((much, fastest)) if numbers(search) <= MOST else ():
+            best = select(trade, limit, enough)
+            if best is not None and (lost or best.norm > enough):
+                trade = pareto_front([*trade, *refined_law(search, best, limit)])
+                best = select(trade, limit, enough)
+            if limit == much and (lost or best is None or best.norm > enough):
+                rival = best.norm if best is not None and not lost else np.inf
+                trade = pareto_front([*trade, *static_gains(search, limit, rival)])
         left = trade
-        while (best := select(left, fastest)) is not None:
+        while (best := select(left, fastest, enough)) is not None:
             try:
                 return proved(best, trade)
             except (InputError, np.linalg.LinAlgError) as error:
@@ -247,6 +263,11 @@ def full_order_design(
                 left = [each for each in left if each is not best]
         if lost:
             raise DesignError(str(lost[0])) from lost[0]
+        if trade:
+            raise DesignError(
+                f"no law was found whose loop is as slow as fastest_pole = {fastest * search.fastest:.4g} rad/s; the slowest has "
+                f"a pole of {trade[0].pole:.4g} rad/s: give that or more"
+            )
         raise DesignError(
             "no full-order controller was found whose loop is stable beyond rounding, with noise and cost from "
             f"{SHARES[0]:.2g} to {SHARES[-1]:.0e} of the plant's own size; measure more signals, or give other units"
@@ -262,7 +283,7 @@ def full_order_design(
         return unconstrained
     found = stable_laws(search, fits, MOST)
     if numbers(search) <= MOST:
-        found += static_gains(search, fastest, min((each.norm for each in found), default=np.inf))
+        found += static_gains(search, much, min((each.norm for each in found), default=np.inf))
     laws = pareto_front([each for each in found if fits(each)])
     size = (len(plant.A) + plant.B.shape[1]) * (len(plant.A) + len(Cy))
     undescended = f"; no descent: of a law of {size} numbers it would take too long, {MOST} are the most" * (size > MOST)
@@ -293,7 +314,7 @@ def _slowest(law: LinearLaw) -> float:
     return float(poles.real.max()) if law.sample_period is None else float(np.log(np.abs(poles).max()) / law.sample_period)
 
 
-def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float, limit: float) -> str:
+def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -> str:
     """Returns the distance of a controller from a bound and the cost of a nearer one, in words; empty if it is near."""
     if bound and best.norm <= bound * (1 + WITHIN):
         return ""
@@ -303,6 +324,24 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float, l
         return f"{above}: of faster controllers that were tried none comes nearer; the bound is not sharp, or none attains it"
     nearer = min((each for each in trade if each.norm <= least), key=lambda each: each.speed_up)
     return (
-        f"{above}: the nearest that was found, of norm {nearer.norm:.4g}, has a pole {nearer.speed_up:.2g} times as fast as the "
-        f"plant's, and this one's fastest is {best.speed_up:.2g} times; {limit:.3g} times is much"
+        f"{above}: the nearest that was found, of norm {nearer.norm:.4g}, has a pole of {nearer.pole:.3g} rad/s, and this one's "
+        f"fastest is {best.pole:.3g} rad/s"
     )
+
+
+def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
+    """Returns what a fast pole asks of a computer and what a slower law costs, in words; empty if the pole is not fast."""
+    if best.excess == 1:
+        return ""
+    slower = [each for each in trade if each.excess == 1]
+    instead = f"; fastest_pole = {_upwards(slower[-1].pole):g} gives a slower law of norm {slower[-1].norm:.4g}" if slower else ""
+    return (
+        f"its fastest pole is {best.pole:.3g} rad/s, {best.speed_up:.2g} times the plant's: a computer with a sample period of "
+        f"{1 / best.pole:.1g} s or more cannot run it{instead}"
+    )
+
+
+def _upwards(pole: float) -> float:
+    """Returns a pole with two digits, rounded up."""
+    unit = 10.0 ** (np.floor(np.log10(pole)) - 1)
+    return float(np.ceil(pole / unit) * unit)

@@ -78,15 +78,16 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     kept = state_rows(plant, Cy)
     found = lqr_design(plant, states)
     if found.remark:
-        raise DesignError("a preview needs a cost of every force, and z hardly weighs one; weigh it in [performance]")
+        raise DesignError("a preview needs a cost of every force, and z does not weigh one; weigh it in [performance]")
     units = own_units(plant, np.eye(len(plant.A)))
     own, K = units.into(plant), found.law.D * units.states / units.inputs[:, None]
     closed, cost = own.A + own.B @ K, own.C + own.D @ K
     X = linalg.solve_continuous_lyapunov(closed.T, -cost.T @ cost)
-    R = own.D.T @ own.D
-    B, C = X @ own.Bw, -np.linalg.solve(R, own.B.T)
+    half = np.linalg.pinv(own.D)
+    B, C = X @ own.Bw, -half @ half.T @ own.B.T
     later = linalg.expm(closed.T * seconds)
-    saved = linalg.solve_continuous_lyapunov(closed, -C.T @ R @ C)
+    forces = own.D @ C
+    saved = linalg.solve_continuous_lyapunov(closed, -forces.T @ forces)
     saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
     least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
     ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None

@@ -6,9 +6,10 @@ estimates; no linear controller does better (the separation theorem; Anderson, M
 8).
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
-plant the second. Where a measurement has no noise, or a force no cost, the problem is singular to rounding, and a small share
-of either is assumed, in the plant's own units, and said. An integral that is measured without noise is known, and not estimated:
-it acts on nothing but z, so that the estimate of the other states does without it.
+plant the second. If a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
+assumed, in the plant's own units, and said. Any noise or cost that is given is used as given, however small: inputs and
+measurements are scaled until theirs is one, so that no small number is in the Riccati equations. An integral that is measured
+without noise is known, and not estimated: it acts on nothing but z, so that the estimate of the other states does without it.
 
 White noise through Dw has no mean square; it is what no control changes, and left out.
 """
@@ -27,13 +28,14 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.stability import balance, is_stable, stabilisability_failures
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs, check_posed, measurement_matrices, real_matrix
-from synth.plant.normalised import NormalisedPlant, missing
+from synth.plant.normalised import NormalisedPlant
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 from synth.plant.units import independent, own_units
 
 AT_ONCE = ", but for what it adds to z at once, which is of no finite power"
 ASSUMED = 1e-2  # of the plant's own size: noise of what has none, and cost of a force that costs nothing
-NOTHING = 1e-6  # of the plant's own size: less is none; half the digits of a Riccati equation are then left
+NOTHING = 1e-13  # of the plant's own size: less is none, which rounding leaves of a sum that is zero
+LITTLE = 1e-6  # of the plant's own size: noise or cost that may be the reason for a failure
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,33 +216,41 @@ def _design(
         raise InfeasibleError(reasons)
     shaken = plant if noise is None else with_extra_disturbances(plant, noise.shape[1])
     own = NormalisedPlant.of(shaken, Cy, Dyw if noise is None else noise)
-    D, Dyw_T = own.plant.D, np.delete(own.Dyw, list(_known(own)), axis=0).T
-    cost, unheard = missing(D, ASSUMED), missing(Dyw_T, ASSUMED) * (not all_known)
-    as_it_is = cost * (not _regular(D)), unheard * (not _regular(Dyw_T))
-    assumptions = [as_it_is, (cost, unheard)] if np.any(cost - as_it_is[0]) or np.any(unheard - as_it_is[1]) else [as_it_is]
-    found, failures = list[QuadraticDesign](), list[DesignError]()
-    for each in assumptions:
-        try:
-            law, assumed = _law(own, all_known, *each)
-            certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
-            if certificate.failures:
-                raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
-        except DesignError as error:
-            failures.append(error)
-            continue
-        share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
-        remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
-        larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
-        found.append(QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark))
-    if not found:
-        raise failures[-1]
-    return min(found, key=lambda design: design.h2_norm)
+    Dyw_T = np.delete(own.Dyw, list(_known(own)), axis=0).T
+    (cost, least_cost), (unheard, least_noise) = _assumed(own.plant.D), _assumed(Dyw_T)
+    least = min(least_cost, np.inf if all_known else least_noise)
+    try:
+        law, assumed = _law(own, all_known, cost, unheard * (not all_known))
+        certificate = certify_tightly(*on_larger_plant(plant, Cy, law, Dyw), by_itself=plant)
+        if certificate.failures:
+            raise DesignError(f"its certificate fails: {'; '.join(certificate.failures)}")
+    except DesignError as error:
+        if least >= LITTLE:
+            raise
+        what = "noise of a measurement" if least < least_cost else "cost of a force"
+        raise DesignError(
+            f"{error}; the smallest {what} is {least:.1g} of the plant's own size, perhaps too little for floats: give more, or "
+            f"none, for which {100 * ASSUMED:g} % is assumed"
+        ) from error
+    share = f"{100 * ASSUMED:g} % of the plant's own size was assumed"
+    remark = f"this design needs {' and '.join(assumed)}: {share}" if assumed else ""
+    larger, G = on_larger_plant(shaken, Cy, law, Dyw if noise is None else noise)
+    return QuadraticDesign(law, h2_norm(larger.closed_loop(G)), certificate, remark)
 
 
-def _regular(D: Array) -> bool:
-    """Returns True if every input has a weight in D beyond rounding, shape (d, m)."""
-    sizes = np.linalg.svd(D, compute_uv=False)
-    return len(sizes) == D.shape[1] and bool(np.all(sizes > NOTHING * max(1.0, sizes.max(initial=0.0))))
+def _assumed(D: Array) -> tuple[Array, float]:
+    """Returns the rows that raise the zero singular values of D to `ASSUMED`, and the least of the others.
+
+    Args:
+        D: shape (d, m).
+
+    Returns:
+        The rows, shape (k, m), and the least singular value that is not zero; infinite if all are.
+    """
+    _, sizes, directions = np.linalg.svd(D)
+    sizes = np.concatenate([sizes, np.zeros(D.shape[1] - len(sizes))])
+    there = sizes > NOTHING * max(1.0, sizes.max(initial=0.0))
+    return ASSUMED * directions[~there], float(sizes[there].min(initial=np.inf))
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
@@ -250,7 +260,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
         DesignError: a Riccati equation has no solution.
     """
     A, B, C, D = own.plant.A, own.plant.B, own.plant.C, own.plant.D
-    assumed = ["a cost for forces that z hardly weighs"] if np.any(cost) else []
+    assumed = ["a cost for forces that z does not weigh"] if len(cost) else []
     K = _regulator(A, B, C, D, cost, "z does not see a mode that neither decays nor grows; weigh a signal that it is in")
     if all_known:
         return own.back(static_law(K @ np.linalg.inv(own.Cy))), assumed
@@ -259,7 +269,7 @@ def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> 
     rest, states = np.delete(np.arange(len(own.Cy)), list(known)), np.delete(np.arange(len(A)), list(known.values()))
     A, B, Cy = A[np.ix_(states, states)], B[states], own.Cy[np.ix_(rest, states)]
     L = _regulator(A.T, Cy.T, own.plant.Bw[states].T, own.Dyw[rest].T, unheard, unreached).T
-    assumed += ["noise on measurements that have little or none"] if np.any(unheard) else []
+    assumed += ["noise on measurements that have none"] if len(unheard) else []
     into, direct = np.zeros((len(A), len(own.Cy))), np.zeros((len(K), len(own.Cy)))
     into[:, rest] = -L
     for row, state in known.items():
@@ -301,12 +311,14 @@ def _regulator(A: Array, B: Array, C: Array, D: Array, more: Array, advice: str)
     """Returns K of the u = K x that minimises the mean square of C x + D u and `more` u, shape (m, n)."""
     if not B.shape[1]:  # no force does anything
         return np.zeros((0, len(A)))
-    weight = D.T @ D + more.T @ more
+    turned, sizes, directions = np.linalg.svd(np.vstack([D, more]), full_matrices=False)
+    each = directions.T / sizes  # of inputs that cost one, and nothing together
+    B, D = B @ each, turned[: len(D)]
     try:
-        X = _stabilising(A, B, C.T @ C, weight, C.T @ D)
-        K = -np.linalg.solve(weight, B.T @ X + D.T @ C)
+        X = _stabilising(A, B, C.T @ C, np.eye(len(sizes)), C.T @ D)
+        K = -B.T @ X - D.T @ C
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(f"a Riccati equation has no stabilising solution: {advice}") from error
     if not is_stable(A + B @ K):
         raise DesignError(f"a Riccati equation has no stabilising solution beyond rounding: {advice}")
-    return K
+    return each @ K

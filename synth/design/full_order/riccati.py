@@ -224,7 +224,10 @@ MARGINS = (
 SAME = 1e-6  # relative; what a norm may rise by where states are left out of a law
 CLOSE = 1e-4  # relative; how closely that gamma is found
 GRAIN = 2.0**-14  # of an exponent of two
-PARTS = (1.0, 0.1)  # of the fastest that is allowed: poles of a law beyond it are left out
+PARTS = (1.0, 0.1)  # of the speed that is much: poles of a law beyond it are left out, and
+OWN_PART = 0.3  # of the law's own speed: its fastest poles alone
+PRICE = 1e-3  # relative; what a law of ten times the speed must take from the norm, beyond the speed that is much
+HALVINGS = 4  # of the step between two shares, to come next to a limit on speed
 ROUNDED = 1e-8  # relative; what rounding may take from a gain at one frequency
 SMALLEST, LARGEST = 1e-6, 1e9  # gamma, in units in which a plant's numbers have size one
 
@@ -266,9 +269,27 @@ class TradeOffPoint:
         return self.least <= most and self.norm <= most
 
     @property
-    def trouble(self) -> tuple[bool, float]:
-        """Sort key of laws with similar norms: stable laws first, as a force may be cut off, then by speed."""
-        return not self.stable, self.speed_up
+    def pole(self) -> float:
+        """Magnitude of the loop's fastest pole [rad/s]."""
+        return self.speed_up * self.search.fastest
+
+    @property
+    def excess(self) -> float:
+        """Its speed over that which is much; 1 if it is slower."""
+        return max(1.0, self.speed_up / self.search.much)
+
+    @property
+    def trouble(self) -> tuple[float, float]:
+        """Sort key of laws with similar norms: by speed beyond what is much, in which an unstable law counts as ten times faster.
+
+        A force may be cut off, which an unstable law does not bear. Of laws that are slower the stable ones come first.
+        """
+        return self.excess * (1.0 if self.stable else 10.0), self.speed_up
+
+    @property
+    def cost(self) -> float:
+        """Its norm, and what its speed is to be worth."""
+        return self.norm * (1 + PRICE * np.log10(self.excess))
 
 
 def pareto_front(points: Sequence[TradeOffPoint]) -> list[TradeOffPoint]:
@@ -293,30 +314,37 @@ def lowest(points: Iterable[TradeOffPoint]) -> TradeOffPoint | None:
     return best
 
 
-def select(trade: Sequence[TradeOffPoint], fastest: float) -> TradeOffPoint | None:
-    """The one with the least trouble of those next to the smallest norm, of all that are not too fast; None of none.
-
-    Where all are, the slowest stands for the plant.
+def select(trade: Sequence[TradeOffPoint], fastest: float, enough: float = 0.0) -> TradeOffPoint | None:
+    """The one with the least trouble of those next to the smallest cost, of all that are not too fast; None of none.
 
     Args:
-        trade: the slowest first, each of a smaller norm than the one before.
+        trade: controllers in any order.
         fastest: times the plant's own speed.
+        enough: a norm; controllers that reach it come before all others.
     """
-    if not trade:
-        return None
-    slowest = trade[0].speed_up
-    limit = fastest if slowest <= fastest else fastest * slowest
-    slow = [each for each in trade if each.speed_up <= limit]
-    return min((each for each in slow if each.norm <= slow[-1].norm * (1 + WITHIN)), key=lambda each: each.trouble)
+    slow = [each for each in trade if each.speed_up <= fastest]
+    if near := [each for each in slow if each.within(enough)]:
+        return min(near, key=lambda each: each.trouble)
+    most = min((each.cost for each in slow), default=0.0) * (1 + WITHIN)
+    return min((each for each in slow if each.cost <= most), key=lambda each: each.trouble, default=None)
 
 
 class RiccatiSearch:
-    """The search for one plant."""
+    """The search for one plant.
 
-    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float) -> None:
+    Attributes:
+        fastest: the plant's own speed [rad/s].
+        much: times that, from which on a speed is to be worth its price.
+    """
+
+    def __init__(self, plant: GeneralizedPlant, Cy: Array, Dyw: Array, bound: float, quick: float = 0.0) -> None:
+        """Args:
+        quick: a speed that costs nothing [rad/s].
+        """
         self.given, self.own = plant, NormalisedPlant.of(plant, Cy, Dyw)
         self.bound = bound * self.own.norm
         self.fastest, _ = speed(plant)
+        self.much = max(FASTEST, quick / self.fastest)
 
     def near(self, fastest: float) -> TradeOffPoint | None:
         """Returns the first controller by `trouble` within WITHIN of the bound and not too fast, or None."""
@@ -336,8 +364,9 @@ class RiccatiSearch:
             return next((each for each in slow if each.within(most)), None)
 
         found = least_trouble(points)
-        if found is None:
-            found = least_trouble(self.slower([each for each in points if each.within(most)], fastest))
+        if found is None or found.excess > 1:
+            less = self.slower([each for each in points if each.within(most)], fastest)
+            found = least_trouble(less if found is None else [found, *less])
         return found
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
@@ -346,18 +375,38 @@ class RiccatiSearch:
         for share in SHARES:
             gamma = self.smallest(share, gamma)
             if gamma < LARGEST:
-                tried = [self.traded(share, gamma * (1 + margin)) for margin in MARGINS]
-                points += [each for each in tried if each is not None]
+                points += self.of_share(share, gamma)
         return points + self.slower(points, fastest)
 
+    def of_share(self, share: float, gamma: float) -> list[TradeOffPoint]:
+        """Returns the controllers of a share, from its smallest gamma up."""
+        tried = (self.traded(share, gamma * (1 + margin)) for margin in MARGINS)
+        return [each for each in tried if each is not None]
+
+    def next_to(self, trade: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
+        """Returns controllers of shares between those of the last that is not too fast and the first that is, on a front."""
+        slow, quick = (
+            [each.share for each in trade if each.share and (each.speed_up <= fastest) is side] for side in (True, False)
+        )
+        if not slow or not quick:
+            return []
+        low, high, points = quick[0], slow[-1], list[TradeOffPoint]()
+        for _ in range(HALVINGS):
+            share = (low * high) ** 0.5
+            found = self.of_share(share, self.smallest(share, LARGEST))
+            points += found
+            low, high = (low, share) if any(each.speed_up <= fastest for each in found) else (share, high)
+        return points
+
     def slower(self, points: Sequence[TradeOffPoint], fastest: float) -> list[TradeOffPoint]:
-        """Returns the too fast controllers without the fast poles of their laws, if their loops stay stable."""
-        left = list[TradeOffPoint]()
-        for each, part in product([each for each in points if each.speed_up > fastest], PARTS):
-            with contextlib.suppress(InputError, np.linalg.LinAlgError):
-                law = reduced_law(each.own, part * fastest * self.fastest / self.own.rate)
-                less = self.judged(each.share, law) if law.states < each.own.states else None
-                left += [less] if less is not None else []
+        """Returns controllers beyond what is much or allowed without the fast poles of their laws, if their loops stay stable."""
+        left, much = list[TradeOffPoint](), min(fastest, self.much)
+        for each in points:
+            for limit in [*(part * much for part in PARTS), OWN_PART * each.speed_up] if each.speed_up > much else []:
+                with contextlib.suppress(InputError, np.linalg.LinAlgError):
+                    law = reduced_law(each.own, limit * self.fastest / self.own.rate)
+                    less = self.judged(each.share, law) if law.states < each.own.states else None
+                    left += [less] if less is not None else []
         return left
 
     def smallest(self, share: float, above: float) -> float:

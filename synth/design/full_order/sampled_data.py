@@ -2,12 +2,16 @@
 
 The plant of a level (`synth/analysis/sampled_loop.py`) has the forces on their way among its states, and the noise of the
 readings among its disturbances. So a discrete law for it knows the delay, the hold and the motion between samples. The norm of
-its loop is computed exactly (`synth/analysis/sampled_norm.py`). Where that is not near the bound, the level moves there, and a
-law is designed anew.
+its loop is computed exactly (`synth/analysis/sampled_norm.py`).
+
+The lowest level whose Riccati equations have a solution is bracketed first, which takes a law of each level, and no search. A law
+is designed there. If the norm of its loop is not near that level, the level moves to the norm, and a law is designed again.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,13 +23,20 @@ from synth.analysis.lower_bound import LowerBound, SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design.full_order.full_order import discrete_law, full_order_design
-from synth.plant.discrete import mapped
+from synth.design.full_order.riccati import RiccatiSearch
+from synth.plant.discrete import Mapped, mapped
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WITHIN = 1e-3  # relative; so close to what no controller beats, nothing is left to gain
 ABOVE = 1e-4  # relative; how far above a bound within a period the first level is
-ROUNDS = 4  # levels at which a law is designed, at most
-FAR = 1e3  # times where the search for a level starts
+ROUNDS, STABLE_ROUNDS = (
+    4,
+    2,
+)  # levels at which a law is designed, at most; one that is to be stable by itself takes a descent at each
+HIGHER = {False: 1.01, True: 1.1}  # times a level without a law is the next, by whether it is to be stable by itself
+SHARES = (1e-3, 1e-5)  # of noise and cost, with which the lowest level is bracketed
+STEPS = 40  # of that, at most
+CLOSE = 1e-4  # relative; how closely that level is bracketed
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,34 +78,32 @@ def sampled_full_order(
     best: SampledFullOrderDesign | None = None
     failure: Exception | None = None
     goal = bound.level if bound is not None else 0.0
-    level = goal * (1 + ABOVE * bound.inside) if bound is not None else near
+    least, level = lowest_level(problem, goal * (1 + ABOVE * bound.inside) if bound is not None else near, goal)
     names = (*states, *(f"force_{k + 1}_of_{problem.remembered}_before" for k in range(problem.remembered))) if states else ()
-    for _ in range(ROUNDS):
+    rounds, ended = STABLE_ROUNDS if stable else ROUNDS, False
+    for _ in range(rounds):
         plant = problem.at(level)
         if plant is None:
             level *= 1.1
             continue
         Dyw = problem.Dyw(level)
-        below = bound.proof if bound is not None and level == bound.level else LowerBound(goal / level)
-        where = mapped(plant, problem.rows, Dyw)
-
-        def as_run(law: LinearLaw, where=where) -> LinearLaw:
-            return discrete_law(law, where, problem.period) if law.sample_period is None else law
-
+        as_run = partial(_as_run, where=mapped(plant, problem.rows, Dyw), period=problem.period)
         try:
-            law = full_order_design(plant, problem.rows, Dyw, below, names, stable=stable, as_run=as_run).law
+            aim = LowerBound(least / level)
+            law = full_order_design(plant, problem.rows, Dyw, aim, names, stable=stable, as_run=as_run).law
             norm = sampled_norm(problem.loop(law_gain(law)), level).value
         except InfeasibleError:
             raise
         except (DesignError, InputError, np.linalg.LinAlgError) as error:
-            failure, level = error, level * 1.01
+            failure, level = error, level * HIGHER[stable]
             continue
         if not np.isfinite(norm):
-            level *= 1.01
+            level *= HIGHER[stable]
             continue
         if best is None or norm < best.norm:
             best = SampledFullOrderDesign(law, norm, "")
-        if best.norm <= goal * (1 + WITHIN) or norm <= level * (1 + WITHIN / 10):
+        ended = best.norm <= least * (1 + WITHIN) or norm <= level * (1 + WITHIN / 10)
+        if ended:
             break
         level = norm
     if best is None:
@@ -102,4 +111,35 @@ def sampled_full_order(
     if goal and best.norm <= goal * (1 + WITHIN):
         return best
     above = f"{percent(best.norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"
-    return SampledFullOrderDesign(best.law, best.norm, f"{above}: none of the laws that were tried comes nearer")
+    stopped = "" if ended else f"; stopped after laws of {rounds} levels"
+    return SampledFullOrderDesign(best.law, best.norm, f"{above}: none of the laws that were tried comes nearer{stopped}")
+
+
+def _as_run(law: LinearLaw, where: Mapped, period: float) -> LinearLaw:
+    """Returns the discrete law of one for the mapped plant."""
+    return discrete_law(law, where, period) if law.sample_period is None else law
+
+
+def lowest_level(problem: SampledDataProblem, start: float, below: float) -> tuple[float, float]:
+    """Returns a level at which no law was found, or one known to be too low, and the next above it at which there is a law."""
+    low, high, level = below, np.inf, start
+    for _ in range(STEPS):
+        if _solvable(problem, level):
+            high = level
+        else:
+            low = level
+        if high <= low * (1 + CLOSE):
+            break
+        level = 2 * low if high == np.inf else (low * high) ** 0.5 if low else high / 2
+    return (low, high) if high < np.inf else (below, start)
+
+
+def _solvable(problem: SampledDataProblem, level: float) -> bool:
+    """Returns True if a central law of the level's plant has a norm below one."""
+    plant = problem.at(level)
+    if plant is not None:
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            where = mapped(plant, problem.rows, problem.Dyw(level))
+            search = RiccatiSearch(where.plant, where.Cy, where.Dyw, 0.0)
+            return any(search.traded(share, search.own.norm) is not None for share in SHARES)
+    return False

@@ -36,7 +36,8 @@ def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], mo
         most: numbers of a law up to which a descent goes on from the best.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
-    laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: each.norm)
+    # From a fast law no way leads down to a slow one.
+    laws = sorted((each for each in tried if each is not None and fits(each)), key=lambda each: (each.excess > 1, each.norm))
     for start in laws[:STARTS]:
         if (start.own.states + search.own.plant.B.shape[1]) * (start.own.states + len(search.own.Cy)) <= most:
             with contextlib.suppress(InputError, np.linalg.LinAlgError):
