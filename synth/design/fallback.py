@@ -9,6 +9,7 @@ solution that filters or noise leave far from what could be had, the descent goe
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -21,16 +22,26 @@ from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
-from synth.design.two_step import LARGEST_GAIN, Design, as_measurement_matrix, two_step_design, with_redundant_rows, zero_l_design
+from synth.design.two_step import (
+    LARGEST_GAIN,
+    NO_GAIN,
+    Design,
+    as_measurement_matrix,
+    no_gain,
+    two_step_design,
+    with_redundant_rows,
+    zero_l_design,
+)
 from synth.lmi.central_path import CentralPoint
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs
-from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
 NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+MOST_DOUBLINGS = 100  # of a gain from zero
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
@@ -93,7 +104,7 @@ def two_steps_or_descent(
         if not reason:
             return two_steps
     except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
-        reason, failure = (NOT_FROM_THESE if isinstance(error, InfeasibleError) else str(error)), error
+        reason, failure = (NOT_FROM_THESE if isinstance(error, NoSolutionError) else str(error)), error
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     noise = Dyw[kept] if Dyw is not None else None
     from synth.design.static import descended
@@ -104,12 +115,12 @@ def two_steps_or_descent(
         how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
+        how += f"; {by_descent.stopped}" * bool(by_descent.stopped)
     except InputError as error:
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
-            raise DesignError(
-                f'{failure or reason}; descent on the norm: {error}; or give order = "full", a law with states'
-            ) from error
+            said = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
+            raise DesignError(f"{said}; the two steps: {failure or reason}") from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
@@ -165,23 +176,39 @@ def near_lower_bound(
 def _refined(
     plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float
 ) -> tuple[Design | None, float]:
-    """Returns a design of a lower norm from the gain of another, and the growth of the gain; None if none is found."""
+    """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
+
+    From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
+    """
     from synth.analysis.bounding import certify_tightly
-    from synth.design.descent.refine import SEEN, refine
+    from synth.design.descent.refine import SEEN, WORTH, refine
     from synth.design.static import descended
 
     kept = [i for i in range(len(Cy)) if i not in design.redundant]
     rows, start = Cy[kept], design.gain[:, kept]
-    with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        gain = refine(plant, rows, start).gain
-        if np.abs(gain).max(initial=0.0) > largest_gain:
-            gain = descended(plant, rows, replace(design, gain=start), largest_gain, below).gain
-        certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
-        if not certificate.failures and certificate.norm.value < design.certificate.norm.value * (1 - SEEN):
-            whole = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
-            size = float(np.abs(start).max(initial=0.0))
-            return whole, float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
-    return None, 1.0
+    lowest, growth = design, 1.0
+    size = float(np.abs(start).max(initial=0.0))
+    for descend in (
+        lambda: refine(plant, rows, start).gain,
+        lambda: descended(plant, rows, replace(design, gain=start), largest_gain, below).gain,
+    ):
+        gap = lowest.certificate.gap
+        if lowest is not design and gap is not None and gap <= FAR:
+            break
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            gain = descend()
+            largest = float(np.abs(gain).max(initial=0.0))
+            if largest > largest_gain:
+                continue
+            certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
+            grown = largest / size if size else np.inf
+            price = max(SEEN, WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS))
+            worth = certificate.norm.value < lowest.certificate.norm.value * (1 - price)
+            fast = certificate.beyond_actuators and not lowest.certificate.beyond_actuators
+            if worth and not certificate.failures and not (fast and lowest is not design):
+                lowest = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
+                growth = grown
+    return (lowest if lowest is not design else None), growth
 
 
 def _known_gain(
