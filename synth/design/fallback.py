@@ -12,6 +12,7 @@ import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -42,6 +43,7 @@ NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves 
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
 MOST_DOUBLINGS = 100  # of a gain from zero
+LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
@@ -182,33 +184,28 @@ def _refined(
     """
     from synth.analysis.bounding import certify_tightly
     from synth.design.descent.refine import SEEN, WORTH, refine
-    from synth.design.static import descended
+    from synth.design.static import bounded_work, descended
 
     kept = [i for i in range(len(Cy)) if i not in design.redundant]
     rows, start = Cy[kept], design.gain[:, kept]
-    lowest, growth = design, 1.0
-    size = float(np.abs(start).max(initial=0.0))
-    for descend in (
-        lambda: refine(plant, rows, start).gain,
-        lambda: descended(plant, rows, replace(design, gain=start), largest_gain, below).gain,
-    ):
-        gap = lowest.certificate.gap
-        if lowest is not design and gap is not None and gap <= FAR:
-            break
+    lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
+    search = partial(descended, plant, rows, replace(design, gain=start), largest_gain, below, work=bounded_work(plant))
+    for descend in (partial(refine, plant, rows, start), *(partial(search, most=most) for most in LIMITS)):
+        fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
-            gain = descend()
-            largest = float(np.abs(gain).max(initial=0.0))
-            if largest > largest_gain:
-                continue
+            gain = descend().gain
+            grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
             certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
-            grown = largest / size if size else np.inf
-            price = max(SEEN, WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS))
-            worth = certificate.norm.value < lowest.certificate.norm.value * (1 - price)
-            fast = certificate.beyond_actuators and not lowest.certificate.beyond_actuators
-            if worth and not certificate.failures and not (fast and lowest is not design):
-                lowest = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
-                growth = grown
-    return (lowest if lowest is not design else None), growth
+            fast = certificate.beyond_actuators and not design.certificate.beyond_actuators
+            price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
+            lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
+            if lower and not certificate.failures and grown * size <= largest_gain:
+                found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
+                lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
+        gap = lowest.certificate.gap
+        if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
+            break
+    return lowest if lowest is not design else faster, growth
 
 
 def _known_gain(

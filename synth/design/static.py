@@ -161,12 +161,22 @@ def descended(
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
     rival: float = np.inf,
+    most: float = np.inf,
+    work: Work | None = None,
 ) -> StaticDesign:
-    """Designs a static gain by descents, given the result of the two steps or the reason of their failure."""
-    work = bounded_work(plant)
+    """Designs a static gain by descents, given the result of the two steps or the reason of their failure.
+
+    Args:
+        plant, Cy, largest_gain, lower_bound, Dyw, rival: as for `static_output_feedback`.
+        two_steps: their result, or why there is none.
+        most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
+        work: counts the norms, those of several searches; `bounded_work` if it is not given.
+    """
+    work = bounded_work(plant) if work is None else work
     search = GainSearch(
         plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw, rival=rival, work=work
     )
+    search.limit = np.minimum(search.limit, most)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
