@@ -181,13 +181,13 @@ class _Search:
         lower_bound: LowerBound | None,
         stable: bool,
         as_run: Callable[[LinearLaw], LinearLaw],
-        work: Work,
+        work: Work | None = None,
     ) -> None:
         self.plant, self.Cy, self.Dyw, self.through = plant, Cy, Dyw, through
         self.below = lower_bound if lower_bound is not None else find_lower_bound(plant, Cy, Dyw=Dyw)
         self.stable, self.as_run = stable, as_run
         self.fastest, _ = speed(plant)
-        self.capped, self.work = False, work
+        self.capped, self.work = False, work or Work()
         self.most = FASTEST if plant.dt is None else max(FASTEST, DEADBEAT / plant.dt / self.fastest)
 
     def check_stabilisable(self, structure: LawStructure, states: Sequence[str]) -> None:
