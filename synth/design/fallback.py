@@ -23,6 +23,7 @@ from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
+from synth.design.descent.landscape import Work
 from synth.design.two_step import (
     LARGEST_GAIN,
     NO_GAIN,
@@ -81,6 +82,7 @@ def two_steps_or_descent(
     states: Sequence[str] = (),
     Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
+    work: Work | None = None,
 ) -> Design:
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
@@ -89,6 +91,7 @@ def two_steps_or_descent(
         path: returns the central path of (22) if it is known already, or raises.
         Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
         largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
+        work: counts the norms of the descent, as for `descended`.
 
     Raises:
         InputError: the plant has no input, or a matrix does not fit it.
@@ -112,7 +115,7 @@ def two_steps_or_descent(
     from synth.design.static import descended
 
     try:
-        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise)
+        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise, work=work)
         certificate, gain = by_descent.certificate, by_descent.gain
         how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
         if certificate.failures:
@@ -160,23 +163,27 @@ def near_lower_bound(
 
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             below = find_lower_bound(plant, Cy, Dyw=Dyw)
-    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain)
+    from synth.design.static import bounded_work
+
+    work = bounded_work(plant)
+    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain, work)
     gap = design.certificate.gap
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     came = f"the two steps come to {design.certificate.norm.value:.7g}{far}; descent from there"
-    lower, growth = _refined(plant, Cy, design, below, largest_gain)
+    lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
+    stopped = f"; {work.text}" if work.over else ""
     if lower is None:
-        return design, f"{came} finds no lower norm"
+        return design, f"{came} finds no lower norm{stopped}"
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
         at = f"{lower.certificate.norm.value:.7g} with poles beyond any actuator"
-        return design, f"{came} comes to {at}, so that the gain of the two steps is kept"
-    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large"
+        return design, f"{came} comes to {at}, so that the gain of the two steps is kept{stopped}"
+    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large{stopped}"
 
 
 def _refined(
-    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float
+    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float, work: Work
 ) -> tuple[Design | None, float]:
     """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
 
@@ -184,12 +191,12 @@ def _refined(
     """
     from synth.analysis.bounding import certify_tightly
     from synth.design.descent.refine import SEEN, WORTH, refine
-    from synth.design.static import bounded_work, descended
+    from synth.design.static import descended
 
     kept = [i for i in range(len(Cy)) if i not in design.redundant]
     rows, start = Cy[kept], design.gain[:, kept]
     lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
-    search = partial(descended, plant, rows, replace(design, gain=start), largest_gain, below, work=bounded_work(plant))
+    search = partial(descended, plant, rows, replace(design, gain=start), largest_gain, below, work=work)
     for descend in (partial(refine, plant, rows, start), *(partial(search, most=most) for most in LIMITS)):
         fast = True
         with contextlib.suppress(InputError, np.linalg.LinAlgError):

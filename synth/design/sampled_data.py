@@ -29,7 +29,7 @@ from models.common.errors import InputError
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
-from synth.design.descent.landscape import Landscape
+from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, refine
 from synth.design.fallback import NOT_FROM_THESE
 from synth.design.static import GainSearch, bounded_work
@@ -79,22 +79,24 @@ def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) 
     )
 
 
-def searched(problem: SampledDataProblem, plant: GeneralizedPlant, known: Sequence[Array], near: float) -> tuple[Array, float]:
+def searched(problem: SampledDataProblem, level: float, known: Array | None, work: Work) -> tuple[Array, float]:
     """The best gain that the search of static gains finds for the plant of one level, and descents from there; its norm.
 
     Args:
-        plant: of a level near the norm, or far above it: then its norm is nearly proportional to that of the loop.
-        known: stabilising gains, which the search starts from, too.
-        near: a guess of the norm.
+        level: near the norm, or far above it: then the plant's norm is nearly proportional to that of the loop.
+        known: a stabilising gain, which the search starts from, too.
+        work: counts the norms.
     """
-    search = GainSearch(plant, problem.rows, LARGEST_GAIN, 0.0, problem.Dyw(near), work=bounded_work(plant))
+    plant = problem.at(level)
+    assert plant is not None
+    search = GainSearch(plant, problem.rows, LARGEST_GAIN, 0.0, problem.Dyw(level), work=work)
     candidates = search.starts()
-    for K in known:
-        candidates += search.admitted(search.landscape.point(K), "a known gain")
+    if known is not None:
+        candidates += search.admitted(search.landscape.point(known), "a known gain")
     if not candidates:
         return np.zeros(search.landscape.shape), np.inf
     K = search.landscape.gain(search.widened(search.best(candidates)).x)
-    norm = norm_of(problem, K, near)
+    norm = norm_of(problem, K, level)
     return down(problem, K, norm) if np.isfinite(norm) else (K, norm)
 
 
@@ -178,12 +180,15 @@ class SampledDataDesign:
 
 
 @numerics()
-def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array] = ()) -> SampledDataDesign:
+def held_design(
+    problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
+) -> SampledDataDesign:
     """The two steps, or the first alone where all states are measured.
 
     Args:
         near: a level to start from, as the norm of the continuous design.
         known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+        work: counts the norms of the search; `bounded_work` if it is not given.
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
@@ -191,16 +196,19 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
         DesignError: none was found; the message says what was tried.
     """
     check_size(problem)
-    slow = next((plant for plant in (problem.at(near * FAR**k) for k in range(1, FURTHEST)) if plant is not None), None)
+    far, slow = near, None
+    for _ in range(FURTHEST):
+        far *= FAR
+        if (slow := problem.at(far)) is not None:
+            break
     if slow is None:
-        far = near * FAR ** (FURTHEST - 1)
         within = f"within one of {1e3 * problem.period:g} ms, where no force answers, w gains {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
     kept = independent_rows(slow, problem.rows)
     few = problem.of(kept)
     of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
     try:
-        K, norm, level, instead = _gain(few, near, of_kept, slow)
+        K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
     except DesignError as error:
         if reasons := "; ".join(stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)):
             raise InfeasibleError(reasons) from error
@@ -210,12 +218,13 @@ def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array]
 
 
 def _gain(
-    problem: SampledDataProblem, near: float, known: Sequence[Array], slow: GeneralizedPlant
+    problem: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
 ) -> tuple[Array, float, float | None, str]:
     """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not.
 
     Args:
-        slow: the plant of a level far above the norm.
+        far: a level far above the norm, which has a plant.
+        work: counts the norms of the search.
     """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(problem, rms=None)
@@ -239,8 +248,7 @@ def _gain(
         if least < reached:
             moved, reached = min((moved, reached), descended(problem, [*known, K], near), key=lambda end: end[1])
         if _may_fall(problem, reached):
-            end = searched(problem, problem.at(reached) or slow, [moved], near)
-            moved, reached = end if end[1] < reached * (1 - WORTH_ANOTHER) else (moved, reached)
+            moved, reached = _lower(problem, moved, reached, far, work)
         quietly = not problem.noise.size
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
@@ -251,13 +259,12 @@ def _gain(
             failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
         moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
         if _may_fall(problem, reached):
-            some = [moved] if np.isfinite(reached) else []
-            end = searched(problem, (problem.at(reached) if some else None) or slow, some, near)
-            moved, reached = end if end[1] < reached * (1 - WORTH_ANOTHER) else (moved, reached)
+            moved, reached = _lower(problem, moved, reached, far, work)
         if not np.isfinite(reached):
             tried = f"descent on the sampled norm, no start of which is stable; the two steps: {failure}"
             raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
         why = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
+    why += f"; {work.text}" if work.over else ""
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
     return moved, norm_of(problem, moved, near), None, why
 
@@ -266,6 +273,19 @@ def _at_the_limit(problem: SampledDataProblem, norm: float) -> bool:
     """Returns True if a norm is next to what no control force changes."""
     plant = problem.at(norm * (1 - KEPT))
     return plant is None or bound_beyond_control(plant).gamma >= 1
+
+
+def _lower(problem: SampledDataProblem, K: Array, norm: float, far: float, work: Work) -> tuple[Array, float]:
+    """A gain and its norm, or those of a search where they are lower by so much that another valley is worth it.
+
+    Args:
+        norm: infinite for a gain that does not stabilise the loop.
+        far: a level far above the norm, which has a plant.
+    """
+    stable = bool(np.isfinite(norm))
+    level = norm if stable and problem.at(norm) is not None else far
+    end = searched(problem, level, K if stable else None, work)
+    return end if end[1] < norm * (1 - WORTH_ANOTHER) else (K, norm)
 
 
 def _may_fall(problem: SampledDataProblem, norm: float) -> bool:

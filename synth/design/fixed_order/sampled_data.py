@@ -14,6 +14,7 @@ from models.laws.linear import LinearLaw
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
+from synth.design.descent.landscape import Work
 from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.sampled_data import SampledFullOrderDesign, law_gain
 from synth.design.static import bounded_work
@@ -32,11 +33,13 @@ def sampled_fixed_order(
     states: Sequence[str],
     stable: bool,
     structure: LawStructure,
+    work: Work | None = None,
 ) -> SampledFullOrderDesign:
     """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
 
     Args:
         structure: of the law.
+        work: counts the norms of all descents; `bounded_work` if it is not given.
 
     Raises:
         InputError: the order is more than the plant's.
@@ -46,7 +49,7 @@ def sampled_fixed_order(
     goal = bound.level if bound is not None else 0.0
     level, law, remark, norm, failure = NEAR * (goal or near), None, "", np.inf, None
     names = (*states, *(f"force_{k + 1}_of_{problem.remembered}_before" for k in range(problem.remembered))) if states else ()
-    work = bounded_work(problem.plant)
+    work = bounded_work(problem.plant) if work is None else work
     for _ in range(ROUNDS):
         if work.over:
             break
