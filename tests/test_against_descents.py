@@ -16,24 +16,24 @@ from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError, InfeasibleError
 from tests.commands import attacks
 from tests.multistart import Loops, best_of_many, random_case
+from tests.test_bounds_hold import of_lists
 
 BEHIND = 1.01  # of the lowest norm that the descents reach,
 COMPARABLE = 2.0  # with gains and poles that are not larger than a design's by more than this factor
 
 # Two measurements, which no L of the LMI stabilises the plant from, and a gain that does; sampled every 4.224 ms.
 SAMPLED_STATIC = (
-    GeneralizedPlant(
-        A=[
+    of_lists(
+        [
             [0.042, -1.571, 1.002, -0.098],
             [0.62, 1.837, 0.268, -1.074],
             [-0.681, 1.017, -1.457, 0.264],
             [0.375, -1.15, 0.169, 0.556],
         ],
-        B=[[-0.773, -0.48], [0.544, -1.299], [-0.88, 0.954], [0.086, -1.416]],
-        Bw=[[0.011, 1.941], [-1.513, 0.816], [0.759, -0.177], [0.605, -0.674]],
-        C=[[1.545, 1.72, -0.88, -0.214], [0.132, -0.625, 0.353, -1.038], [0.577, -0.301, -0.049, 0.471], [0.0] * 4, [0.0] * 4],
-        D=[[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.064, 0.0], [0.0, 0.064]],
-        Dw=np.zeros((5, 2)),
+        [[-0.773, -0.48], [0.544, -1.299], [-0.88, 0.954], [0.086, -1.416]],
+        [[0.011, 1.941], [-1.513, 0.816], [0.759, -0.177], [0.605, -0.674]],
+        [[1.545, 1.72, -0.88, -0.214], [0.132, -0.625, 0.353, -1.038], [0.577, -0.301, -0.049, 0.471], [0] * 4, [0] * 4],
+        [[0, 0], [0, 0], [0, 0], [0.064, 0], [0, 0.064]],
     ),
     np.array([[0.926, -0.984, 0.789, 0.879], [-0.115, 1.538, -0.765, -0.545]]),
     0.004224,

@@ -168,7 +168,7 @@ def descended(
 
     Args:
         plant, Cy, largest_gain, lower_bound, Dyw, rival: as for `static_output_feedback`.
-        two_steps: their result, or why there is none.
+        two_steps: their result, or the reason why they found no gain.
         most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
         work: counts the norms, those of several searches; `bounded_work` if it is not given.
     """
