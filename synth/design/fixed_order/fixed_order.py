@@ -111,7 +111,7 @@ def fixed_order_design(
         as_run: returns a law as it is run, as for `full_order_design`.
         known: laws of this structure to start from alone, in place of all other starts; of fewer states, too.
         on_found: called with the best law of fewer states, each time that there is one of more.
-        work: counts the norms of the search; where it is over, the best so far is returned. About 16 s of processor time for a
+        work: counts the norms of the search; where it is over, the best so far is returned. About 14 s of processor time for a
             plant of 8 states if it is not given.
 
     Raises:
