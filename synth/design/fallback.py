@@ -144,8 +144,8 @@ def near_lower_bound(
     """Returns the result of `two_steps_or_descent`, or of a descent from there, and what that descent found, in words.
 
     Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
-    0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept, unless
-    it takes poles beyond any actuator.
+    0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept,
+    unless it takes poles beyond any actuator.
 
     Args:
         plant, Cy, states, Dyw, largest_gain: as for `two_steps_or_descent`.
