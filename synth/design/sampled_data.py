@@ -14,8 +14,8 @@ starts from whatever is known. The result says so. The two steps know no noise o
 
 That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
 of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
-what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound, or
-nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
+what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound,
+or nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
 """
 
 import contextlib
