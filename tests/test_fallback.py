@@ -20,7 +20,7 @@ from synth.design.static import static_output_feedback
 from synth.design.two_step import state_path, two_step_design
 from synth.lmi import central_path as central
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError
 from synth.vehicle.designer import Designer
 from tests.benchmarks.states import chain
 from tests.commands import attacks, prose
@@ -113,11 +113,11 @@ def test_what_has_no_solution_is_not_searched_for():
 
 
 def test_one_broken_path_is_no_proof(monkeypatch, designer):
-    """If (25) is infeasible from some X and its path breaks off from another, there may be a gain: no InfeasibleError."""
-    turns = iter([InfeasibleError("no solution"), DesignError("broke off")])
+    """If (25) has no solution from some X and its path breaks off from another, there may be a gain: no InfeasibleError."""
+    turns = iter([NoSolutionError("no solution"), DesignError("broke off")])
 
     def fails(*_):
-        raise next(turns, InfeasibleError("no solution"))
+        raise next(turns, NoSolutionError("no solution"))
 
     monkeypatch.setattr(design, "output_feedback", fails)
     with pytest.raises(DesignError, match="broke off") as caught:

@@ -9,7 +9,7 @@ from synth.analysis.norm import hinf_norm
 from synth.lmi.output_feedback import nullspace
 from synth.lmi.sdp import solve_lmi
 from synth.plant.generalized import Feedback
-from synth.plant.numerics import InfeasibleError
+from synth.plant.numerics import NoSolutionError
 from synth.vehicle.paper import BOX, CY, PRINTED, TO_RELATIVE, absolute_states, entry_of, ours, remark_4, remark_5
 
 # How far a number may be off that the paper's early stop moved: 2e-4 of X carries to 1e-3 of the smaller entry of K_I; or, for
@@ -119,7 +119,7 @@ def test_remark_4(designer):
     assert hinf_norm(plant.closed_loop(Feedback(one.gain, Cy))).value <= one.bound
     assert solve_lmi(plant, nullspace(Cy), np.linalg.pinv(Cy)).gamma == pytest.approx(510.328, rel=1e-4)  # Clarabel's tolerance
     for Cy in (CY["I"], CY["II"]):
-        with pytest.raises(InfeasibleError, match="no solution with eta > 0"):
+        with pytest.raises(NoSolutionError, match="no solution with eta > 0"):
             solve_lmi(designer.plant, nullspace(Cy), np.linalg.pinv(Cy))
 
 

@@ -10,7 +10,7 @@ from synth.design.descent.refine import refine
 from synth.design.two_step import two_step_design
 from synth.lmi.full_order_bound import find_lower_bound
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.numerics import DesignError, NoSolutionError
 from tests.commands import attacks
 
 
@@ -62,7 +62,7 @@ def certified_or_infeasible(seed: int) -> None:
         alike = np.sum(np.abs(np.linalg.eigvals(plant.A) - 1) < 1e-4) > plant.B.shape[1]
         if alike and re.match(r"its certificate fails: marginal: a pole at .* lies on the unit circle, to rounding", str(error)):
             return
-        if not isinstance(error, InfeasibleError):
+        if not isinstance(error, NoSolutionError):
             raise
         # Of (25), but where one input tells several modes next to each other apart by no more than rounding.
         of_second = len(Cy) < len(plant.A) and str(error).startswith("problem (25) has no solution with eta > 0 for this L")

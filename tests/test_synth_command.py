@@ -16,7 +16,7 @@ from models.common.errors import InputError
 from models.vehicle.vehicle import read_vehicle
 from sim.bump import main as bump
 from synth.__main__ import main
-from synth.analysis.invariant_point import invariant_limit, is_pole
+from synth.analysis.invariant_point import invariant_limit
 from synth.command.cross_check import cross_check
 from synth.command.design_table import _limit
 from synth.command.table import _pole_lines, semi_active_lines
@@ -119,9 +119,61 @@ def test_the_limit_of_a_mode_that_has_to_be_held_is_no_invariant_point():
     text = (
         "limit: at 0 rad/s, where a mode does not decay by itself, no control force that holds it brings z's response to the road"
     )
-    assert _limit(limit, at_pole=is_pole(plant, 0.0)) == f"{text} below 2"
-    assert not is_pole(plant, 1.0)
-    assert "(invariant point)" in _limit(limit, at_pole=False)
+    assert _limit(limit, plant) == f"{text} below 2"
+
+
+RAIL = """
+type = "quarter_car"
+[parameters]
+sprung_mass = 5333.0
+unsprung_mass = 906.5
+suspension_stiffness = 430e3
+suspension_damping = 20e3
+tyre_stiffness = 2.44e6
+tyre_damping = 40e3
+[performance]
+suspension_deflection = 41952.353926806065
+sprung_velocity = 3405.8772731852805
+tyre_deflection = 1.0
+unsprung_velocity = 1.0
+control_force = 0.1
+"""
+MERELY = ", the limit at that frequency: no control brings z below it, and without control z is {free:.7g} there"
+SAME = ", where no control changes z (invariant point)"
+DAMPED = "[parameters]\ntyre_damping = 1000.0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "limit", "free", "said"),
+    [
+        ("paper", 7.836458, 7.837947, SAME),
+        ("damped", None, None, MERELY),
+        ("wheel", None, None, MERELY),
+        (RAIL, 6106.872, 14931.08, MERELY),  # both by numpy alone: the part of Gw across Gu, and Gw
+    ],
+    ids=["paper", "damped tyre", "velocity of the wheel", "rail"],
+)
+def test_an_invariant_point_is_one(tmp_path, text, limit, free, said):
+    """Only if z without control is at the limit, to 0.1 %, it is said that no control changes z; of damped tyres it is not."""
+    paper, file = read_vehicle("quarter_car").text, tmp_path / "car.toml"
+    own = {
+        "paper": paper,
+        "damped": paper.replace("[parameters]", DAMPED, 1),
+        "wheel": paper.replace("[performance]", "[performance]\nunsprung_velocity = 1.0", 1),
+    }
+    file.write_text(own.get(text, text), encoding="utf-8")
+    plant = Designer(read_vehicle(file)).plant
+    bound = bound_beyond_control(plant)
+    assert bound.limit_at is not None
+    resolvent = np.linalg.inv(1j * bound.limit_at * np.eye(4) - plant.A)
+    of_w, of_u = plant.C @ resolvent @ plant.Bw + plant.Dw, plant.C @ resolvent @ plant.B + plant.D
+    across = float(np.linalg.norm(of_w - of_u @ np.linalg.pinv(of_u) @ of_w))
+    alone = float(np.linalg.norm(of_w))
+    assert bound.gamma == pytest.approx(across, rel=1e-9)  # rounding of the pseudo-inverse
+    assert _limit(bound, plant) == f"limit: {across:.7g} at {bound.limit_at:.5g} rad/s{said.format(free=alone)}"
+    assert (alone <= 1.001 * across) == (said == SAME)
+    if limit is not None:
+        assert (across, alone) == pytest.approx((limit, free), rel=1e-6)  # seven digits
 
 
 def test_the_case_is_said(capsys, tmp_path):

@@ -32,6 +32,7 @@ NEGLIGIBLE = 1e-10  # relative; smaller singular values of Gu count as zero in a
 AWAY = 1e-9  # relative distance of a proposal from a pole on the axis
 FURTHER = 10.0  # factor on AWAY if the matrix is still singular there, as around a multiple pole
 ENOUGH = 1e-9  # relative; a proposal is tried if it promises to raise the best proved bound by more
+UNCHANGED = 1e-3  # relative; a norm without control this close to the limit is the limit: far beyond rounding, below any goal
 
 
 def invariant_limit(plant: GeneralizedPlant) -> tuple[float, float] | None:
@@ -87,6 +88,11 @@ def limit_at(plant: GeneralizedPlant, omega: float) -> float:
     basis = floats(whole, Fraction(1, over))
     effects = basis.T @ floats(from_w, Fraction(1, unit))
     return max(best, proved(basis[solutions.free] @ _strongest(basis[outputs].T, effects)))
+
+
+def without_control(plant: GeneralizedPlant, omega: float) -> float:
+    """Returns the norm of z's response without control at a frequency [rad/s] that is not a pole."""
+    return float(largest_singular_values(plant.frequency_response(np.array([omega])))[0])
 
 
 def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Array, int]:

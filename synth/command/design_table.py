@@ -14,7 +14,7 @@ from models.common.interrupt import Parts, uninterrupted
 from models.common.printed import Stages, Whole, on_a_screen, say, table, titled
 from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
-from synth.analysis.invariant_point import is_pole
+from synth.analysis.invariant_point import UNCHANGED, is_pole, without_control
 from synth.analysis.lower_bound import LowerBound
 from synth.command.table import (
     Row,
@@ -43,6 +43,7 @@ from synth.controller.report import (
     twist_lines,
 )
 from synth.design.descent.flatness import free_moves
+from synth.plant.generalized import GeneralizedPlant
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer
 from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
@@ -156,8 +157,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 from synth.command.fragility import short_lines as fragile_lines
 
                 lines += fragile_lines({row.name: row.fragile for row in rows if row.fragile is not None})
-            at_pole = limit.limit_at is not None and is_pole(designer.plant, limit.limit_at)
-            lines += [*([""] if full else []), _limit(limit, at_pole)]
+            lines += [*([""] if full else []), _limit(limit, designer.plant)]
             if moved and full:
                 of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
                 share = f"{100 * FLAT:g} % more of {of}"
@@ -303,16 +303,22 @@ def _flatness(designer: Designer, rows: Sequence[Row]) -> dict[str, list[float |
     }
 
 
-def _limit(limit: LowerBound, at_pole: bool) -> str:
-    """Returns the bound that no control force changes, in words; with a mode to be held, for stabilising forces only."""
-    if not limit.gamma:
+def _limit(limit: LowerBound, plant: GeneralizedPlant) -> str:
+    """Returns the bound that no control force lowers, in words; with a mode to be held, for stabilising forces only.
+
+    At an invariant point z has that norm without control, too.
+    """
+    if limit.limit_at is None:
         return "limit: none; at every frequency control forces can change all of z's response to the road"
-    if at_pole:  # beside the mode a force may change all
+    if is_pole(plant, limit.limit_at):  # beside the mode a force may change all
         return (
             f"limit: at {limit.limit_at:.5g} rad/s, where a mode does not decay by itself, no control force that holds it brings "
             f"z's response to the road below {limit.gamma:.7g}"
         )
-    return f"limit: {limit.gamma:.7g} at {limit.limit_at:.5g} rad/s, where no control changes z (invariant point)"
+    free, said = without_control(plant, limit.limit_at), f"limit: {limit.gamma:.7g} at {limit.limit_at:.5g} rad/s"
+    if free <= limit.gamma * (1 + UNCHANGED):
+        return f"{said}, where no control changes z (invariant point)"
+    return f"{said}, the limit at that frequency: no control brings z below it, and without control z is {free:.7g} there"
 
 
 def _range(gain: float | None, down: float | None, up: float | None) -> tuple[str, str, str]:

@@ -9,8 +9,10 @@ solution that filters or noise leave far from what could be had, the descent goe
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -21,16 +23,28 @@ from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
-from synth.design.two_step import LARGEST_GAIN, Design, as_measurement_matrix, two_step_design, with_redundant_rows, zero_l_design
+from synth.design.descent.landscape import Work
+from synth.design.two_step import (
+    LARGEST_GAIN,
+    NO_GAIN,
+    Design,
+    as_measurement_matrix,
+    no_gain,
+    two_step_design,
+    with_redundant_rows,
+    zero_l_design,
+)
 from synth.lmi.central_path import CentralPoint
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs
-from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
 NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
 NEAR = 1e-3  # relative; two steps this close to what no controller beats are left at that
 BOUNDED = 20  # states; of more the lower bound takes minutes, and is not sought unasked
+MOST_DOUBLINGS = 100  # of a gain from zero
+LIMITS = (np.inf, 100.0, 10.0, 3.0)  # on a gain's entries, until poles are not beyond any actuator; as `fixed_order.py` has them
 FAR = 0.01  # relative; how far above what no controller beats the two steps may end where filters have states
 
 
@@ -68,6 +82,7 @@ def two_steps_or_descent(
     states: Sequence[str] = (),
     Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
+    work: Work | None = None,
 ) -> Design:
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
@@ -76,6 +91,7 @@ def two_steps_or_descent(
         path: returns the central path of (22) if it is known already, or raises.
         Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
         largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
+        work: counts the norms of the descent, as for `descended`.
 
     Raises:
         InputError: the plant has no input, or a matrix does not fit it.
@@ -93,23 +109,23 @@ def two_steps_or_descent(
         if not reason:
             return two_steps
     except InputError as error:  # nothing is disturbed or weighed, too: there may be a gain
-        reason, failure = (NOT_FROM_THESE if isinstance(error, InfeasibleError) else str(error)), error
+        reason, failure = (NOT_FROM_THESE if isinstance(error, NoSolutionError) else str(error)), error
     start = replace(two_steps, gain=two_steps.gain[:, kept]) if two_steps is not None else reason
     noise = Dyw[kept] if Dyw is not None else None
     from synth.design.static import descended
 
     try:
-        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise)
+        by_descent = descended(plant, rows[kept], start, largest_gain, lower_bound, noise, work=work)
         certificate, gain = by_descent.certificate, by_descent.gain
         how = f"by descent on the norm from {by_descent.origin}, no gain larger than {largest_gain:g}"
         if certificate.failures:
             raise DesignError("; ".join(certificate.failures))
+        how += f"; {by_descent.stopped}" * bool(by_descent.stopped)
     except InputError as error:
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
-            raise DesignError(
-                f'{failure or reason}; descent on the norm: {error}; or give order = "full", a law with states'
-            ) from error
+            said = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
+            raise DesignError(f"{said}; the two steps: {failure or reason}") from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"
@@ -128,7 +144,8 @@ def near_lower_bound(
     """Returns the result of `two_steps_or_descent`, or of a descent from there, and what that descent found, in words.
 
     Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
-    0.1 % of the norm. The lower norm is kept, unless it takes poles beyond any actuator.
+    0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept,
+    unless it takes poles beyond any actuator.
 
     Args:
         plant, Cy, states, Dyw, largest_gain: as for `two_steps_or_descent`.
@@ -147,41 +164,56 @@ def near_lower_bound(
 
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             below = find_lower_bound(plant, Cy, Dyw=Dyw)
-    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain)
+    from synth.design.static import bounded_work
+
+    work = bounded_work(plant)
+    design = two_steps_or_descent(plant, Cy, tuple, below, states, Dyw, largest_gain, work)
     gap = design.certificate.gap
     if design.instead or (gap is not None and gap <= NEAR) or not design.certificate.norm.value:
         return design, ""
     far = f", {percent(gap)} above the lower bound" if gap is not None else ""
     came = f"the two steps come to {design.certificate.norm.value:.7g}{far}; descent from there"
-    lower, growth = _refined(plant, Cy, design, below, largest_gain)
+    lower, growth = _refined(plant, Cy, design, below, largest_gain, work)
+    stopped = f"; {work.text}" if work.over else ""
     if lower is None:
-        return design, f"{came} finds no lower norm"
+        return design, f"{came} finds no lower norm{stopped}"
     if lower.certificate.beyond_actuators and not design.certificate.beyond_actuators:
         at = f"{lower.certificate.norm.value:.7g} with poles beyond any actuator"
-        return design, f"{came} comes to {at}, so that the gain of the two steps is kept"
-    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large"
+        return design, f"{came} comes to {at}, so that the gain of the two steps is kept{stopped}"
+    return lower, f"{came} lowers it, for a gain {growth:.3g} times as large{stopped}"
 
 
 def _refined(
-    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float
+    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float, work: Work
 ) -> tuple[Design | None, float]:
-    """Returns a design of a lower norm from the gain of another, and the growth of the gain; None if none is found."""
+    """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
+
+    From its gain the norm falls within one valley. Where that ends far above the lower bound others are searched, too.
+    """
     from synth.analysis.bounding import certify_tightly
-    from synth.design.descent.refine import SEEN, refine
+    from synth.design.descent.refine import SEEN, WORTH, refine
     from synth.design.static import descended
 
     kept = [i for i in range(len(Cy)) if i not in design.redundant]
     rows, start = Cy[kept], design.gain[:, kept]
-    with contextlib.suppress(InputError, np.linalg.LinAlgError):
-        gain = refine(plant, rows, start).gain
-        if np.abs(gain).max(initial=0.0) > largest_gain:
-            gain = descended(plant, rows, replace(design, gain=start), largest_gain, below).gain
-        certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
-        if not certificate.failures and certificate.norm.value < design.certificate.norm.value * (1 - SEEN):
-            whole = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
-            size = float(np.abs(start).max(initial=0.0))
-            return whole, float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
-    return None, 1.0
+    lowest, faster, growth, size = design, None, 1.0, float(np.abs(start).max(initial=0.0))
+    search = partial(descended, plant, rows, replace(design, gain=start), largest_gain, below, work=work)
+    for descend in (partial(refine, plant, rows, start), *(partial(search, most=most) for most in LIMITS)):
+        fast = True
+        with contextlib.suppress(InputError, np.linalg.LinAlgError):
+            gain = descend().gain
+            grown = float(np.abs(gain).max(initial=0.0)) / size if size else np.inf
+            certificate = certify_tightly(*on_larger_plant(plant, rows, static_law(gain), None), below, by_itself=plant)
+            fast = certificate.beyond_actuators and not design.certificate.beyond_actuators
+            price = WORTH * min(math.log2(max(grown / growth, 1.0)), MOST_DOUBLINGS)
+            lower = certificate.norm.value < lowest.certificate.norm.value * (1 - max(SEEN, price))
+            if lower and not certificate.failures and grown * size <= largest_gain:
+                found = with_redundant_rows(Design(gain, certificate, case=design.case), kept, len(Cy), 0.0)
+                lowest, faster, growth = (lowest, faster or found, growth) if fast else (found, faster, grown)
+        gap = lowest.certificate.gap
+        if (gap is not None and gap <= FAR) or (descend.func is not refine and not fast):
+            break
+    return lowest if lowest is not design else faster, growth
 
 
 def _known_gain(

@@ -347,20 +347,22 @@ class _Asked:
             raise InputError(
                 f"{WHERE} Dyw with sample_period: noise between samples is not read; give noise, the rms of each reading"
             )
+        from synth.design.static import bounded_work
+
         if reasons := stabilisability_failures(self.plant, self.Cy, self.states):
             raise InfeasibleError("; ".join(reasons))
         (q, _), m = self.Cy.shape, self.plant.B.shape[1]
         rms = self.noise if np.any(self.noise) else None
         problem = SampledDataProblem(self.plant, self.Cy, np.zeros((q, m)), hold_intervals(period, delay), rms)
         plant, Dyw = self.loud
-        known, near = list[Array](), 1.0
+        known, near, work = list[Array](), 1.0, bounded_work(self.plant)
         with contextlib.suppress(InputError, np.linalg.LinAlgError):
             if full:
                 from synth.lmi.full_order_bound import find_lower_bound
 
                 near = (self.lower_bound or find_lower_bound(plant, self.Cy, Dyw=Dyw)).gamma or 1.0
             else:
-                ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw)
+                ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, work=work)
                 known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
         if full:
             from synth.design.full_order.sampled_data import lowest_level, sampled_full_order
@@ -373,13 +375,13 @@ class _Asked:
             from synth.design.fixed_order.sampled_data import sampled_fixed_order
             from synth.lmi.sampled_bound import find_sampled_bound
 
-            found = sampled_fixed_order(problem, find_sampled_bound(problem, near), near, self.states, stable, structure)
+            found = sampled_fixed_order(problem, find_sampled_bound(problem, near), near, self.states, stable, structure, work)
             law, norm, remark = found.law, found.norm, found.remark
             method, why = "descent on the sampled norm", f"for {structure.text}"
         else:
             from synth.design.sampled_data import held_design
 
-            gain = held_design(problem, near, known)
+            gain = held_design(problem, near, known, work)
             law, norm, remark = static_law(gain.gain), gain.norm, ""
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (

@@ -89,8 +89,8 @@ def slack_design(
     Raises:
         InputError: the plants do not fit one another, or a C_y, the structure or an f does not fit.
         TooLargeError: too many unknowns for an answer within a minute.
-        InfeasibleError: the LMIs have no solution for any f; there may be a gain nevertheless.
-        DesignError: the solver gave up, or no gain that it proposed stabilises all plants.
+        DesignError: the LMIs have no solution for any f, the solver gave up, or no gain that it proposed stabilises all plants;
+            there may be a gain nevertheless.
 
     Example:
         >>> import numpy as np

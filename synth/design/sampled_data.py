@@ -14,7 +14,8 @@ starts from whatever is known. The result says so. The two steps know no noise o
 
 That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
 of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
-what is known, to either side of no control at all, and from what else is known.
+what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound,
+or nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
 """
 
 import contextlib
@@ -25,18 +26,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
-from synth.design.descent.landscape import Landscape
+from synth.design.descent.landscape import Landscape, Work
 from synth.design.descent.refine import Refinement, from_some, refine
-from synth.design.two_step import state_path
+from synth.design.fallback import NOT_FROM_THESE
+from synth.design.static import GainSearch, bounded_work
+from synth.design.two_step import LARGEST_GAIN, NO_GAIN, no_gain, state_path
 from synth.lmi.central_path import CentralPoint, fits
-from synth.lmi.full_order_bound import bound_beyond_control
+from synth.lmi.full_order_bound import bound_beyond_control, find_lower_bound
 from synth.lmi.output_feedback import independent_rows, nullspace, output_feedback
 from synth.lmi.slack_variable import ENTERED, slack_path
 from synth.plant.generalized import GeneralizedPlant, on_all_rows
-from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError, numerics
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, TooLargeError, numerics
 from synth.plant.units import own_units
 
 DESCENTS = 8
@@ -44,6 +48,10 @@ WORTH = 1e-4  # relative; a descent that gains less is the last, for what each l
 KEPT = 5e-5  # relative; the gain of the two steps stays where descent gains less
 SHARES = 2.0 ** -np.arange(11)  # of a known gain, on either side: the least that counts here is a thousandth
 STARTS = 3  # the best of them
+WORTH_ANOTHER = 1e-3  # relative; a gain of another valley is taken where it gains more
+LITTLE = 1e-2  # relative; a norm this close to a lower bound is left at that
+BOUNDED = 20  # states; of more a lower bound takes minutes, and a search, too
+FURTHEST = 5  # powers of FAR times a guess of the norm: levels that are tried
 MOST_STATES = 100  # of a level's plant: a descent takes ten seconds
 
 
@@ -70,6 +78,27 @@ def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) 
     return min(
         (down(problem, K, norm) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
     )
+
+
+def searched(problem: SampledDataProblem, level: float, known: Array | None, work: Work) -> tuple[Array, float]:
+    """The best gain that the search of static gains finds for the plant of one level, and descents from there; its norm.
+
+    Args:
+        level: near the norm, or far above it: then the plant's norm is nearly proportional to that of the loop.
+        known: a stabilising gain, which the search starts from, too.
+        work: counts the norms.
+    """
+    plant = problem.at(level)
+    assert plant is not None
+    search = GainSearch(plant, problem.rows, LARGEST_GAIN, 0.0, problem.Dyw(level), work=work)
+    candidates = search.starts()
+    if known is not None:
+        candidates += search.admitted(search.landscape.point(known), "a known gain")
+    if not candidates:
+        return np.zeros(search.landscape.shape), np.inf
+    K = search.landscape.gain(search.widened(search.best(candidates)).x)
+    norm = norm_of(problem, K, level)
+    return down(problem, K, norm) if np.isfinite(norm) else (K, norm)
 
 
 def down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, float]:
@@ -152,36 +181,52 @@ class SampledDataDesign:
 
 
 @numerics()
-def held_design(problem: SampledDataProblem, near: float, known: Sequence[Array] = ()) -> SampledDataDesign:
+def held_design(
+    problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
+) -> SampledDataDesign:
     """The two steps, or the first alone where all states are measured.
 
     Args:
         near: a level to start from, as the norm of the continuous design.
         known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+        work: counts the norms of the search; `bounded_work` if it is not given.
 
     Raises:
-        InfeasibleError: no gain from what is measured stabilises the loop, or none is found by the second step.
+        InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
         TooLargeError: too many forces are on their way.
-        DesignError: a path could not be followed.
+        DesignError: none was found; the message says what was tried.
     """
     check_size(problem)
-    slow = problem.at(FAR * near)
+    far, slow = near, None
+    for _ in range(FURTHEST):
+        far *= FAR
+        if (slow := problem.at(far)) is not None:
+            break
     if slow is None:
-        raise InfeasibleError(f"within one period of {1e3 * problem.period:g} ms, where no force answers, w gains {FAR * near:g}")
+        within = f"within one of {1e3 * problem.period:g} ms, where no force answers, w gains {far:g}"
+        raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
     kept = independent_rows(slow, problem.rows)
     few = problem.of(kept)
     of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
     try:
-        K, norm, level, instead = _gain(few, near, of_kept)
+        K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
     except DesignError as error:
-        reasons = stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)
-        raise (InfeasibleError("; ".join(reasons)) if reasons else error) from error
+        if reasons := "; ".join(stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)):
+            raise InfeasibleError(reasons) from error
+        raise
     gain = on_all_rows(K, kept, len(problem.Cy))
     return SampledDataDesign(gain, norm, level, tuple(kept), instead)
 
 
-def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> tuple[Array, float, float | None, str]:
-    """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not."""
+def _gain(
+    problem: SampledDataProblem, near: float, known: Sequence[Array], far: float, work: Work
+) -> tuple[Array, float, float | None, str]:
+    """K from independent measurements, its norm, its level, and why it is not by the two steps where it is not.
+
+    Args:
+        far: a level far above the norm, which has a plant.
+        work: counts the norms of the search.
+    """
     undelayed = failure = K = level = None
     norm, quiet = np.inf, replace(problem, rms=None)
     if problem.remembered:
@@ -203,6 +248,8 @@ def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> t
                 moved, reached = min((moved, reached), down(problem, start, height), key=lambda end: end[1])
         if least < reached:
             moved, reached = min((moved, reached), descended(problem, [*known, K], near), key=lambda end: end[1])
+        if _may_fall(problem, reached):
+            moved, reached = _lower(problem, moved, reached, far, work)
         quietly = not problem.noise.size
         if quietly and norm <= min(least * (1 + ROUNDING), reached * (1 + KEPT)):
             return K, norm, level, ""
@@ -212,9 +259,13 @@ def _gain(problem: SampledDataProblem, near: float, known: Sequence[Array]) -> t
         if K is not None:
             failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
         moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
+        if _may_fall(problem, reached):
+            moved, reached = _lower(problem, moved, reached, far, work)
         if not np.isfinite(reached):
-            raise failure or DesignError("no start of a descent is stable")
-        why = str(failure)
+            tried = f"descent on the sampled norm, no start of which is stable; the two steps: {failure}"
+            raise DesignError(no_gain(tried, "give a shorter sample period or delay, ")) from failure
+        why = NOT_FROM_THESE if isinstance(failure, NoSolutionError) else str(failure)
+    why += f"; {work.text}" if work.over else ""
     # The norm of a gain depends, in its ninth digit, on the guess that it is found from: it is to be that of `near`.
     return moved, norm_of(problem, moved, near), None, why
 
@@ -223,6 +274,31 @@ def _at_the_limit(problem: SampledDataProblem, norm: float) -> bool:
     """Returns True if a norm is next to what no control force changes."""
     plant = problem.at(norm * (1 - KEPT))
     return plant is None or bound_beyond_control(plant).gamma >= 1
+
+
+def _lower(problem: SampledDataProblem, K: Array, norm: float, far: float, work: Work) -> tuple[Array, float]:
+    """A gain and its norm, or those of a search where they are lower by so much that another valley is worth it.
+
+    Args:
+        norm: infinite for a gain that does not stabilise the loop.
+        far: a level far above the norm, which has a plant.
+    """
+    stable = bool(np.isfinite(norm))
+    level = norm if stable and problem.at(norm) is not None else far
+    end = searched(problem, level, K if stable else None, work)
+    return end if end[1] < norm * (1 - WORTH_ANOTHER) else (K, norm)
+
+
+def _may_fall(problem: SampledDataProblem, norm: float) -> bool:
+    """Returns True if no lower bound is known that a norm is within 1 % of, and the loop is of few states."""
+    if len(problem.rows[0]) > BOUNDED:
+        return False
+    plant = problem.at(norm * (1 - LITTLE)) if np.isfinite(norm) else None
+    if plant is None:
+        return bool(np.isinf(norm))
+    with contextlib.suppress(InputError, np.linalg.LinAlgError):
+        return find_lower_bound(plant, problem.rows, Dyw=problem.Dyw(norm * (1 - LITTLE))).gamma < 1
+    return True
 
 
 def two_steps(problem: SampledDataProblem, near: float, undelayed: Array | None) -> tuple[Array, float]:
@@ -280,7 +356,7 @@ class _Tries:
                 self.found.append((level, point))
             except DesignError as error:
                 self.failures.append(error)
-                if isinstance(error, InfeasibleError):
+                if isinstance(error, NoSolutionError):
                     return
 
 
@@ -318,10 +394,14 @@ def _level(
             except DesignError as error:
                 failure = error
         if not followed:
-            if isinstance(failure, InfeasibleError) and not below and (loosest := problem.at(FAR * start)) is not None:
+            if (
+                isinstance(failure, NoSolutionError | InfeasibleError)
+                and not below
+                and (loosest := problem.at(FAR * start)) is not None
+            ):
                 try:
                     path(loosest)
-                except InfeasibleError:
+                except (NoSolutionError, InfeasibleError):
                     raise
                 except DesignError:  # rounding, which says nothing of the levels between
                     pass

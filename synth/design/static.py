@@ -7,7 +7,8 @@ No quick method finds the best static gain for sure. Three things make a poor on
   descents, those that are behind and hardly fall any more are dropped, and those that ended where another did.
 - *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
   (`descent/coordinates.py`), and one kind (`descent/minimax.py`) knows edges and curvature.
-- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`).
+- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`). Where a search
+  ends at the bound, others begin within narrower ones.
 
 The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
 something worse, so the result is not worse than the two steps refined. Of gains with the same norm, as where a gain at rest
@@ -30,12 +31,12 @@ from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.analysis.stability import is_stable
 from synth.design.descent.coordinates import balanced_coordinates
-from synth.design.descent.landscape import Landscape
+from synth.design.descent.landscape import Landscape, Work, price
 from synth.design.descent.minimax import along_edges, quasi_newton
 from synth.design.descent.refine import refine
 from synth.design.descent.starts import around, projected_starts, stabilising_starts, survey
 from synth.design.descent.symmetry import Symmetry
-from synth.design.two_step import LARGEST_GAIN, Design, two_step_design
+from synth.design.two_step import LARGEST_GAIN, Design, no_gain, two_step_design
 from synth.lmi.output_feedback import independent_rows
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs, measured_with, on_all_rows
@@ -61,6 +62,9 @@ EQUAL = 1e-9  # relative; norms this close are the same to the rounding of two r
 SHARES = tuple(0.5**k for k in range(1, 41))  # of a gain, tried for the same norm,
 MISSED = 3  # until so many in a row have another,
 HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
+AT_LIMIT = 0.5  # of the limit; an entry this large was stopped by it
+NARROWER = (0.1, 0.01)  # of the limit, for searches that begin where the first one did not end
+LIMIT = 3.5e4  # norms of loops of 8 states: about 14 s of processor time
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +78,7 @@ class StaticDesign:
         without: why they find no gain, or empty.
         origin: the start that led to the gain, in words.
         starts: number of stable starts.
+        stopped: what stopped the search, in words; empty where it came to its end.
     """
 
     gain: Array
@@ -82,6 +87,7 @@ class StaticDesign:
     without: str
     origin: str
     starts: int
+    stopped: str = ""
 
 
 class Candidate(NamedTuple):
@@ -93,6 +99,11 @@ class Candidate(NamedTuple):
 
 
 Descent = Callable[[Array, int], Array]
+
+
+def bounded_work(plant: GeneralizedPlant) -> Work:
+    """Returns the work that the search for one controller of a plant may do; more for plants of more than 8 states."""
+    return Work(LIMIT * max(1.0, price(len(plant.A), 0)))
 
 
 @numerics()
@@ -150,23 +161,34 @@ def descended(
     lower_bound: LowerBound | None = None,
     Dyw: Array | None = None,
     rival: float = np.inf,
+    most: float = np.inf,
+    work: Work | None = None,
 ) -> StaticDesign:
-    """Designs a static gain by descents, given the result of the two steps or the reason of their failure."""
-    search = GainSearch(plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw, rival=rival)
+    """Designs a static gain by descents, given the result of the two steps or the reason of their failure.
+
+    Args:
+        plant, Cy, largest_gain, lower_bound, Dyw, rival: as for `static_output_feedback`.
+        two_steps: their result, or the reason why they found no gain.
+        most: bound on the entries of the gain in the landscape's units, in which 1 moves poles as fast as the plant's.
+        work: counts the norms, those of several searches; `bounded_work` if it is not given.
+    """
+    work = bounded_work(plant) if work is None else work
+    search = GainSearch(
+        plant, Cy, largest_gain, lower_bound.gamma if lower_bound is not None else 0.0, Dyw, rival=rival, work=work
+    )
+    search.limit = np.minimum(search.limit, most)
     candidates = search.starts()
     starts = len(candidates)
     if isinstance(two_steps, Design):
         candidates += search.refined(two_steps)
     if not candidates:
-        raise DesignError(
-            f"no stabilising static gain was found from {MOST} starts; measure more signals, or allow a larger gain "
-            f"than {largest_gain:g}"
-        )
-    best = search.best(candidates)
+        tried = f"descent on the norm from {MOST} starts{f', {work.text}' if work.over else ''}"
+        raise DesignError(no_gain(tried, f"allow a larger gain than {largest_gain:g}, "))
+    best = search.widened(search.best(candidates))
     K = search.smallest(best)
     steps, without = (two_steps, "") if isinstance(two_steps, Design) else (None, two_steps)
     certificate = certify_tightly(*on_larger_plant(plant, Cy, static_law(K), Dyw), lower_bound, by_itself=plant)
-    return StaticDesign(K, certificate, steps, without, best.origin, starts)
+    return StaticDesign(K, certificate, steps, without, best.origin, starts, work.text if work.over else "")
 
 
 class Alike(Protocol):
@@ -192,6 +214,7 @@ class GainSearch:
         alike: Callable[[Landscape], Alike] = Symmetry,
         enough: float = REACHED,
         rival: float = np.inf,
+        work: Work | None = None,
     ) -> None:
         """Args:
         largest_gain: bound on |K_ij|, in the units given.
@@ -200,11 +223,12 @@ class GainSearch:
         alike: returns the gains that make the same loop.
         enough: relative; this close to what no controller beats, the search ends.
         rival: as for `static_output_feedback`.
+        work: counts the norms; where it is over each descent ends where it is. Without a limit if it is not given.
         """
         self.plant, self.Cy, self.Dyw, self.beaten_by_none, self.enough = plant, Cy, Dyw, beaten_by_none, enough
         self.rival = rival
         self.through = None if through is None or not np.any(through) else through
-        self.landscape = Landscape(plant, Cy, Dyw, self.through, structure)
+        self.landscape = Landscape(plant, Cy, Dyw, self.through, structure, work)
         self.limit = self.landscape.point(np.full(self.landscape.shape, largest_gain))
         self.symmetry = alike(self.landscape)
         self.nothing = ZERO * (
@@ -312,9 +336,25 @@ class GainSearch:
             if reached.norm < best.norm * (1 - SAME):
                 reached, idle = self.followed(reached), 0
             best = min(best, reached, key=lambda each: each.norm)
-            if self.reached(best) or idle == enough:
+            if self.reached(best) or idle == enough or self.landscape.work.over:
                 break
         return self.step(best, self.edges, 150)
+
+    def widened(self, best: Candidate) -> Candidate:
+        """The best of a candidate and, where it is at the limit, of searches that begin within narrower limits.
+
+        Descents that fall towards infinite gains end at the limit, and see no other valley.
+        """
+        whole, ends = self.limit, [best]
+        if self.reached(best) or not np.any(np.abs(best.x) > AT_LIMIT * whole) or len(self.plant.A) > LARGE:
+            return best
+        for share in NARROWER:
+            self.limit = share * whole
+            inside = self.starts(FEW)
+            raced = [self.raced(inside)] if inside else []
+            self.limit = whole
+            ends += [self.followed(each) for each in raced]
+        return min(ends, key=lambda each: each.norm)
 
     def followed(self, candidate: Candidate) -> Candidate:
         """A candidate after descents of both kinds by turns, as many as gain something: some valleys are long."""
@@ -346,7 +386,7 @@ class GainSearch:
 
     def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
         """A candidate after a descent; as it was where that led no lower."""
-        if self.reached(candidate):
+        if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []
         with up_to_rounding():  # of a loop on the border of stability

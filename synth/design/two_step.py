@@ -25,7 +25,7 @@ from synth.lmi.central_path import CentralPoint, fits, unknowns
 from synth.lmi.output_feedback import independent_rows, l_matrix, nullspace, output_feedback, state_feedback
 from synth.lmi.unobservable import RANK, output_nulling_gains, output_nulling_subspace, remove_unobservable
 from synth.plant.generalized import Feedback, GeneralizedPlant, check_inputs, check_states, measurement_matrices, on_all_rows
-from synth.plant.numerics import DesignError, InfeasibleError, numerics
+from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
 from synth.plant.units import own_units, size
 
 INSTEAD = "designed against a disturbance of every state that z sees"
@@ -176,7 +176,13 @@ def _counting(plant: GeneralizedPlant, own: GeneralizedPlant, scale: Array, forc
 
 LARGEST_GAIN = 1e5  # of |K_ij| where a search has no bound of its own
 MOST = 1100  # unknowns of (22), 45 states with one input: the second problem is solved from several X, in a minute or less
+NO_GAIN = "no static gain found"
 SAME = 1e-9  # relative: how far rounding takes a gain from one that is made of measurements
+
+
+def no_gain(tried: str, more: str = "") -> str:
+    """Returns a message for a search that found no stabilising static gain: what to do, then what was tried."""
+    return f'{NO_GAIN}; measure more signals, {more}or give order = "full", a law with states (tried: {tried})'
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,10 +242,12 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
         raise DesignError(modes[0])
     try:
         return [point.in_units(own.states, own.inputs, own.states) for point in state_feedback(own.into(problem))]
-    except InfeasibleError as error:
+    except NoSolutionError as error:
         from synth.analysis.stability import stabilisability_failures
 
-        raise InfeasibleError("; ".join(stabilisability_failures(plant, None, states)) or str(error)) from error
+        if reasons := "; ".join(stabilisability_failures(plant, None, states)):
+            raise InfeasibleError(reasons) from error
+        raise
     except DesignError as error:
         raise type(error)("; ".join(unpenalised_inputs(plant)) or str(error)) from error
 
@@ -323,9 +331,10 @@ def two_step_design(
 
     Raises:
         InputError: C_y does not fit the plant, or is empty.
-        InfeasibleError: the plant cannot be stabilised from y, or (25) is infeasible from every X tried; the message says which.
+        InfeasibleError: no static gain from y stabilises the plant; the message names the mode.
         TooLargeError: (22) has more than MOST unknowns.
-        DesignError: from some X a path broke off, or no certificate holds.
+        DesignError: (25) has no solution from any X tried, from some X a path broke off, or no certificate holds; there may be
+            a gain nevertheless.
 
     Example:
         >>> from synth import GeneralizedPlant, two_step_design
@@ -372,8 +381,8 @@ def two_step_design(
 
     if reasons := "; ".join(stabilisability_failures(plant, Cy, states) or static_feedback_obstructions(plant, Cy)):
         raise InfeasibleError(reasons)
-    broken = [error for error in failures if not isinstance(error, InfeasibleError)]
-    first, *_ = [*broken, *failures]  # only where all are infeasible it is proved that there is none
+    broken = [error for error in failures if not isinstance(error, NoSolutionError)]
+    first, *_ = [*broken, *failures]  # only where none has a solution that is the reason
     raise type(first)(f"{first} (from {len(failures)} points of the central path)")
 
 

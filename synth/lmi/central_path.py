@@ -33,7 +33,7 @@ from synth.lmi.barrier import Barrier, Derivatives, Factored, Raised, boundary, 
 from synth.lmi.structured_barrier import Basis, Constraint, StructuredBarrier, direction, path_constraints, start_constraints
 from synth.lmi.unobservable import UnobservableReduction, remove_unobservable
 from synth.plant.generalized import GeneralizedPlant, check_posed, fed_back
-from synth.plant.numerics import DesignError, InfeasibleError, TooLargeError
+from synth.plant.numerics import DesignError, NoSolutionError, TooLargeError
 from synth.plant.units import reachable, size
 
 LIMIT = 1e-9
@@ -107,7 +107,7 @@ def central_path(plant: GeneralizedPlant, Q: Array, R: Array, mu: float = LIMIT)
 
     Raises:
         InputError: nothing disturbs the plant, or nothing is weighed.
-        InfeasibleError: there is no feasible point with eta > 0.
+        NoSolutionError: there is no feasible point with eta > 0.
         TooLargeError: the problem has more than MOST unknowns.
         DesignError: Newton's method failed before mu.
     """
@@ -139,7 +139,7 @@ def _in_differences(plant: GeneralizedPlant, Q: Array, R: Array, mu: float, step
             path = _Path(plant, Q, R, step)
             path.find_feasible_point()
         except np.linalg.LinAlgError as error:
-            raise InfeasibleError(
+            raise NoSolutionError(
                 f"the LMI problem has no feasible point beyond rounding ({error}): a mode stays on the {_border(step)}; measure "
                 "more signals, or give other units"
             ) from error
@@ -232,7 +232,7 @@ class _Path:
             mu /= 10
             if mu < 1e-10:
                 # On the path s exceeds its infimum by no more than (number of rows) mu, so the infimum is 0 to rounding.
-                raise InfeasibleError(
+                raise NoSolutionError(
                     f"the LMI problem is infeasible: no X > 0 of the required structure makes A X + B Y + (A X + B Y)' negative "
                     f"definite (its largest eigenvalue is at least {p[-1]:.0e}, in units of |A||X|)"
                     + (

@@ -6,7 +6,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from synth.lmi.central_path import LIMIT, CentralPoint, central_path
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.numerics import DesignError, NoSolutionError
 from synth.plant.units import independent, own_units, unit_rows
 
 
@@ -17,7 +17,7 @@ def state_feedback(plant: GeneralizedPlant, mu: float = LIMIT) -> list[CentralPo
         mu: see `central_path`.
 
     Raises:
-        InfeasibleError: the plant cannot be stabilised.
+        NoSolutionError: no state feedback moves every mode by more than rounding.
     """
     n = len(plant.A)
     return central_path(plant, Q=np.zeros((n, 0)), R=np.eye(n), mu=mu)
@@ -76,10 +76,10 @@ def output_feedback(plant: GeneralizedPlant, Cy: Array, L: Array, Q: Array, mu: 
         mu: see `central_path`.
 
     Raises:
-        InfeasibleError: (25) has no solution with eta > 0 for this L.
+        NoSolutionError: (25) has no solution with eta > 0 for this L.
     """
     try:
         return central_path(plant, Q, r_matrix(Cy, Q, L), mu)
-    except InfeasibleError as error:
+    except NoSolutionError as error:
         which, advice = ("L = 0", ", or use the L of equation (14)") if L.size and not np.any(L) else ("this L", "")
-        raise InfeasibleError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error
+        raise NoSolutionError(f"problem (25) has no solution with eta > 0 for {which}: {error}{advice}") from error

@@ -24,7 +24,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from synth.plant.generalized import GeneralizedPlant
-from synth.plant.numerics import DesignError, InfeasibleError
+from synth.plant.numerics import DesignError, NoSolutionError
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
         gain: K, shape (m, q): then Y_R = K X_R, and the optimum is the best bound of (25) for that gain.
 
     Raises:
-        InfeasibleError: the solver reports it, or an eta that is zero to its tolerance.
+        NoSolutionError: the solver reports it, or an eta that is zero to its tolerance.
         DesignError: the solver gave up.
     """
     import cvxpy as cp  # 0.9 s, and only this function needs it
@@ -90,7 +90,7 @@ def solve_lmi(plant: GeneralizedPlant, Q: Array, R: Array, gain: Array | None = 
     X_value, Y_value, eta_value = np.asarray(X.value), np.asarray(Y.value), float(eta.value)  # pyright: ignore[reportArgumentType]
     # Clarabel's tolerance of 1e-8, relative to X.
     if eta_value <= 1e-8 * np.linalg.norm(X_value, 2):
-        raise InfeasibleError(
+        raise NoSolutionError(
             f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r} with eta = {eta_value:.1e}"
         )
     per_step = 1.0 if step is None else step  # (21) in differences has X over it
@@ -105,7 +105,7 @@ def answered(problem: Any, **settings: float) -> None:
         settings: of Clarabel, other than its defaults.
 
     Raises:
-        InfeasibleError: the solver reports it.
+        NoSolutionError: the solver reports it.
         DesignError: the solver gave up.
     """
     import cvxpy as cp
@@ -117,7 +117,7 @@ def answered(problem: Any, **settings: float) -> None:
     except cp.SolverError as error:
         raise DesignError(f"Clarabel gave up on the LMI problem: {error}; rescale the plant or use the central path") from error
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
-        raise InfeasibleError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
+        raise NoSolutionError(f"the LMI problem has no solution with eta > 0: Clarabel reports {problem.status!r}")
 
 
 REGULARIZED = 1e-6  # static regularisation of Clarabel's linear systems; the default 1e-8 is too small for a full car
@@ -151,7 +151,7 @@ def first_step(plants: Sequence[GeneralizedPlant], f: float, Cy: Array, blocks: 
         blocks: mask of the entries of W_R that may be nonzero, see `together`, shape (q, q).
 
     Raises:
-        InfeasibleError: the solver reports it, or its eta is zero to its tolerance.
+        NoSolutionError: the solver reports it, or its eta is zero to its tolerance.
         DesignError: the solver gave up.
     """
     import cvxpy as cp  # 0.9 s, and only this function and the next need it
@@ -216,5 +216,5 @@ def _solved(plants: Sequence[GeneralizedPlant], f: float, W: Any, Y: Any, constr
     size = max(float(np.linalg.norm(X_i.value, 2)) for X_i in X)  # pyright: ignore[reportArgumentType, reportCallIssue]
     optimum = float(eta.value)  # pyright: ignore[reportArgumentType]
     if optimum <= NOTHING * size:
-        raise InfeasibleError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {optimum:.1e}")
+        raise NoSolutionError(f"the LMI problem with a slack variable has no solution with eta > 0: Clarabel's is {optimum:.1e}")
     return optimum

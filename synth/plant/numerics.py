@@ -14,7 +14,11 @@ class DesignError(InputError):
 
 
 class InfeasibleError(DesignError):
-    """The LMI problem has no solution with eta > 0."""
+    """Proof that no such controller stabilises the plant. The message names the mode, or what else forbids it."""
+
+
+class NoSolutionError(DesignError):
+    """An LMI problem has no solution with eta > 0. There may be a controller nevertheless."""
 
 
 class TooLargeError(DesignError):

@@ -19,7 +19,7 @@ from synth.analysis.norm import Gain, by_level_sets, hinf_norm
 from synth.design.two_step import state_path, two_step_design, zero_l_design
 from synth.lmi.output_feedback import l_matrix, output_feedback, r_matrix
 from synth.plant.generalized import Feedback, GeneralizedPlant
-from synth.plant.numerics import InfeasibleError, numerics
+from synth.plant.numerics import NoSolutionError, numerics
 from synth.vehicle.designer import Designer
 
 # The bases (47) and (57) that the paper chose; L depends on them, K does not.
@@ -189,7 +189,7 @@ def remark_4(designer: Designer) -> list[WithoutL]:
         for name, Cy in CY.items():
             try:
                 design = zero_l_design(plant, Cy @ turned)
-            except InfeasibleError:
+            except NoSolutionError:
                 cases.append(WithoutL(name, states, None, None, best))
             else:
                 cases.append(WithoutL(name, states, design.gain, design.certificate.bound, best))

@@ -26,6 +26,7 @@ from synth.plant.discrete import mapped
 from synth.plant.generalized import GeneralizedPlant
 
 FAR = 1e4  # times the fastest pole
+POLES = 0.3  # of the work of a norm: the poles alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +127,31 @@ ALIKE = 0.02  # relative; eigenvalues closer than this count as one
 MOST_ALIKE = 3  # singular values of one frequency that are looked at
 
 
+class Work:
+    """The work that searches have done, in norms of loops of 8 states, and its limit.
+
+    A count is the same on every machine, where a time would not be: the same problem ends at the same gain.
+    """
+
+    def __init__(self, limit: float = np.inf) -> None:
+        self.limit, self.done = limit, 0.0
+
+    @property
+    def over(self) -> bool:
+        """True if the limit is reached."""
+        return self.done >= self.limit
+
+    @property
+    def text(self) -> str:
+        """What stopped a search that is over, in words."""
+        return f"the search stopped at its limit of {self.limit:g} norms of loops"
+
+
+def price(states: int, entries: int) -> float:
+    """Returns the work of one norm, with the slopes and curvatures that a descent of so many entries takes for each."""
+    return (0.4 + 0.6 * (states / 8) ** 2) * (1 + entries / 60)
+
+
 class Landscape:
     """The closed loops of one plant. It remembers where peaks were, which only makes the next search shorter."""
 
@@ -136,6 +162,7 @@ class Landscape:
         Dyw: Array | None = None,
         through: Array | None = None,
         structure: Array | None = None,
+        work: Work | None = None,
     ) -> None:
         """Args:
         plant: n states, m inputs, r disturbances.
@@ -143,6 +170,7 @@ class Landscape:
         Dyw: shape (q, r); zero where it is not given.
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         structure: True for the entries of K that may be other than zero, shape (m, q); None for all.
+        work: counts the norms; without a limit if it is not given.
         """
         where = mapped(plant, Cy, Dyw)
         plant, Cy, self.Dyw, self.before = where.plant, where.Cy, where.Dyw, where.before
@@ -162,6 +190,7 @@ class Landscape:
         rows = np.where(rows > 0, rows, np.where(of_forces > 0, of_forces, 1.0))
         self.scale = rate / np.outer(columns, rows)
         self.free = None if structure is None or np.all(structure) else np.flatnonzero(structure)
+        self.work, self.price = work or Work(), price(len(self.A), self.scale.size if self.free is None else len(self.free))
         self.peaks: list[float] = []
         self.last: tuple[bytes, Loop] | None = None
         self.last_ports: tuple[bytes, Ports] | None = None
@@ -229,6 +258,7 @@ class Landscape:
 
     def abscissa(self, x: Array) -> tuple[float, Array]:
         """Largest real part of a pole [rad/s], and its slope, shape (N,); infinite where the loop is not finite itself."""
+        self.work.done += POLES * self.price
         A, _ = self.loop(x)
         if not np.isfinite(A).all():
             return np.inf, np.full(x.shape, np.nan)
@@ -262,6 +292,7 @@ class Landscape:
         Args:
             above: the search ends early, with a lower bound, once the norm is known to exceed this.
         """
+        self.work.done += self.price
         loop = self._closed(x)
         poles = loop.poles
         if not (np.real(poles) < -1e-13 * np.abs(poles).max()).all():

@@ -135,6 +135,7 @@ STABLE = -1e-4  # largest real part of a pole, relative to the largest pole of t
 SHIFT_BEYOND = 0.03  # how far the shift lies right of the last pole, relative likewise
 
 MOST_SHIFTS = 40
+OF_ALL = 2.0  # times the work of a norm of the plant's: that from every state to every state
 STALLED = 0.92, 5  # of the largest real part: where so many shifts leave more of it, the descent leads nowhere
 
 
@@ -150,6 +151,8 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
         x = generator.standard_normal(len(limit)) * 10 ** generator.uniform(-1.5, 1.5) if start else np.zeros(len(limit))
         if start not in starts:
             continue
+        if landscape.work.over:
+            return
         x = np.clip(x, -0.5 * limit, 0.5 * limit)
         stable = stabilise(landscape, x, limit, patient=start % 2 == 1)
         if stable is not None:
@@ -175,7 +178,7 @@ def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Ar
     for _ in range(MOST_SHIFTS):
         left, shifts = STALLED
         lost = len(history) > shifts and history[-1] > left * history[-1 - shifts]
-        if history[-1] <= 0.1 * STABLE or lost or np.any(np.abs(x) > limit):
+        if history[-1] <= 0.1 * STABLE or lost or landscape.work.over or np.any(np.abs(x) > limit):
             break
         x, _ = along_edges(shifted(landscape, (1.1 * history[-1] + SHIFT_BEYOND) * rate), x, limit, 10)
         history.append(abscissa(x)[0])
@@ -190,5 +193,5 @@ def shifted(landscape: Landscape, shift: float) -> Landscape:
     plant = GeneralizedPlant(landscape.A - shift * eye, landscape.B, eye, eye, np.zeros((n, m)), nothing)
     moved = Landscape(plant, landscape.Cy)
     moved.scale, moved.Dyu, moved.before, moved.through = landscape.scale, landscape.Dyu, landscape.before, landscape.through
-    moved.free = landscape.free
+    moved.free, moved.work, moved.price = landscape.free, landscape.work, OF_ALL * landscape.price
     return moved

@@ -14,8 +14,10 @@ from models.laws.linear import LinearLaw
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
+from synth.design.descent.landscape import Work
 from synth.design.fixed_order.fixed_order import fixed_order_design
 from synth.design.full_order.sampled_data import SampledFullOrderDesign, law_gain
+from synth.design.static import bounded_work
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 NEAR = 1.1  # times the lower bound: the first level, where the plant of a level has a norm above one that says where to go
@@ -31,11 +33,13 @@ def sampled_fixed_order(
     states: Sequence[str],
     stable: bool,
     structure: LawStructure,
+    work: Work | None = None,
 ) -> SampledFullOrderDesign:
     """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
 
     Args:
         structure: of the law.
+        work: counts the norms of all descents; `bounded_work` if it is not given.
 
     Raises:
         InputError: the order is more than the plant's.
@@ -45,7 +49,10 @@ def sampled_fixed_order(
     goal = bound.level if bound is not None else 0.0
     level, law, remark, norm, failure = NEAR * (goal or near), None, "", np.inf, None
     names = (*states, *(f"force_{k + 1}_of_{problem.remembered}_before" for k in range(problem.remembered))) if states else ()
+    work = bounded_work(problem.plant) if work is None else work
     for _ in range(ROUNDS):
+        if work.over:
+            break
         plant = problem.at(level)
         if plant is None:
             level *= NEAR
@@ -53,7 +60,7 @@ def sampled_fixed_order(
         try:
             known: list[LinearLaw] = [] if law is None or structure.kind else [law]
             given = plant, problem.rows, problem.Dyw(level), structure, None, names
-            found = fixed_order_design(*given, stable=stable, known=known)
+            found = fixed_order_design(*given, stable=stable, known=known, work=work)
             reached = sampled_norm(problem.loop(law_gain(found.law)), level).value
         except InfeasibleError:
             raise
