@@ -28,7 +28,7 @@ exit code: 0 success; 1 a failed claim; 2 invalid input; 130 interrupted
 
 examples:
   roadproof bump --controller I
-  roadproof bump --help          or python -m sim.bump --help
+  roadproof bump --help
 """
 VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
