@@ -104,7 +104,7 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 def commands() -> str:
     """Returns the page of all commands and their options."""
     text = "# Commands\n\nEach is `python -m NAME`, or `roadproof` with the last part of its name.\n"
-    for name, question, _ in COMMANDS:
+    for name, purpose, _ in COMMANDS:
         parser = parser_of(name)
         page = f"../how-to/{name.rpartition('.')[2]}.md"
         rows = []
@@ -113,7 +113,7 @@ def commands() -> str:
             options = ", ".join(f"`{' '.join(filter(None, (option, value)))}`" for option in action.option_strings)
             rows.append((options or f"`{value or action.dest}`", cell((action.help or "").replace("%%", "%"))))
         usage = " ".join((parser.description or "").split())
-        text += f"\n## {name}\n\nAnswers: [{question}]({page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
+        text += f"\n## {name}\n\nPurpose: [{purpose}]({page})\n\n{usage}\n\n{table(('option', 'meaning'), rows)}"
     return text
 
 

@@ -1,4 +1,4 @@
-"""`python -m sim`: which commands there are, and what question each answers."""
+"""`roadproof`, or `python -m sim`: the table of commands, with the purpose of each."""
 
 import runpy
 import sys
@@ -6,31 +6,29 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from models.common import interrupt
-from models.common.command import Parser, run_command
+from models.common.command import Parser, run_command, versions
 from models.common.errors import InputError, listing
 
-COMMANDS = (  # name, the question it answers, the options that one reaches for first
-    ("synth", "which gains, how good, and how far from the best possible?", "--refine --save --check --front"),
-    ("sim.bump", "does MuJoCo do what the analysis says, over one bump?", "--height --speed --open"),
-    ("sim.drive", "and over any other road; what is the ride like?", "--class --road --speed"),
-    ("sim.sweep", "what are the frequency responses and the norm, measured?", "--amplitude --picture"),
-    ("sim.margins", "how much gain, delay and sample period does the loop bear?", "--picture"),
-    ("sim.envelope", "over which bumps may linear analysis be trusted?", "--vary --picture --csv"),
-    ("sim.campaign", "what comes out over thousands of roads and vehicles?", "--best --results --verify"),
-    ("sim.report", "all of it for one vehicle file, on one page?", "--out --quick --figures"),
-    ("sim.gallery", "does it give the numbers that others printed?", "NAME"),
-    ("sim.inspect", "does a log still prove what it claims?", "--csv --kinds"),
+COMMANDS = (  # name, its purpose, the options that one reaches for first
+    ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
+    ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
+    ("sim.drive", "drive over any road and measure the ride", "--class --road --speed"),
+    ("sim.sweep", "measure frequency responses and the H-infinity norm", "--amplitude --picture"),
+    ("sim.margins", "find the gain, delay and sample-period margins", "--picture"),
+    ("sim.envelope", "map the bumps over which linear analysis is valid", "--vary --picture --csv"),
+    ("sim.campaign", "simulate thousands of roads and vehicles", "--best --results --verify"),
+    ("sim.report", "write a one-page report about a vehicle file", "--out --quick --figures"),
+    ("sim.gallery", "compare with published results", "NAME"),
+    ("sim.inspect", "check that a log still supports its claims", "--csv --kinds"),
 )
 EPILOG = """
-All but sim.campaign, sim.gallery and sim.inspect take --vehicle and
---controller; all take --json, and --help says the rest.
-exit code: 0 done, agreed, proved; 1 not; 2 bad input;
-130 interrupted, 143 by SIGTERM, 129 by the end of its terminal
+Most commands take --vehicle FILE and --controller NAME. All take --json, and
+--help lists their options with units and defaults.
+exit code: 0 success; 1 a failed claim; 2 invalid input; 130 interrupted
 
 examples:
-  python -m sim.bump --controller I
-  python -m sim.bump --help
-  roadproof bump --controller I      the same as the first, once installed
+  roadproof bump --controller I
+  roadproof bump --help
 """
 VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
@@ -42,16 +40,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: any option but --help.
     """
     parser = Parser("sim", "\n".join(table()), EPILOG)
-    parser.parse_args(arguments)
+    parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and of its packages")
+    options = parser.parse_args(arguments)
+    if options.version:
+        own_first = sorted(versions().items(), key=lambda one: one[0] != "roadproof")
+        print("\n".join(f"{name} {version}" for name, version in own_first))
+        return 0
     print(parser.format_help(), end="")
     return 0
 
 
 def table() -> list[str]:
-    """The commands, a line each and one below it for the options."""
-    lines = ["The commands, each as `python -m NAME`:", ""]
-    for name, question, options in COMMANDS:
-        lines += [f"  {name:12}  {question}", f"  {'':12}  {options}"]
+    """Returns the table of commands: a line for the purpose of each, and one below it for its main options."""
+    lines = ["Commands, each as `roadproof NAME`:", ""]
+    for verb, (_, purpose, options) in zip(VERBS, COMMANDS, strict=True):
+        lines += [f"  {verb:10}  {purpose}", f"  {'':10}  {options}"]
     return lines
 
 

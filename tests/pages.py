@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.__main__ import VERBS
 from tests.commands import main_of
 
 ROOT = Path(__file__).parent.parent
@@ -76,8 +77,9 @@ class Section:
 
     @property
     def commands(self) -> list[str]:
-        """The lines of its sh blocks, but those that install."""
-        return [line for block in self.blocks("sh") for line in block.splitlines() if line and INSTALLS not in line]
+        """The lines of its sh blocks, but those that install; `roadproof VERB` is `python -m` of its module."""
+        lines = [line for block in self.blocks("sh") for line in block.splitlines() if line and INSTALLS not in line]
+        return [re.sub(r"^roadproof (\w+)", lambda verb: f"python -m {VERBS[verb[1]]}", line) for line in lines]
 
 
 def page(name: str) -> str:

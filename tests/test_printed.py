@@ -10,7 +10,7 @@ import pytest
 
 from models.common.printed import LINES, WIDTH, Whole, command, fitted, matrix, percent, some_sentences, table, wrapped
 from models.vehicle.vehicle import read_vehicle
-from sim.__main__ import COMMANDS
+from sim.__main__ import COMMANDS, VERBS
 from sim.inspect.log import read_log
 from sim.inspect.proof import prove
 from tests.commands import attacks, in_the_suite, main_of, prose, refused
@@ -205,9 +205,10 @@ def test_help_fits(name, monkeypatch, capsys):
     assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
     for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
         assert wrapped(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
-    examples = re.findall(r"^  (python -m (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
+    examples = re.findall(r"^  ((?:python -m|roadproof) (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
     assert examples
-    assert all(shlex.split(each.replace("\\\n", ""))[2].startswith(("sim.", "synth")) for each in examples)
+    for words in (shlex.split(each.replace("\\\n", "")) for each in examples):
+        assert words[1] in VERBS or words[2] in VERBS.values()
 
 
 def test_sentences_keep_their_words():

@@ -13,7 +13,7 @@ from models.common.errors import InputError
 from models.figures.figure import styles
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
-from sim.__main__ import COMMANDS
+from sim.__main__ import COMMANDS, VERBS
 from sim.__main__ import main as commands_main
 from sim.bump import main
 from sim.campaign.file import read_campaign
@@ -190,7 +190,7 @@ def test_curves_snippet(tmp_path):
 
 def test_campaign_snippet(tmp_path):
     """The campaign file is one."""
-    (snippet,) = site("What comes out over thousands").blocks("toml")
+    (snippet,) = site("Simulate thousands of roads and vehicles").blocks("toml")
     (tmp_path / "campaign.toml").write_text(snippet)
     campaign = read_campaign(tmp_path / "campaign.toml")
     assert len(campaign.seeds) == 100
@@ -203,6 +203,14 @@ def test_notebook_snippet(capsys):
     (snippet,) = section("README.md", "From a notebook").blocks("python")
     exec(compile(snippet.replace("height=0.1)", "height=0.1), duration=0.5"), "README", "exec"), {})
     assert capsys.readouterr().out.startswith("True 0.7")
+
+
+def test_home_page_example(capsys):
+    """The first example of the home page prints what stands below it."""
+    one = section("docs/index.md", "First example")
+    (snippet,), (text,) = one.blocks("python"), one.blocks("text")
+    exec(compile(snippet.replace("height=0.1)", "height=0.1), duration=0.5"), "index", "exec"), {})
+    assert capsys.readouterr().out == text
 
 
 def commands_there_are() -> set[str]:
@@ -219,17 +227,17 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_table_of_commands(capsys):
-    """`python -m sim` names every command with its question, as README.md and the titles of the how-to pages do."""
+    """`python -m sim` names every command with its purpose, as README.md and the titles of the how-to pages do."""
     assert {name for name, _, _ in COMMANDS} == commands_there_are()
     assert commands_main([]) == 0
     printed = capsys.readouterr().out
     front = {row[0].strip("`"): row[1] for row in rows(section("README.md", "The commands").text)}
     headings = [one.heading for name in pages.SITE for one in pages.sections(name)]
-    for name, question, options in COMMANDS:
-        assert f"  {name:12}  {question}\n" in printed
-        assert f"  {'':12}  {options}\n" in printed
-        assert front[name] == question
-        assert f"{question} `{name}`".lower() in [each.lower() for each in headings]
+    for verb, (name, purpose, options) in zip(VERBS, COMMANDS, strict=True):
+        assert f"  {verb:10}  {purpose}\n" in printed
+        assert f"  {'':10}  {options}\n" in printed
+        assert front[f"roadproof {verb}"] == purpose
+        assert f"{purpose} `{name}`".lower() in [each.lower() for each in headings]
     assert all(len(line) <= 80 for line in printed.splitlines())
 
 

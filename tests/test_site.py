@@ -44,9 +44,9 @@ def test_every_page_is_in_a_table_of_contents(made):
 def test_every_command_and_option_has_an_entry(made):
     """The page of commands has each command's every option, as its parser knows them."""
     text = made["reference/commands"]
-    for name, question, _ in COMMANDS:
+    for name, purpose, _ in COMMANDS:
         part = text.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
-        assert question in part
+        assert purpose in part
         options = [each for action in generate.parser_of(name)._actions for each in action.option_strings]
         assert {"--help", "--json"} <= {*options}
         assert all(re.search(rf"`{option}[ `]", part) for option in options)

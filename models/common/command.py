@@ -51,14 +51,15 @@ _kept: list[TextIO] = []  # stdout after `keep_stdout`
 class Parser(argparse.ArgumentParser):
     """Command-line parser with one-line errors. It refuses empty options, and repeated ones that are not declared so."""
 
-    by_verb = False  # True for `roadproof VERB`: errors then name the command like this
+    by_verb = False  # True for `roadproof VERB`: help and errors then name the command like this
 
     def __init__(self, prog: str, description: str, epilog: str) -> None:
+        self.module = prog
         page = f"docs/how-to/{prog.rpartition('.')[2]}.md" if prog != "sim" else "docs/which-command.md"
         super().__init__(
-            prog=f"python -m {prog}",
+            prog=self._called(f"python -m {prog}"),
             description=_page(description),
-            epilog=_page(f"{epilog.rstrip()}\n\nwhat it prints and how to read it: {page}"),
+            epilog=_page(f"{self._called(epilog).rstrip()}\n\nwhat it prints and how to read it: {page}"),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -70,6 +71,10 @@ class Parser(argparse.ArgumentParser):
         self.register("action", "store", _Once)
         self.register("action", "store_true", _Flag)
 
+    def _called(self, text: str) -> str:
+        """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
+        return re.sub(r"python -m (sim$|sim\.)?", "roadproof ", text).rstrip(" ") if self.by_verb else text
+
     def parse_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride] - its overloads
         """Returns the options, with the names of the given ones (`given`) and the command to repeat (`command_line`)."""
         args = sys.argv[1:] if args is None else args
@@ -78,7 +83,7 @@ class Parser(argparse.ArgumentParser):
                 self.error(f"argument {argument[:-3]}: '--' is not a value")
         start = namespace or argparse.Namespace()
         start.given = set()
-        start.command_line = shlex.join([*self.prog.split(), *args])
+        start.command_line = shlex.join(["python", "-m", self.module, *args])
         options = super().parse_args(args, start)
         from models.common import memory  # no help page needs it
 
@@ -87,8 +92,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raises bad options as one line; exit code 2."""
-        called = re.sub(r"^python -m (sim\b\.?)?", "roadproof ", self.prog).rstrip() if self.by_verb else self.prog
-        raise InputError(f"{message}; see {called} --help")
+        raise InputError(f"{message}; see {self.prog} --help")
 
     def add_controller_and_vehicle(self, default: str) -> None:
         """Adds the options `--controller`, which may be repeated, and `--vehicle`."""
