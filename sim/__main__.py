@@ -10,6 +10,7 @@ from models.common.command import Parser, run_command, versions
 from models.common.errors import InputError, listing
 
 COMMANDS = (  # name, its purpose, the options that one reaches for first
+    ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
     ("sim.drive", "drive over any road and measure the ride", "--class --road --speed"),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, listing
+from models.roads.load_choice import setting
 from models.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
@@ -42,8 +43,8 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         if name not in UNITS:
             raise InputError(f"--vary {text}: unknown quantity {name!r}; vary one or two of {listing(UNITS)}, {example}")
         try:
-            low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
-            wrong = len(numbers) != 3
+            low, high = (setting(f"--vary {text}", number, UNITS[name]) for number in numbers[:2])
+            count, wrong = int(numbers[2]), len(numbers) != 3
         except (ValueError, IndexError):
             wrong, low, high, count = True, 0.0, 0.0, 0
         if wrong:
