@@ -8,7 +8,7 @@ from models.common.command import Parser, run_command
 from models.common.errors import InputError
 
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
-TYPES = ("quarter_car", "half_car", "full_car")
+TYPES = ("quarter_car", "half_car")
 EPILOG = """
 The file has parameters of an ordinary car, limits, sensors with noise, a sample period
 and a delay, and designs for them. A comment behind each line says what to put there.

@@ -27,7 +27,7 @@ from models.kinds.kind import GRAVITY, Parameters, VehicleKind
 from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD, ROLL_LOAD
 
 HEAVE, PITCH, ROLL = HEAVE_LOAD.name, PITCH_LOAD.name, ROLL_LOAD.name
-UNITS = {"g": "g", "mass": "kg", "force": "N", "height": "m", "x": "m", "y": "m", "start": "s", "rise": "s", "hold": "s"}
+UNITS = {"mass": "kg", "force": "N", "height": "m", "x": "m", "y": "m", "start": "s", "rise": "s", "hold": "s"}
 AFTER, BEFORE = (1e-3, 1e6), (0.0, 1e6)  # s; a load takes time to rise, as no time step could follow a jump
 
 

@@ -139,7 +139,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     load = LOADS[kind]
     try:
         given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: setting(name, value, SETTING_UNITS[name]) for name, value in given.items()})
+        return load(**{name: setting(name, value, SETTING_UNITS.get(name, "g")) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 

@@ -51,7 +51,7 @@ def parser() -> Parser:
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
     add_loads(parser, "pushes the body, on a flat road where none is named")
-    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
+    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
     parser.add_number(
         "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
     )
