@@ -205,7 +205,8 @@ def test_help_fits(name, monkeypatch, capsys):
     assert [line for line in printed.splitlines() if len(line) > WIDTH] == []
     for paragraph in re.findall(r"^(?!usage)(?:\S.*\n)+", printed.replace("\nexit code", "\n\nexit code"), re.M):
         assert wrapped(" ".join(paragraph.splitlines()), hang=0) == paragraph.splitlines()
-    examples = re.findall(r"^  (python -m (?:.*\\\n)*.*)$", printed.partition("examples:")[2], re.M)
+    typed = printed.partition("examples:")[2].replace("\n  roadproof ", "\n  python -m sim.")
+    examples = re.findall(r"^  (python -m (?:.*\\\n)*.*)$", typed, re.M)
     assert examples
     assert all(shlex.split(each.replace("\\\n", ""))[2].startswith(("sim.", "synth")) for each in examples)
 

@@ -14,7 +14,7 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
@@ -117,7 +117,9 @@ class Parser(argparse.ArgumentParser):
 
     def add_number(self, option: str, default: float, unit: str, meaning: str) -> None:
         """Adds an option that takes a finite number, or one with its unit, such as 90km/h."""
-        self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})")
+        self.add_argument(
+            option, type=_number_in(unit), default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {default:g})"
+        )
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
         """Adds an option that takes one or more finite numbers, with units or without."""

@@ -30,11 +30,12 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
     **{word: unit for unit, words in {
         "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
         "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force",
-        "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "lb": "lbs", "N s": "ns", "kN s": "kns", "deg": "° degree degrees",
+        "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "lb": "lbs", "N s": "ns", "kN s": "kns",
+        "deg": "° degree degrees",
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
-QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")  # a number and its unit
+QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
 
@@ -75,7 +76,7 @@ def in_unit(value: Any, unit: str, what: str) -> Any:
 
 
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
-    """Returns the size of a unit in SI and its powers of kg, m and s, or None if it is unknown. All behind a slash is below it."""
+    """Returns the size of a unit in SI and its powers of kg, m and s; None if it is unknown. All behind a slash divides."""
     size, powers = Fraction(1), (0, 0, 0)
     text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", unit.translate(SIGNS))  # as in N/(m/s)
     for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
