@@ -129,6 +129,8 @@ def test_options(capsys):
         main_of("sim.drive")([*arguments, "--speed", "5 kg"])
     with refused(match=r"depth = '6 s' has the unit 's', and a unit of m is expected"):
         choose_road("pothole:depth=6 s")
+    with refused(match="--vary height = '20 kg' has the unit 'kg', and a unit of m is expected"):
+        read_axes(["height:20 kg:0.3:5"])
     assert read_axes(["height:20mm:0.3:5", "speed:36 km/h:30:3"]) == read_axes(["height:0.02:0.3:5", "speed:10:30:3"])
 
 
