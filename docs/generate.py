@@ -179,7 +179,8 @@ def default(parameter: Any) -> str:
 
 def vehicle_file() -> str:
     """Returns the page of all keys of a vehicle file, and of a campaign file."""
-    text = "# Keys of a vehicle file\n\nValues are in SI units. The right column has the pages that use a key.\n"
+    text = '# Keys of a vehicle file\n\nNumbers are in SI units, or in quotes with their unit, as in `"22 N/mm"`. '
+    text += "The right column has the pages that use a key.\n"
     for section, keys in key_sections().items():
         rows = [
             (f"`{key}`", unit, cell(meaning) if "`" not in meaning else meaning, shown_in(key)) for key, unit, meaning in keys

@@ -10,6 +10,7 @@ from models.common.command import Parser, run_command, versions
 from models.common.errors import InputError, listing
 
 COMMANDS = (  # name, its purpose, the options that one reaches for first
+    ("sim.new", "write a commented vehicle file to start from", "--type"),
     ("synth", "design controllers and prove bounds on their norms", "--refine --save --check --front"),
     ("sim.bump", "drive over one bump and compare MuJoCo with linear analysis", "--height --speed --open"),
     ("sim.drive", "drive over any road and measure the ride", "--class --road --speed"),
@@ -23,10 +24,12 @@ COMMANDS = (  # name, its purpose, the options that one reaches for first
 )
 EPILOG = """
 Most commands take --vehicle FILE and --controller NAME. All take --json, and
---help lists their options with units and defaults.
+--help lists their options with units and defaults. A number may have its own unit,
+as in --speed 90km/h --height "60 mm", in vehicle files, too.
 exit code: 0 success; 1 a failed claim; 2 invalid input; 130 interrupted
 
 examples:
+  roadproof new my_car.toml
   roadproof bump --controller I
   roadproof bump --help
 """

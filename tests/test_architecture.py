@@ -73,6 +73,7 @@ ROOMS = {
     "sim.studies",
     "sim.margins": "models.figures models.suspension models.vehicle synth.controller synth.vehicle sim.command "
     "sim.linear sim.runs sim.studies",
+    "sim.new": "",
     "sim.report": "models.figures models.kinds models.laws models.roads models.vehicle synth.analysis synth.command "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",

@@ -234,7 +234,7 @@ REFUSED = [
         "brake, corner, payload, lift, gust",
     ),
     ("sim.drive", ["--controller", "passive", "--load", "brake:gs=1"], "gs=1", "g, hold, rise, start"),
-    ("sim.drive", ["--controller", "passive", "--load", "brake:g=x"], "g = 'x' is not a finite number"),
+    ("sim.drive", ["--controller", "passive", "--load", "brake:g=x"], "g = 'x' is not a number; give a number in g"),
     ("sim.drive", ["--controller", "passive", "--load", "brake:g=nan"], "g = 'nan' is not a finite number"),
     ("sim.drive", ["--controller", "passive", "--load", "brake:g=3"], "brake g = 3 is not allowed", "from -2 to 2"),
     ("sim.drive", ["--controller", "passive", "--load", "brake:rise=0"], "brake rise = 0", "from 0.001"),

@@ -7,7 +7,8 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.files import parse_toml
-from models.common.table import BOTH, LENGTH, find_table
+from models.common.table import BOTH, find_table
+from models.common.units import LENGTH
 from models.roads import profile_file
 from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history

@@ -14,7 +14,7 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 from models.common import interrupt
 from models.common.errors import InputError, listing, one_line, quoted
@@ -116,13 +116,14 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_number(self, option: str, default: float | None, unit: str, meaning: str, unset: str = "") -> None:
-        """Adds an option that takes a finite number; `unset` says what None does."""
+        """Adds an option that takes a finite number, or one with its unit, such as 90km/h; `unset` says what None does."""
         usual = unset if default is None else f"{default:g}"
-        self.add_argument(option, type=_number, default=default, metavar=unit, help=f"{meaning} [{unit}] (default: {usual})")
+        said = f"{meaning} [{unit}] (default: {usual})"
+        self.add_argument(option, type=_number_in(unit), default=default, metavar=unit, help=said)
 
     def add_numbers(self, option: str, unit: str, meaning: str) -> None:
-        """Adds an option that takes one or more finite numbers."""
-        self.add_argument(option, type=_number, nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
+        """Adds an option that takes one or more finite numbers, with units or without."""
+        self.add_argument(option, type=_number_in(unit), nargs="+", metavar=unit, help=f"{meaning} [{unit}]")
 
     def add_count(
         self, option: str, meaning: str, default: str, low: int, high: int, unset: int | None = None, many: bool = False
@@ -349,11 +350,21 @@ def _path(text: str) -> Path:
     return Path(_text(text))
 
 
-def _number(text: str) -> Any:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
+def _number_in(unit: str) -> Callable[[str], float]:
+    """Returns the reader of a finite number, or of one with its unit, as a number of another unit."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            from models.common.units import quantity
+
+            try:
+                value = quantity(text, unit)
+            except InputError as error:
+                raise argparse.ArgumentTypeError(str(error)) from None
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+        return value
+
+    return number

@@ -16,24 +16,10 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
+from models.common.units import unit_named
 
 SEPARATORS: Mapping[str, str] = {"semicolon": ";", "tab": "\t", "comma": ",", "space": " "}  # the least ambiguous first
 ABOVE = 50  # lines that may come before the numbers
-LENGTH = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
-TIME = {"s": 1.0, "ms": 1e-3}
-VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
-FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
-MOMENT = {"N m": 1.0, "kN m": 1e3}
-WORDS: Mapping[str, str] = {  # other names of units, in small letters
-    **{f"{prefix}{word}": f"{short}m" for prefix, short in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
-       for word in ("metre", "metres", "meter", "meters")},
-    **{word: unit for unit, words in {
-        "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
-        "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force",
-        "N m": "nm", "kN m": "knm",
-    }.items() for word in words.split()},
-    "n m": "N m", "kn m": "kN m",
-}  # fmt: skip
 IN_BRACKETS = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 AT_THE_END = re.compile(r"(?<=\w)\s*[\s_/,-]\s*([A-Za-z]+)$")
 SPACED = re.compile(r'"[^"]*"|(?:[^\s\[(]+\s{0,9})?[\[(][^\[\]()]{0,60}[\])]|\S+')  # a unit in brackets goes with its word
@@ -41,11 +27,6 @@ LONGEST = 200  # characters of a heading
 WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
 WITH_BOTH = re.compile(r"[+-]?\d+(\.\d*)*\.\d*,\d+|[+-]?\d+(,\d*)*,\d*\.\d*")  # 1.300,0 and 1,300.0
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
-
-
-def unit_named(text: str) -> str:
-    """Returns a unit by its usual name; as it is, in small letters, if it is unknown."""
-    return WORDS.get(text.lower(), text.lower())
 
 
 @dataclass(frozen=True)

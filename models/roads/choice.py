@@ -20,6 +20,10 @@ from models.roads.road import Road, track_width
 from models.vehicle.names import FILE, RIG, ROAD_KINDS, ROAD_SYNTAX, split_off
 from models.vehicle.vehicle import Vehicle
 
+UNITS = {  # of numbers of roads; all others are lengths
+    **dict.fromkeys(("start", "duration"), "s"), **dict.fromkeys(("frequency", "lowest", "highest"), "Hz"),
+    "phase": "deg", "iri": "m/km",
+}  # fmt: skip
 TABLE = ("distance_unit", "height_unit", "separator", "columns")  # of a .csv or .txt file
 DRIVEN = ("from", "join")  # of such a file: where the vehicle starts, and how points are joined
 READ = "a .csv or .txt file has columns of distance and height, a .crg file is OpenCRG"
@@ -144,7 +148,7 @@ def _choose(text: str, folder: Path) -> RoadChoice:
     except InputError as error:
         raise InputError(f"road {text!r}: {error}") from error
     values: dict[str, Any] = {
-        name: value if isinstance(allowed[name], str) else setting(f"road {text!r}: {name}", value)
+        name: value if isinstance(allowed[name], str) else setting(f"road {text!r}: {name}", value, UNITS.get(name, "m"))
         for name, value in given.items()
     }
     if kind == "iso8608":

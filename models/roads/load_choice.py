@@ -11,9 +11,11 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
 from models.common.printed import settings
-from models.common.table import FORCE, MOMENT, TIME, find_table
+from models.common.table import find_table
+from models.common.units import FORCE, MOMENT, TIME, quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
+from models.roads.load import UNITS as SETTING_UNITS
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
@@ -137,7 +139,7 @@ def choose_load(text: str, folder: Path = Path()) -> Load:
     load = LOADS[kind]
     try:
         given = settings(colon + rest, [field.name for field in fields(load)])
-        return load(**{name: setting(name, value) for name, value in given.items()})
+        return load(**{name: setting(name, value, SETTING_UNITS.get(name, "g")) for name, value in given.items()})
     except InputError as error:
         raise InputError(f"load {text!r}: {error}") from error
 
@@ -166,16 +168,16 @@ def choose_described(text: str) -> Load:
     return choose_load(text)
 
 
-def setting(name: str, value: str) -> float:
-    """Returns a number that is given as text.
+def setting(name: str, value: str, unit: str = "1") -> float:
+    """Returns a number that is given as text, maybe with its unit, in a unit.
 
     Raises:
-        InputError: it is not a finite number.
+        InputError: it is not a finite number, or its unit is unknown or of another dimension.
     """
     try:
         number = float(value)
     except ValueError:
-        number = math.nan
+        number = quantity(value, unit, name)
     if not math.isfinite(number):
         raise InputError(f"{name} = {value!r} is not a finite number")
     return number

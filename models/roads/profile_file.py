@@ -9,8 +9,8 @@ import numpy as np
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import TABLE, read_content
-from models.common.table import LENGTH as UNITS
 from models.common.table import SEPARATORS, Heading, NumberTable, find_table, heading_of, merged
+from models.common.units import LENGTH as UNITS
 from models.roads.profile import Profile, check_points
 
 MEANT: Mapping[str, frozenset[str]] = {

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from models.common.errors import InputError, listing
 from models.common.files import TABLE, read_content
-from models.common.table import LENGTH, TIME, find_table
+from models.common.table import find_table
+from models.common.units import LENGTH, TIME
 from models.roads.rig import Rig, check_history, check_posts, post_name
 
 CLOCK = ("time", "t")

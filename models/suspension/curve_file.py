@@ -16,7 +16,8 @@ from typing import Any
 
 from models.common.errors import InputError, listing, quoted
 from models.common.files import TEXT, origin, parse_toml, read_content
-from models.common.table import FORCE, LENGTH, TIME, VELOCITY, find_table, unit_named
+from models.common.table import find_table
+from models.common.units import FORCE, LENGTH, TIME, VELOCITY, unit_named
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
 UNITS: Mapping[str, Mapping[str, float]] = {"velocity": VELOCITY, "deflection": LENGTH, "force": FORCE}

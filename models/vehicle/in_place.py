@@ -20,6 +20,7 @@ from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, first_few, listing, quoted
 from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
 from models.common.table import find_table
+from models.common.units import in_unit
 from models.laws.python_law import PythonLaw
 from models.vehicle.mat_file import SAVE, Variable, read_mat
 
@@ -210,7 +211,7 @@ def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], s
     except InputError as error:
         raise InputError(f"file {path}: {error}") from error
     if period is not None:
-        said = entry.get("sample_period", period)
+        said = in_unit(entry.get("sample_period", period), "s", "sample_period")
         if said != period:
             raise InputError(f"file {path}: has a sample period of {period:g} s, and sample_period = {quoted(said)} is another")
         record |= {} if "sample_period" in entry else {"sample_period": period}

@@ -170,6 +170,15 @@ def road_files(goals: Iterable["Goals | None"]) -> list[Path]:
     return [Path(file[0]) for file in map(named_file, roads) if file]
 
 
+def in_si_units(text: str, data: Mapping[str, Any], kind: VehicleKind) -> Mapping[str, Any]:
+    """Returns the data of a vehicle file's text with SI numbers in place of numbers with units, such as "22 N/mm"."""
+    if not re.search(r"""["'][ \t]*[+-]?\.?\d""", text):
+        return data
+    from models.vehicle.written_units import in_si
+
+    return in_si(data, kind)
+
+
 def curves_and_parameters(data: Mapping[str, Any], kind: VehicleKind) -> tuple[dict[str, "ForceCurve"], dict[str, float]]:
     """Reads `[curves]`, and `[parameters]` with the curves' slopes at rest."""
     if not data.get("curves"):

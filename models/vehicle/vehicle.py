@@ -22,6 +22,7 @@ from models.vehicle.sections import (
     WeightedSum,
     curves_and_parameters,
     dampers_of,
+    in_si_units,
     read_performance,
     read_sampled,
     read_sums,
@@ -455,6 +456,7 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         raise InputError(f"type = {quoted(data['type'])} is not a name in quotes; known: {listing(kinds())}")
 
     vehicle_kind = kind(data["type"], folder)
+    data = in_si_units(text, data, vehicle_kind)
     curves, parameters = curves_and_parameters(data, vehicle_kind)
     model = vehicle_kind.whole_model(parameters)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)

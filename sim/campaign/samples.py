@@ -13,6 +13,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, number_range, quoted
+from models.common.units import in_unit
 from models.kinds.kind import Parameter
 from models.roads.iso8608 import check_seed
 from models.suspension.adjustable_dampers import Adjustable
@@ -128,7 +129,10 @@ def _vehicle_samples(
     table: Mapping[str, Any], vehicles: Mapping[str, Vehicle], method: str, count: int, seed: int
 ) -> dict[str, tuple[Mapping[str, float], ...]]:
     """Returns the sampled parameters of every vehicle."""
-    distributions = [_distribution(f"[samples.parameters] {name}", name, entry) for name, entry in table.items()]
+    units = {part.name: part.unit for vehicle in vehicles.values() for part in vehicle.kind.parameters}
+    distributions = [
+        _distribution(f"[samples.parameters] {name}", name, entry, units.get(name, "")) for name, entry in table.items()
+    ]
     for name, vehicle in vehicles.items():
         for distribution in distributions:
             _check_distribution(distribution, name, vehicle)
@@ -198,7 +202,7 @@ def _unit_samples(method: str, dimensions: int, count: int, seed: int) -> Array:
         return (sampler or qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed))).random(count)
 
 
-def _distribution(where: str, name: str, entry: Any) -> Distribution:
+def _distribution(where: str, name: str, entry: Any, unit: str = "") -> Distribution:
     example = f"as in {name} = {{ uniform = [0.8, 1.2], relative = true }}"
     if not isinstance(entry, dict):
         raise InputError(f"{where} = {quoted(entry)} is no distribution; give one of {listing(DISTRIBUTIONS)}, {example}")
@@ -210,7 +214,7 @@ def _distribution(where: str, name: str, entry: Any) -> Distribution:
     values = entry[shapes[0]]
     if not isinstance(values, list) or len(values) != 2:
         raise InputError(f"{where}: {shapes[0]} = {quoted(values)} is not two numbers, {example}")
-    a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12) for value in values)
+    a, b = (read_number(value, f"{where}: {shapes[0]}", -1e12, 1e12, unit) for value in values)
     if (a >= b) if shapes[0] == "uniform" else (b <= 0):
         raise InputError(
             f"{where}: {shapes[0]} = [{a:g}, {b:g}] spreads nothing; give low < high, or a standard deviation above 0"
@@ -261,6 +265,7 @@ def read_number(value: Any, where: str, smallest: float, largest: float, unit: s
     Raises:
         InputError: the value is not a number, or beyond them.
     """
+    value = in_unit(value, unit, where)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not smallest <= value <= largest:
         raise InputError(f"{where}: {quoted(value)} is not allowed; give {number_range(smallest, largest, unit)}")
     return float(value)

@@ -32,7 +32,7 @@ def parser() -> Parser:
     parser.add_controller_and_vehicle("required")
     parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
-    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
+    parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
     parser.add_argument(
         "--track", choices=("left", "right", "both"), default="both", help="the wheels that the bump lies under (default: both)"
     )

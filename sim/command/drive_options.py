@@ -54,7 +54,7 @@ def parser() -> Parser:
         "--from", None, "m", "where the vehicle starts on a road from a file, in the file's distances", "its first point"
     )
     add_loads(parser, "pushes the body, on a flat road where none is named")
-    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
+    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
     parser.add_number(
         "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
     )

@@ -1,0 +1,101 @@
+"""Units as people write them, `90 km/h`, `22 N/mm`, `8 Hz`: the one table of units of files, options and tables."""
+
+import re
+from collections.abc import Mapping
+from fractions import Fraction  # so that 35 mm are 0.035 m, without rounding between
+from typing import Any
+
+from models.common.errors import InputError, quoted
+
+LENGTH = {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+TIME = {"s": 1.0, "ms": 1e-3}
+VELOCITY = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254, "ft/s": 0.3048}
+FORCE = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605}
+MOMENT = {"N m": 1.0, "kN m": 1e3}
+# Sizes in SI, by powers of kg, m and s. Angles are numbers, so a frequency of 1 Hz is 2 pi rad/s.
+SIZES: Mapping[tuple[int, int, int], Mapping[str, float]] = {
+    (1, 0, 0): {"kg": 1.0, "t": 1e3, "lb": 0.45359237},
+    (0, 1, 0): LENGTH,
+    (0, 0, 1): TIME | {"min": 60.0, "h": 3600.0},
+    (0, 1, -1): {"mph": 0.44704},
+    (0, 1, -2): {"g": 9.80665, "mg": 9.80665e-3},
+    (1, 1, -2): FORCE,
+    (1, 2, -2): {"J": 1.0},
+    (0, 0, -1): {"Hz": 6.283185307179586, "rpm": 0.10471975511965977},
+    (0, 0, 0): {"1": 1.0, "-": 1.0, "rad": 1.0, "deg": 0.017453292519943295, "%": 1e-2},
+}
+WORDS: Mapping[str, str] = {  # other names of units, in small letters
+    **{f"{prefix}{word}": f"{short}m" for prefix, short in (("", ""), ("kilo", "k"), ("centi", "c"), ("milli", "m"))
+       for word in ("metre", "metres", "meter", "meters")},
+    **{word: unit for unit, words in {
+        "in": 'inch inches "', "ft": "foot feet '", "s": "sec second seconds", "ms": "msec millisecond milliseconds",
+        "N": "n newton newtons", "kN": "kn kilonewton kilonewtons", "daN": "dan", "lbf": "pound_force",
+        "N m": "nm", "kN m": "knm", "Hz": "hz", "km/h": "kph kmh", "lb": "lbs", "N s": "ns", "kN s": "kns",
+        "deg": "° degree degrees",
+    }.items() for word in words.split()},
+    "n m": "N m", "kn m": "kN m",
+}  # fmt: skip
+QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
+FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
+SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
+
+
+def unit_named(text: str) -> str:
+    """Returns a unit by its usual name; as it is, in small letters, if it is unknown."""
+    return WORDS.get(text.lower(), text.lower())
+
+
+def quantity(text: str, unit: str, what: str = "") -> float:
+    """Returns a number with its unit, `70 mm` or `8Hz`, in another unit; a number alone is in that already.
+
+    Args:
+        unit: of the result, such as m, rad/s or N s/m; empty, "-" or "1" for a pure number.
+        what: name of the number, for messages.
+
+    Raises:
+        InputError: the text is not a number with a unit, or the unit is unknown or of another dimension.
+    """
+    match, pure = QUANTITY.fullmatch(text), unit in ("", "-", "1")
+    said = f"{what} = {quoted(text)}" if what else quoted(text)
+    if match is None:
+        raise InputError(f"{said} is not a number; give a number{'' if pure else f' in {unit}, or one with its unit'}")
+    number, written = match.groups()
+    size, wanted = _size(written or unit), _size(unit)
+    if written and (size is None or wanted is None or size[1] != wanted[1]):
+        unknown = "the unknown unit" if size is None else "the unit"
+        expected = "a pure number" if pure else f"a unit of {unit}"
+        example = number if pure else f"{number} {unit}"
+        raise InputError(f'{said} has {unknown} {quoted(written)}, and {expected} is expected; give "{example}"')
+    return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
+
+
+def in_unit(value: Any, unit: str, what: str) -> Any:
+    """Returns the number of a text with a number and a unit, as `quantity` does; any other value as it is."""
+    match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    return quantity(value, unit, what) if match and match[2] else value
+
+
+def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
+    """Returns the size of a unit in SI and its powers of kg, m and s; None if it is unknown. All behind a slash divides."""
+    size, powers = Fraction(1), (0, 0, 0)
+    text = re.sub(r"/\s*\(([^()/]+)/([^()/]+)\)", r" \2/\1", unit.translate(SIGNS))  # as in N/(m/s)
+    for i, part in enumerate(re.sub(r"[()]", "", text).split("/")):
+        for factor in part.split():
+            match = FACTOR.fullmatch(factor)
+            one = _unit(match[1]) if match else None
+            if match is None or one is None:
+                return None
+            power = int(match[2] or 1) * (-1 if i else 1)
+            size *= one[0] ** power
+            powers = tuple(sum_ + power * own for sum_, own in zip(powers, one[1], strict=True))
+    return size, powers
+
+
+def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
+    """Returns a single unit as `_size` does."""
+    usual = unit_named(name)
+    for powers, sizes in SIZES.items():
+        for known in (name, usual):
+            if known in sizes:
+                return Fraction(repr(sizes[known])), powers
+    return _size(usual) if usual != name.lower() else None

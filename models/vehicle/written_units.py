@@ -1,0 +1,84 @@
+"""Numbers with units in a vehicle file, `sprung_mass = "380 kg"`: the unit of every key, and the conversion to it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from models.common.errors import InputError, quoted
+from models.common.units import in_unit
+from models.kinds.kind import VehicleKind
+from models.kinds.signals import PITCH_LOAD, ROLL_LOAD
+
+# Of a table the unit of each key, "*" of all other keys, "" of a number in the table's place; of a list one unit, or one each.
+STOPS = {"suspension_stroke": "m", "stop_stiffness": ("N/m", "N/m2", "N/m3")}
+LIMITS = {**STOPS, "actuator_force": "N", "actuator_bandwidth": "rad/s", "*": STOPS}
+CURVE = {"velocity": "m/s", "deflection": "m", "force": "N", "friction": "N", "friction_velocity": "m/s", "fit_error": "1"}
+LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
+DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
+SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
+
+
+def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
+    """Returns the data of a vehicle file with SI numbers in place of numbers with units.
+
+    Args:
+        kind: of the vehicle, whose parameters and signals have units.
+
+    Raises:
+        InputError: a unit is unknown, or of another dimension than its key.
+    """
+    signals = {one.name: one.unit for one in (*kind.signals, *kind.on_demand, *(part.velocity for part in kind.suspensions))}
+
+    def bound(given: Any) -> dict[str, Any]:
+        signal = next((given[key] for key in ("peak", "energy_peak") if key in given), "") if isinstance(given, Mapping) else ""
+        most = signals.get(signal) if isinstance(signal, str) else None
+        return {"band": "Hz", "speed": "m/s", "energy": "m2/s", "decay": "rad/s", "at_most": most}
+
+    controller = {
+        **dict.fromkeys(SKY, "N s/m"), "crossover": "rad/s", "sample_period": "s", "preview": "s", "anti_windup": "1/s",
+        "loads": {"*": "N", PITCH_LOAD.name: "N m", ROLL_LOAD.name: "N m"}, "pid": {"filter": "s"}, "tolerance": "1",
+        "minimise": {"band": "Hz"}, "bounds": bound,
+    }  # fmt: skip
+    units = {
+        "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
+        "limits": LIMITS,
+        "implementation": {"sample_period": "s", "noise": signals, "quantisation": signals},
+        "curves": {"*": CURVE},
+        "actuators": {**DAMPER, "*": DAMPER},
+        "controllers": {"*": controller},
+    }
+    converted = {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}
+    if isinstance((implementation := converted.get("implementation")), dict):
+        converted["implementation"] = _with_delay(implementation)
+    return converted
+
+
+def _in_si(value: Any, units: Any, path: tuple[str, ...]) -> Any:
+    """Returns a value of a vehicle file in SI units.
+
+    Args:
+        units: of the value, see above, or a function from the value to them; None for a value without unit.
+        path: names of its sections, and its key.
+    """
+    units = units(value) if callable(units) and not isinstance(value, list) else units
+    if isinstance(value, Mapping):
+        each = units if isinstance(units, Mapping) else {"*": units}
+        return {key: _in_si(one, each.get(key, each.get("*")), (*path, key)) for key, one in value.items()}
+    if isinstance(value, list):
+        several = units if isinstance(units, tuple) and len(units) >= len(value) else [units] * len(value)
+        return [_in_si(one, unit, path) for one, unit in zip(value, several, strict=False)]
+    unit = units.get("") if isinstance(units, Mapping) else units[0] if isinstance(units, tuple) else units
+    return value if unit is None else in_unit(value, unit, f"[{'.'.join(path[:-1])}] {path[-1]}")
+
+
+def _with_delay(section: dict[str, Any]) -> dict[str, Any]:
+    """Returns `[implementation]` with a delay in samples in place of one with a unit of time."""
+    delay, period = section.get("delay"), section.get("sample_period")
+    seconds = in_unit(delay, "s", "[implementation] delay")
+    if seconds is delay:
+        return section
+    if isinstance(period, bool) or not isinstance(period, (int, float)) or not period > 0:
+        raise InputError(
+            f"[implementation] delay = {quoted(delay)} is a time, and there is no sample period; give it, as in "
+            'sample_period = "5 ms", or give delay as a number of samples'
+        )
+    return {**section, "delay": round(seconds / period, 9)}

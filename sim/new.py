@@ -1,0 +1,61 @@
+"""`python -m sim.new`: writes a commented vehicle file, to be filled in with the numbers of a car."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from models.common.command import Parser, run_command
+from models.common.errors import InputError
+
+TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
+TYPES = ("quarter_car", "half_car")
+EPILOG = """
+The file has parameters of an ordinary car, limits, sensors with noise, a sample period
+and a delay, and designs for them. A comment behind each line says what to put there.
+It never replaces a file.
+
+exit code: 0 written; 2 bad input
+
+examples:
+  python -m sim.new my_car.toml
+  python -m sim.new my_half_car.toml --type half_car
+"""
+
+
+def parser() -> Parser:
+    """Returns the command-line parser."""
+    parser = Parser("sim.new", "Writes a commented vehicle file, with which every command runs.", EPILOG)
+    parser.add_argument("file", type=Path, metavar="FILE", help="the file to write, such as my_car.toml")
+    parser.add_argument("--type", choices=TYPES, default=TYPES[0], help=f"type of the vehicle (default: {TYPES[0]})")
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns its exit code.
+
+    Raises:
+        InputError: bad options, or the file exists or cannot be written.
+    """
+    options = parser().parse_args(arguments)
+    from models.common.files import TEXT, read_text, whole_file
+    from models.common.printed import pasted_path
+
+    path: Path = options.file
+    if path.exists():
+        raise InputError(f"{path} exists and is not replaced; give another name, or remove it")
+    text = read_text(TEMPLATES / f"{options.type}.toml", "template", TEXT, f"give one of {', '.join(TYPES)}")
+    with whole_file(path, "vehicle file") as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+    if options.json:
+        print(json.dumps({"file": str(path), "type": options.type}))
+        return 0
+    name = pasted_path(path)
+    print(f"wrote {name}; replace its numbers by those of your car, then run")
+    print(f"  python -m synth --vehicle {name}")
+    print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)
