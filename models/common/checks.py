@@ -180,7 +180,9 @@ def _check(annotation: Any) -> _Check:
         return _PLAIN[annotation]
     if isinstance(annotation, type) and annotation is not object:
         article = "an" if annotation.__name__[0] in "AEIOU" else "a"
-        return _simple(f"{article} {annotation.__name__}", lambda value: isinstance(value, annotation))
+        # A type that is not public has a class attribute `given_as`, which says in words where its values come from.
+        words = vars(annotation).get("given_as", f"{article} {annotation.__name__}")
+        return _simple(words, lambda value: isinstance(value, annotation))
     return ANYTHING
 
 

@@ -17,6 +17,8 @@ class Signal(Checked):
         meaning: one line, with the sign convention.
     """
 
+    given_as = "a signal, as in models.signals"
+
     name: str
     symbol: str
     unit: str

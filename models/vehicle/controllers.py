@@ -59,6 +59,8 @@ class DesignConditions:
         loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
     """
 
+    given_as = "design conditions, as of vehicle.hardware(name)"
+
     noise: tuple[float, ...] = ()
     bandwidth: float | None = None
     loads: tuple[tuple[str, float], ...] = ()
@@ -89,6 +91,8 @@ class ControllerEntry:
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
     """
+
+    given_as = "an entry, as in a vehicle.controllers"
 
     name: str
     measured: tuple[str, ...]

@@ -176,6 +176,8 @@ class Certificate(Shown):
         below: proof of the lower bound for controllers of this kind; None if it was not requested.
     """
 
+    given_as = "a certificate, as of synth.certify"
+
     loop: GeneralizedPlant
     stability: Stability
     own: Stability
