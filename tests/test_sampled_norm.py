@@ -9,6 +9,7 @@ import pytest
 from scipy import linalg, optimize, signal
 
 from models.common.arrays import Array
+from models.common.errors import InputError
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
@@ -75,6 +76,18 @@ def test_example_of_a_manual(period, expected):
     plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
     loop = SampledLoop(plant, (HoldInterval(period, 0),), -np.hstack([Dk @ C, Ck]), np.hstack([Bk @ C, Ak]), np.zeros((1, 1)))
     assert f"{sampled_norm(loop).value:.5g}" == expected
+
+
+def test_the_loop_of_a_gain():
+    """The loop of a gain and a period is that of its parts, and matrices that do not fit are named."""
+    plant = GeneralizedPlant(-np.eye(2), np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
+    K, Cy = np.array([[-1.0], [2.0]]), np.array([[3.0, 4.0]])
+    loop = SampledLoop.of_gain(plant, K, Cy, sample_period=0.1, delay=1.25)
+    parts = static_loop(plant, K @ Cy, HoldInterval(0.025, 2), HoldInterval(0.075, 1))
+    assert sampled_norm(loop).value == pytest.approx(sampled_norm(parts).value, rel=1e-8)  # rounding of the fraction
+    for wrong, said in (({"K": K.T}, r"K has shape \(1, 2\); expected \(2, 1\)"), ({"Cy": K}, "Cy has shape"), ({"delay": -1}, "delay")):
+        with pytest.raises(InputError, match=said):
+            SampledLoop.of_gain(**{"plant": plant, "K": K, "Cy": Cy, "sample_period": 0.1} | wrong)
 
 
 def fast_lifting(loop: SampledLoop, parts: int) -> float:

@@ -161,6 +161,10 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
         "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
+        "SampledLoop.of_gain": (
+            synth.SampledLoop.of_gain,
+            {**measured, "K": K, "sample_period": 0.01, "delay": 0.5},
+        ),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
             synth.from_state_space,

@@ -145,7 +145,7 @@ def _annotated(of: type) -> tuple[tuple[str, Any], ...]:
 def at_the_door(function: F) -> F:
     """Returns a function that checks its arguments by their annotations before it is called."""
     signature = inspect.signature(function)
-    annotations = {name: parameter.annotation for name, parameter in signature.parameters.items() if name != "self"}
+    annotations = {name: parameter.annotation for name, parameter in signature.parameters.items() if name not in ("self", "cls")}
 
     @wraps(function)
     def checked(*arguments: Any, **named: Any) -> Any:
