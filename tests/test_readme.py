@@ -156,11 +156,30 @@ def test_laws_with_states(tmp_path, capsys):
     one, other = json.loads(capsys.readouterr().out)["controllers"]
     assert {**one, "name": ""} == {**other, "name": ""}
 
-    (snippet,) = site("Controllers of python-control").blocks("python")
+    snippet, _ = site("Controllers of python-control").blocks("python")
     exec(snippet, {})
     printed = capsys.readouterr().out
     assert float(printed.split()[0]) == one["norm"]
     assert printed.endswith("['suspension_deflection', 'sprung_acceleration']\n")
+
+
+def test_functions_and_roads_from_python(capsys):
+    """Laws and roads that are written in Python are driven and agree; a gain of python-control does as its certified one."""
+    for snippet in (
+        *section("docs/how-to/a-law-in-python.md", "A function in Python").blocks("python"),
+        *(block for one in pages.sections("docs/how-to/a-road-in-python.md") for block in one.blocks("python")),
+        site("Controllers of python-control").blocks("python")[1],
+    ):
+        exec(compile(snippet, "page", "exec"), {"__name__": "page"})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:-1] for line in lines] == [
+        *([name, "True"] for name in ("I", "skyhook", "Adaptive", "law")),
+        *[["True"]] * 5,
+        [],
+    ]
+    peaks = [float(line.split()[-1]) for line in lines]
+    assert peaks[6] == pytest.approx(2.5 * peaks[5], rel=1e-3)  # a ramp as high; geometry is 1e-4 of so low a one
+    assert peaks[7] == pytest.approx(peaks[8], rel=1e-9)  # rounding of another order of sums
 
 
 def test_vehicle_file_snippets():
