@@ -224,7 +224,7 @@ NAMED_OTHERWISE = {
 }
 
 
-PUBLIC = {*models.__all__, *synth.__all__, *sim.__all__}
+PUBLIC = {*dir(models), *dir(synth), *dir(sim)}
 
 
 def mistake(name: str, argument: str, what: str) -> str:

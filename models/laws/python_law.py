@@ -1,7 +1,7 @@
-"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function that `sim.run` is given.
+"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function given to `sim.run`.
 
-They are read here, not run. Linear analysis makes no claim about them. The files lie in the folder of the vehicle file, or below: no log, result or text of
-a vehicle file can name another one.
+They are read here, not run. Linear analysis makes no claim about them. Files lie in the folder of the vehicle file, or below: no
+log, result or text of a vehicle file can name another one.
 """
 
 import hashlib

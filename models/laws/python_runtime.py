@@ -118,7 +118,8 @@ class OwnLaw:
             raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or leave it out")
         self.vectorised = vectorised
         if controller.function is not None:
-            self._what, self._name = f"controller {controller.name!r}", f"{law.function}({'t, y' if self._timed else 'sample, state'})"
+            self._what = f"controller {controller.name!r}"
+            self._name += "(t, y)" if self._timed else "(sample, state)"
             self._run("reset()", LONGEST, getattr(step, "reset", lambda: None))
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:

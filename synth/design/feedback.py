@@ -384,7 +384,8 @@ class _Asked:
 
             gain = held_design(problem, near, known)
             law, norm, bound = static_law(gain.gain), gain.norm, find_sampled_bound(problem, near)
-            remark = f"{percent(norm / bound.level - 1)} above the lower bound of the sampled loop" if bound and bound.level else ""
+            distance = percent(norm / bound.level - 1) if bound and bound.level else ""
+            remark = f"{distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (
                 f"not by the two steps, for {gain.instead}"
