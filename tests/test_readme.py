@@ -6,11 +6,13 @@ import json
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.io import savemat
 
 from models.common.errors import InputError
 from models.figures.figure import styles
+from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.__main__ import COMMANDS, VERBS
@@ -19,6 +21,7 @@ from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.sampled_response import taylor4
 from sim.report import ride
+from sim.runs.by_name import run
 from sim.runs.run import sample_times
 from synth.vehicle.designer import Designer
 from tests import pages
@@ -180,6 +183,18 @@ def test_functions_and_roads_from_python(capsys):
     peaks = [float(line.split()[-1]) for line in lines]
     assert peaks[6] == pytest.approx(2.5 * peaks[5], rel=1e-3)  # a ramp as high; geometry is 1e-4 of so low a one
     assert peaks[7] == pytest.approx(peaks[8], rel=1e-9)  # rounding of another order of sums
+
+
+@pytest.mark.parametrize("height", [0.0, np.nan], ids=["of no time", "not finite"])
+def test_a_road_that_gives_no_heights_is_named(height):
+    """A road of one's own that returns other than a finite height for each time is refused by the name of its class."""
+
+    class Mine(Flat):
+        def displacement(self, t, side=""):
+            return height * t if height else 0.0
+
+    with pytest.raises(InputError, match=r"Mine\.displacement\(t\) is not a finite height \[m\] for each time"):
+        run(read_vehicle("quarter_car"), "passive", Mine())
 
 
 def test_vehicle_file_snippets():

@@ -83,8 +83,9 @@ def test_the_loop_of_a_gain():
     plant = GeneralizedPlant(-np.eye(2), np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
     K, Cy = np.array([[-1.0], [2.0]]), np.array([[3.0, 4.0]])
     loop = SampledLoop.of_gain(plant, K, Cy, sample_period=0.1, delay=1.25)
-    parts = static_loop(plant, K @ Cy, HoldInterval(0.025, 2), HoldInterval(0.075, 1))
-    assert sampled_norm(loop).value == pytest.approx(sampled_norm(parts).value, rel=1e-8)  # rounding of the fraction
+    assert [(piece.duration, piece.late) for piece in loop.pieces] == [(0.025, 2), (pytest.approx(0.075), 1)]
+    np.testing.assert_array_equal(loop.K, [[-3.0, -4.0], [6.0, 8.0]])
+    assert sampled_norm(loop).value == sampled_norm(static_loop(plant, loop.K, *loop.pieces)).value
     with pytest.raises(InputError, match=r"K has shape \(1, 2\); expected \(2, 1\)"):
         SampledLoop.of_gain(plant, K.T, Cy, sample_period=0.1)
     with pytest.raises(InputError, match=r"Cy has shape \(2, 1\); expected \(2, 2\)"):
