@@ -132,6 +132,14 @@ def test_a_saved_certificate_is_checked_with_numpy_alone(tmp_path, monkeypatch, 
     assert [float(number) > 1e-9 for number in forged] == [True]
 
 
+def test_a_sampled_loop_from_python(capsys):
+    """The norm of the designed gain at its own period and delay is that of the design, and not below its lower bound."""
+    (snippet,) = section("docs/how-to/the-sampled-loop.md", "From Python").blocks("python")
+    exec(snippet, {})
+    norm, bound, _, same, *_ = map(float, capsys.readouterr().out.split())
+    assert bound <= norm == pytest.approx(same, rel=1e-7)  # both to 1e-8
+
+
 def test_a_discrete_plant(capsys):
     """The discrete plant is designed, and not below what no controller beats."""
     (snippet,) = site("A discrete plant").blocks("python")

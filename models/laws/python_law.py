@@ -9,7 +9,7 @@ import inspect
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -110,7 +110,7 @@ class Programmed:
     name: str
     measured: tuple[str, ...]
     law: PythonLaw
-    source: str
+    source: str = field(repr=False)
     function: Callable[..., Any] | None = None
 
     @property
