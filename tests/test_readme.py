@@ -182,25 +182,17 @@ def test_functions_and_roads_from_python(capsys):
         site("Controllers of python-control").blocks("python")[1],
     ):
         exec(compile(snippet, "page", "exec"), {"__name__": "page"})
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[:-1] for line in lines] == [
-        *([name, "True"] for name in ("I", "skyhook", "Adaptive", "law")),
-        *[["True"]] * 5,
-        [],
-    ]
+    *lines, _ = capsys.readouterr().out.splitlines()
+    assert [line.split()[-2] for line in lines] == ["True"] * 9
     peaks = [float(line.split()[-1]) for line in lines]
     assert peaks[6] == pytest.approx(2.5 * peaks[5], rel=1e-3)  # a ramp as high; geometry is 1e-4 of so low a one
     assert peaks[7] == pytest.approx(peaks[8], rel=1e-9)  # rounding of another order of sums
 
 
-@pytest.mark.parametrize("height", [0.0, np.nan], ids=["of no time", "not finite"])
+@pytest.mark.parametrize("height", [lambda t: 0.0, lambda t: np.nan * t], ids=["of no time", "not finite"])
 def test_a_road_that_gives_no_heights_is_named(height):
     """A road of one's own that returns other than a finite height for each time is refused by the name of its class."""
-
-    class Mine(Flat):
-        def displacement(self, t, side=""):
-            return height * t if height else 0.0
-
+    Mine = type("Mine", (Flat,), {"displacement": lambda self, t, side="": height(t)})
     with pytest.raises(InputError, match=r"Mine\.displacement\(t\) is not a finite height \[m\] for each time"):
         run(read_vehicle("quarter_car"), "passive", Mine())
 

@@ -101,10 +101,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             {"name": "mass", "unit": "kg", "meaning": "all", "positive": True, "varied": None, "largest": 1e3, "usual": 1.0},
         ),
         "BodyLoad": (models.BodyLoad, {"name": "heave_load", "joint": "heave"}),
-        "Invariant": (
-            models.Invariant,
-            {"name": "z_s/z_r", "signals": ("sprung_velocity",), "omega": lambda p: 1.0, "magnitude": lambda p: 1.0},
-        ),
+        "Invariant": (models.Invariant, {"name": "z_s/z_r", "signals": ("x",), "omega": max, "magnitude": max}),
         "Variation": (models.Variation, {"name": "mass", "smallest": 0.5, "largest": 2.0}),
         "Wheel": (models.Wheel, {part.name: getattr(kind.wheels[0], part.name) for part in dataclasses.fields(models.Wheel)}),
         "Suspension": (
@@ -161,10 +158,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
         "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
-        "SampledLoop.of_gain": (
-            synth.SampledLoop.of_gain,
-            {**measured, "K": K, "sample_period": 0.01, "delay": 0.5},
-        ),
+        "SampledLoop.of_gain": (synth.SampledLoop.of_gain, {**measured, "K": K, "sample_period": 0.01, "delay": 0.5}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
             synth.from_state_space,
