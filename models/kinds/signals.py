@@ -17,7 +17,7 @@ class Signal(Checked):
         meaning: one line, with the sign convention.
     """
 
-    given_as = "a signal, as in models.signals"
+    given_as = "a signal, such as models.signals.CONTROL_FORCE"
 
     name: str
     symbol: str

@@ -59,7 +59,7 @@ class DesignConditions:
         loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
     """
 
-    given_as = "design conditions, as of vehicle.hardware(name)"
+    given_as = "design conditions, such as vehicle.hardware(name) returns"
 
     noise: tuple[float, ...] = ()
     bandwidth: float | None = None
@@ -92,7 +92,7 @@ class ControllerEntry:
         preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
     """
 
-    given_as = "an entry, as in a vehicle.controllers"
+    given_as = "an entry of vehicle.controllers"
 
     name: str
     measured: tuple[str, ...]

@@ -36,7 +36,7 @@ class Limits:
         places: the axles and corners with other stops.
     """
 
-    given_as = "limits, as a vehicle.limits"
+    given_as = "limits, such as vehicle.limits"
 
     suspension_stroke: "float | StopPair | None" = None
     stop_stiffness: "Stiffness | StopPair | None" = None
@@ -135,7 +135,7 @@ class Implementation:
         seed: of the noise.
     """
 
-    given_as = "an implementation, as a vehicle.implementation"
+    given_as = "an implementation, such as vehicle.implementation"
 
     sample_period: float | None = None
     delay: float = 0

@@ -35,7 +35,7 @@ class WeightedSum:
         filter: from the weighted sum to z; None for none.
     """
 
-    given_as = "a weighted sum, as in a vehicle.sums"
+    given_as = "a weighted sum, such as one of vehicle.sums"
 
     name: str
     weight: float

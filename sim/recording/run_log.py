@@ -86,7 +86,7 @@ class RunLog:
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
 
-    given_as = "a log, as of sim.run_log"
+    given_as = "a log, such as sim.run_log returns"
 
     name: str
     responses: Mapping[str, Response]

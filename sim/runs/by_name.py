@@ -14,7 +14,7 @@ from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Driver, check_fits
 from synth.vehicle.designer import Designer
 
-One = Annotated[
+ControllerLike = Annotated[
     Driver | ControllerEntry | str | Callable[..., Any],
     Must("a controller, its name, an entry of vehicle.controllers or a function", lambda value: True),
 ]
@@ -22,7 +22,7 @@ One = Annotated[
 
 def run(
     vehicle: Vehicle,
-    controllers: One | Annotated[Sequence[One], AT_LEAST_ONE],
+    controllers: ControllerLike | Annotated[Sequence[ControllerLike], AT_LEAST_ONE],
     road: Road,
     duration: float = 3.0,
     timestep: float = USUAL_TIMESTEP,
@@ -32,10 +32,10 @@ def run(
     Args:
         vehicle: the vehicle.
         controllers: as `synth.design_controllers` makes them, or names of the vehicle's, or entries of `vehicle.controllers`:
-            those are designed, and laws in Python and semi-active ones driven as they are. A function is a law as in a
-            vehicle file's Python: law(t, y), of time [s] and measurements, shape (q,), returns the force [N], or
-            law(sample, state) returns force and next state. It measures the signals in its attribute `measured`, or all.
-            A single one is a list of one.
+            those are designed, and laws in Python and semi-active ones driven as they are. A function is a law, too:
+            law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the force [N], a number or shape (m,);
+            law(sample, state) returns force and next state, as in a file. It measures the signals that its attribute
+            `measured` lists, or all that can be measured. A single controller is a list of one.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: of the run [s].
         timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
@@ -66,7 +66,7 @@ def run(
     return run_controllers(vehicle, drivers, road, time)
 
 
-def _driver(designer: Designer, given: One) -> Driver:
+def _driver(designer: Designer, given: ControllerLike) -> Driver:
     """Returns the controller of a name, of an entry of the vehicle file, or of a function."""
     if isinstance(given, Driver):
         return given
