@@ -134,8 +134,7 @@ def test_a_saved_certificate_is_checked_with_numpy_alone(tmp_path, monkeypatch, 
 
 def test_a_sampled_loop_from_python(capsys):
     """The norm of the designed gain at its own period and delay is that of the design, and not below its lower bound."""
-    (snippet,) = section("docs/how-to/the-sampled-loop.md", "From Python").blocks("python")
-    exec(snippet, {})
+    exec(section("docs/how-to/the-sampled-loop.md", "From Python").blocks("python")[0], {})
     norm, bound, _, same, *_ = map(float, capsys.readouterr().out.split())
     assert bound <= norm == pytest.approx(same, rel=1e-7)  # both to 1e-8
 

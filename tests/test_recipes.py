@@ -23,11 +23,10 @@ def test_add_a_road_and_a_command(tmp_path):
         if recipe.heading == heading
         for block in recipe.blocks("python")
     )
-    for folder in ("models", "synth", "sim", "tests", "docs", ".github"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "logs").mkdir()
-    for file in ("README.md", "pyproject.toml", "logs/README.md"):
-        shutil.copy(ROOT / file, tmp_path / file)
+    for folder in ("models", "synth", "sim", "tests", "docs", "logs", ".github"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
+    for file in ("README.md", "pyproject.toml"):
+        shutil.copy(ROOT / file, tmp_path)
     path = tmp_path / "models" / "roads" / "obstacles.py"
     source = path.read_text(encoding="utf-8")
     assert source.count(MARK) == 1
