@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize, signal
 
-from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
