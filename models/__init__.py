@@ -6,7 +6,7 @@ Public names, imported when they are first used; all units are SI:
 - roads: `Bump`, `Step`, `Pothole`, `WattsHump`, `Flat`, `SineSweep`, `Iso8608`, `Profile`, `Rig`; `Road` is their common
   base, and `choose_road` reads them as text
 - a kind of vehicle of your own: `VehicleKind`, `Wheel`, `Suspension`, `Parameter`, `Variation`, `LinearModel`, `signals`,
-  `GRAVITY`
+  `BodyLoad`, `Invariant`, `GRAVITY`
 - a law of your own: `LinearLaw`
 - bad input of any kind: `InputError`, whose message is one line that says what to do
 
@@ -40,7 +40,7 @@ USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period by def
 if TYPE_CHECKING:  # what type checkers and editors see
     from models.common.errors import InputError
     from models.kinds import signals
-    from models.kinds.kind import GRAVITY, Parameter, Suspension, Variation, VehicleKind, Wheel
+    from models.kinds.kind import GRAVITY, BodyLoad, Invariant, Parameter, Suspension, Variation, VehicleKind, Wheel
     from models.kinds.linear_model import LinearModel
     from models.laws.linear import LinearLaw
     from models.roads.choice import choose_road
@@ -56,7 +56,7 @@ else:
         __name__,
         {
             "models.common.errors": "InputError",
-            "models.kinds.kind": "GRAVITY Parameter Suspension Variation VehicleKind Wheel",
+            "models.kinds.kind": "GRAVITY BodyLoad Invariant Parameter Suspension Variation VehicleKind Wheel",
             "models.kinds.linear_model": "LinearModel",
             "models.kinds.signals": "",
             "models.laws.linear": "LinearLaw",

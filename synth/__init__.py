@@ -10,7 +10,7 @@ Public names, imported when they are first used; all units are SI:
   `MeasuredPlant`, `GainErrors`
 - controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`
 - what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
-  `sampled_norm` of a `SampledLoop`, whose period has a `HoldInterval` or two
+  `sampled_norm` of a `SampledLoop`, as of `SampledLoop.of_gain`; its period has a `HoldInterval` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
 - no controller is ever empty: `DesignError`, `InfeasibleError` say why
 

@@ -12,6 +12,8 @@ from models.common.errors import InputError
 from models.laws.combinations import refusal
 from models.vehicle.vehicle import parse_vehicle
 from synth.analysis.norm import hinf_norm
+from synth.analysis.sampled_loop import SampledLoop
+from synth.analysis.sampled_norm import sampled_norm
 from synth.design import feedback
 from synth.design.fallback import two_steps_or_descent
 from synth.design.full_order.full_order import full_order_design
@@ -125,6 +127,20 @@ def test_each_method_is_its_own():
         (design_feedback(OSCILLATOR), two_step_design(OSCILLATOR, np.eye(2)).gain),
     ):
         np.testing.assert_array_equal(found.gain if isinstance(found, feedback.FeedbackDesign) else found, law)
+
+
+@pytest.mark.parametrize("words", [{}, {"order": "full"}])
+def test_a_sample_period_has_its_own_norm_and_bound(words):
+    """With a sample period the sampled norm is that of the loop in the design, and no gain comes below its lower bound."""
+    found = design_feedback(OSCILLATOR, CY, sample_period=0.05, delay=0.5, **words)
+    norm, bound = found.sampled_norm or 0.0, found.sampled_lower_bound or 0.0
+    assert f"  sampled norm: {norm:.7g}\n  sampled lower bound: {bound:.7g}\n" in repr(found)
+    gains = [np.array([[k]]) for k in (-1.0, -2.0, -4.0, -8.0)] + [found.law.D] * (not words)
+    norms = [sampled_norm(SampledLoop.of_gain(OSCILLATOR, K, np.array(CY), 0.05, delay=0.5)).value for K in gains]
+    assert 0 < bound < norm < min(norms[:4])
+    if not words:
+        assert norms[4] == pytest.approx(norm, rel=1e-7)  # both to 1e-8
+        assert f"{100 * (norm / bound - 1):.2g} % above the lower bound of the sampled loop" in found.remark
 
 
 @pytest.mark.attack

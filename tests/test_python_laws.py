@@ -7,11 +7,13 @@ import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import linalg
 
+import sim
 from models.common.errors import InputError
 from models.kinds.kind import HERE
 from models.laws import python_runtime as running
@@ -37,6 +39,9 @@ def step(sample, state):
 """
 MEASURED = ("suspension_deflection", "sprung_velocity")
 SWITCHED = """
+COUNTED = "count = 0\ndef step(t, y):\n  global count\n  count += 1\n  return (10825.2 + count) * y[0] - 2069.5 * y[1]\n"
+
+
 def step(sample, state):
     count = (state or 0) + 1
     return (400.0 if count % 300 > 150 else -300.0) - 2000.0 * sample["sprung_velocity"], count
@@ -93,6 +98,62 @@ def test_a_gain_in_python_is_that_gain(tmp_path, reality):
     for name in vehicle.linear_model.outputs:
         # Sums are taken in another order: 1e-16 of the terms, which a loop that is stable does not pile up.
         assert np.abs(ours[name] - linear[name]).max() < 1e-10 * linear.scale(name)
+
+
+COUNTED = "count = 0\ndef step(t, y):\n  global count\n  count += 1\n  return (10825.2 + count) * y[0] - 2069.5 * y[1]\n"
+
+
+def step(sample, state):
+    count = (state or 0) + 1
+    return (10825.2 + count) * sample["suspension_deflection"] - 2069.5 * sample["sprung_velocity"], count
+
+
+class Counting:
+    """The same as an object, and as a method that measures every signal."""
+
+    measured, count = MEASURED, 3
+
+    def reset(self):
+        self.count = 0
+
+    def __call__(self, t, y):
+        self.count += 1
+        return (10825.2 + self.count) * y[0] - 2069.5 * y[1]
+
+    def method(self, sample, state):
+        return step(sample, state)
+
+
+def test_a_function_is_the_law_of_its_file(tmp_path):
+    """A function, closure, bound method or object that is run is, to the last bit, the same law in a file, in every run anew."""
+    vehicle, own = read_vehicle(vehicle_of(tmp_path, COUNTED)), Counting()
+    for noise in ({}, {"sprung_velocity": 0.01}):
+        counting = Counting()
+        counting.reset()  # as nobody does for a closure
+        closure: Any = lambda t, y, counting=counting: counting(t, y)  # noqa: E731 - as one writes it in a notebook
+        closure.measured = MEASURED
+        built = replace(vehicle, implementation=Implementation(noise=noise))
+        mine, *ours = sim.run(built, ["mine", own, closure, step, own.method], Bump(height=0.05), duration=0.2)
+        assert [one.controller.name for one in ours] == ["Counting", "lambda", "step", "method"]
+        assert all(np.array_equal(one.physics.values, mine.physics.values) and one.passed for one in ours)
+
+
+@pytest.mark.parametrize(
+    ("law", "said", "cause"),
+    [
+        ("law = lambda t, y: 1 / (t < 0.05)", r"'lambda': lambda\(t, y\) fails \(ZeroDivisionError: .*\) at 0.05 s", "Zero"),
+        ("def law(time, y): return -3.0 * y", r"law\(sample, state\) fails \(TypeError: .*'NoneType'\) at 0 s", "TypeError"),
+        ("def law(t, y): return y", r"its force has shape \(6,\); expected \(1,\)", "InputError"),
+        ("def law(t, y): exit()", None, ""),
+        ("def law(t, y): pass\nlaw.measured = ['nothing']", r"law.measured: unknown signal 'nothing'; it can measure", ""),
+    ],
+)
+def test_a_wrong_function_is_one_line(law, said, cause):
+    """Whatever a function does wrong is one line that names it, with its own error as the cause; an exit is an exit."""
+    exec(law, names := dict[str, Any]())
+    with pytest.raises(InputError if said else SystemExit, match=said) as caught:
+        sim.run(read_vehicle("quarter_car"), names["law"], Bump(), duration=0.1)
+    assert cause in repr(caught.value.__cause__ or "")
 
 
 @pytest.mark.attack

@@ -6,11 +6,13 @@ import json
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.io import savemat
 
 from models.common.errors import InputError
 from models.figures.figure import styles
+from models.roads.obstacles import Flat
 from models.roads.road import Bump
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.__main__ import COMMANDS, VERBS
@@ -19,6 +21,7 @@ from sim.bump import main
 from sim.campaign.file import read_campaign
 from sim.linear.sampled_response import taylor4
 from sim.report import ride
+from sim.runs.by_name import run
 from sim.runs.run import sample_times
 from synth.vehicle.designer import Designer
 from tests import pages
@@ -129,6 +132,13 @@ def test_a_saved_certificate_is_checked_with_numpy_alone(tmp_path, monkeypatch, 
     assert [float(number) > 1e-9 for number in forged] == [True]
 
 
+def test_a_sampled_loop_from_python(capsys):
+    """The norm of the designed gain at its own period and delay is that of the design, and not below its lower bound."""
+    exec(section("docs/how-to/the-sampled-loop.md", "From Python").blocks("python")[0], {})
+    norm, bound, _, same, *_ = map(float, capsys.readouterr().out.split())
+    assert bound <= norm == pytest.approx(same, rel=1e-7)  # both to 1e-8
+
+
 def test_a_discrete_plant(capsys):
     """The discrete plant is designed, and not below what no controller beats."""
     (snippet,) = site("A discrete plant").blocks("python")
@@ -156,11 +166,34 @@ def test_laws_with_states(tmp_path, capsys):
     one, other = json.loads(capsys.readouterr().out)["controllers"]
     assert {**one, "name": ""} == {**other, "name": ""}
 
-    (snippet,) = site("Controllers of python-control").blocks("python")
+    snippet, _ = site("Controllers of python-control").blocks("python")
     exec(snippet, {})
     printed = capsys.readouterr().out
     assert float(printed.split()[0]) == one["norm"]
     assert printed.endswith("['suspension_deflection', 'sprung_acceleration']\n")
+
+
+def test_functions_and_roads_from_python(capsys):
+    """Laws and roads that are written in Python are driven and agree; a gain of python-control does as its certified one."""
+    for snippet in (
+        *section("docs/how-to/a-law-in-python.md", "A function in Python").blocks("python"),
+        *(block for one in pages.sections("docs/how-to/a-road-in-python.md") for block in one.blocks("python")),
+        site("Controllers of python-control").blocks("python")[1],
+    ):
+        exec(compile(snippet, "page", "exec"), {"__name__": "page"})
+    *lines, _ = capsys.readouterr().out.splitlines()
+    assert [line.split()[-2] for line in lines] == ["True"] * 9
+    peaks = [float(line.split()[-1]) for line in lines]
+    assert peaks[6] == pytest.approx(2.5 * peaks[5], rel=1e-3)  # a ramp as high; geometry is 1e-4 of so low a one
+    assert peaks[7] == pytest.approx(peaks[8], rel=1e-9)  # rounding of another order of sums
+
+
+@pytest.mark.parametrize("height", [lambda t: 0.0, lambda t: np.nan * t], ids=["of no time", "not finite"])
+def test_a_road_that_gives_no_heights_is_named(height):
+    """A road of one's own that returns other than a finite height for each time is refused by the name of its class."""
+    Mine = type("Mine", (Flat,), {"displacement": lambda self, t, side="": height(t)})
+    with pytest.raises(InputError, match=r"Mine\.displacement\(t\) is not a finite height \[m\] for each time"):
+        run(read_vehicle("quarter_car"), "passive", Mine())
 
 
 def test_vehicle_file_snippets():

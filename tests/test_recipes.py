@@ -23,8 +23,8 @@ def test_add_a_road_and_a_command(tmp_path):
         if recipe.heading == heading
         for block in recipe.blocks("python")
     )
-    for folder in ("models", "synth", "sim", "tests", "docs", ".github"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in ("models", "synth", "sim", "tests", "docs", "logs", ".github"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap", "*.rrd"))
     for file in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, tmp_path)
     path = tmp_path / "models" / "roads" / "obstacles.py"
@@ -37,11 +37,22 @@ def test_add_a_road_and_a_command(tmp_path):
     names.write_text(named, encoding="utf-8", newline="\n")
 
     (tmp_path / "sim" / "modes.py").write_text(command, encoding="utf-8", newline="\n")
-    architecture = tmp_path / "tests" / "test_architecture.py"
-    rooms = architecture.read_text(encoding="utf-8")
     row = '    "sim.modes": "models.vehicle synth.vehicle",\n'
     assert row.strip() in page(".github/CONTRIBUTING.md")
-    architecture.write_text(rooms.replace('    "sim.margins": ', row + '    "sim.margins": ', 1), encoding="utf-8", newline="\n")
+    purpose, margins = "list the natural frequencies and damping ratios", '    ("sim.margins", "find'
+    for file, before, added in (
+        ("tests/test_architecture.py", '    "sim.margins": ', row),
+        ("sim/__main__.py", margins, f'    ("sim.modes", "{purpose}", "--json"),\n'),
+        ("README.md", "| `roadproof margins`", f"| `roadproof modes` | {purpose} | - |\n"),
+        ("docs/how-to/index.md", "margins\n", "modes\n"),
+        ("tests/test_any_controller.py", '"sim.bump": [*SHORT', '"sim.modes": [], '),
+        ("tests/test_any_controller.py", '"sim.envelope", "sim.margins"}', '"sim.modes", '),
+    ):
+        text = (tmp_path / file).read_text(encoding="utf-8")
+        assert text.count(before) == 1
+        (tmp_path / file).write_text(text.replace(before, added + before), encoding="utf-8", newline="\n")
+    made = f"# {purpose.capitalize()} `sim.modes`\n\n```sh\npython -m sim.modes --controller I --json\n```\n"
+    (tmp_path / "docs" / "how-to" / "modes.md").write_text(made, encoding="utf-8", newline="\n")
 
     def run(*arguments: str) -> str:
         done = subprocess.run(
@@ -61,6 +72,10 @@ def test_add_a_road_and_a_command(tmp_path):
     assert "Hz   damping" in run("sim.modes", "--controller", "I")
     tested = run("pytest", "-k", "ramp or sizes or imports or house", "tests/test_roads.py", "tests/test_architecture.py")
     assert int(re.findall(r"(\d+) passed", tested)[0]) >= 5  # its derivative, its description; sizes, imports, rooms
+    held = ("test_any_controller", "test_readme", "test_printed", "test_pages", "test_site", "test_loaded", "test_roadproof")
+    names = "modes or forgotten or table_of_commands or contents or help_pages"
+    tested = run("pytest", "-m", "not attack", "-k", names, *(f"tests/{name}.py" for name in held))
+    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 15  # a dozen controllers; tables, contents, page, help
 
 
 def test_recipes_name_what_there_is():

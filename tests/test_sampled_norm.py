@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize, signal
 
-from models.common.arrays import Array
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import read_vehicle
 from synth.analysis.sampled_loop import HoldInterval, SampledLoop, lifted
@@ -21,11 +20,6 @@ from synth.vehicle.designer import design
 from tests.analysed import implemented_loop
 
 PROVED = 2e-8  # relative: the levels on either side of the norm are 1.1e-8 apart
-
-
-def static_loop(plant: GeneralizedPlant, G: Array, *pieces: HoldInterval) -> SampledLoop:
-    """A loop whose computer keeps nothing."""
-    return SampledLoop(plant, pieces, G, np.zeros((0, len(plant.A))), np.zeros((0, len(G))))
 
 
 def of_the_paper(period: float, *, late: int = 0) -> SampledLoop:
@@ -75,6 +69,16 @@ def test_example_of_a_manual(period, expected):
     plant = GeneralizedPlant(A, B, B, C, np.zeros((1, 1)), np.zeros((1, 1)))
     loop = SampledLoop(plant, (HoldInterval(period, 0),), -np.hstack([Dk @ C, Ck]), np.hstack([Bk @ C, Ak]), np.zeros((1, 1)))
     assert f"{sampled_norm(loop).value:.5g}" == expected
+
+
+def test_the_loop_of_a_gain():
+    """The loop of a gain and a period has the parts of its period, the gain on the states, and no states of its own."""
+    plant = GeneralizedPlant(-np.eye(2), np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2)))
+    K, Cy = np.array([[-1.0], [2.0]]), np.array([[3.0, 4.0]])
+    loop = SampledLoop.of_gain(plant, K, Cy, sample_period=0.1, delay=1.25)
+    assert [(piece.duration, piece.late) for piece in loop.pieces] == [(0.025, 2), (pytest.approx(0.075), 1)]
+    np.testing.assert_array_equal(loop.K, [[-3.0, -4.0], [6.0, 8.0]])
+    assert (loop.A_register.size, loop.B_register.size) == (0, 0)
 
 
 def fast_lifting(loop: SampledLoop, parts: int) -> float:
@@ -274,7 +278,7 @@ def test_where_it_decides():
     """If z is w itself, and a state that no force moves is no part of it, the norm is what happens within a period."""
     one = np.eye(1)
     plant = GeneralizedPlant(-one, one, one, 0 * one, 0 * one, 3 * one)
-    norm = sampled_norm(static_loop(plant, -one, HoldInterval(0.1, 0)))
+    norm = sampled_norm(SampledLoop.of_gain(plant, -one, one, 0.1))
     assert norm.inside
     assert [norm.value, norm.reached] == pytest.approx([3.0, 3.0], rel=PROVED)
 

@@ -100,6 +100,8 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
             models.Parameter,
             {"name": "mass", "unit": "kg", "meaning": "all", "positive": True, "varied": None, "largest": 1e3, "usual": 1.0},
         ),
+        "BodyLoad": (models.BodyLoad, {"name": "heave_load", "joint": "heave"}),
+        "Invariant": (models.Invariant, {"name": "z_s/z_r", "signals": ("x",), "omega": max, "magnitude": max}),
         "Variation": (models.Variation, {"name": "mass", "smallest": 0.5, "largest": 2.0}),
         "Wheel": (models.Wheel, {part.name: getattr(kind.wheels[0], part.name) for part in dataclasses.fields(models.Wheel)}),
         "Suspension": (
@@ -156,6 +158,7 @@ def calls() -> dict[str, tuple[Callable[..., Any], dict[str, Any]]]:
         "find_lower_bound": (synth.find_lower_bound, {**measured, "path": (), "beyond_control": None, "Dyw": None}),
         "HoldInterval": (synth.HoldInterval, {"duration": 0.01, "late": 0}),
         "SampledLoop": (synth.SampledLoop, {part.name: getattr(loop, part.name) for part in dataclasses.fields(loop)}),
+        "SampledLoop.of_gain": (synth.SampledLoop.of_gain, {**measured, "K": K, "sample_period": 0.01, "delay": 0.5}),
         "sampled_norm": (synth.sampled_norm, {"loop": loop, "near": 0.3}),
         "from_state_space": (
             synth.from_state_space,
@@ -200,7 +203,7 @@ GOOD = {
     "None": "folder varied usual suspended sample_period beyond dt lower_bound Dyw structure decay gain bests noise X eta "
     "by_itself through enough Cy beyond_control iri motion order design minimise tolerance largest_gain",
     "text": "source folder text name unit meaning road_body road_displacement road_velocity tyre_deflection deflection tendon "
-    "force stiffness damping stem",
+    "force stiffness damping stem joint",
     "-1": "height depth amplitude factor index",
     "no list": "parameters suspended invariants on_demand loads path states driven_by signals sensors forces norms peaks starts "
     "names measured noise bounds family heights Bt Dw",
@@ -215,12 +218,17 @@ NAMED_OTHERWISE = {
 }
 
 
+PUBLIC = {*dir(models), *dir(synth), *dir(sim)}
+
+
 def mistake(name: str, argument: str, what: str) -> str:
     """Returns what is wrong with how a wrong call ends; empty for an error in a line that names the argument."""
     call, right = calls()[name]
     try:
         call(**{**right, argument: WRONG[what]})
     except InputError as error:
+        if private := set(re.findall(r"\ban? ([A-Z][a-z]\w*)", str(error))) - PUBLIC:
+            return f"names {private}, which cannot be imported from a package: {error}"
         named = re.search(rf"\b({argument}|{argument.replace('_', ' ').removesuffix('s')})", str(error))
         return "" if named or (name, argument) in NAMED_OTHERWISE else str(error)
     except Exception as error:  # which is what is looked for
@@ -229,7 +237,8 @@ def mistake(name: str, argument: str, what: str) -> str:
 
 
 def test_wrong_calls(monkeypatch, tmp_path):
-    """Each argument of a public callable that is replaced by what it cannot be is refused in a line that names it."""
+    """Each argument of a public callable that is replaced by what it cannot be is refused in a line that names it, and public
+    types alone."""
     monkeypatch.chdir(tmp_path)
     mistakes = {
         f"{name}({argument} = {what})": said

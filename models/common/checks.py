@@ -152,7 +152,7 @@ def _annotated(of: type) -> tuple[tuple[str, Any], ...]:
 def at_the_door(function: F) -> F:
     """Returns a function that checks its arguments by their annotations before it is called."""
     signature = inspect.signature(function)
-    annotations = {name: parameter.annotation for name, parameter in signature.parameters.items() if name != "self"}
+    annotations = {name: parameter.annotation for name, parameter in signature.parameters.items() if name not in ("self", "cls")}
 
     @wraps(function)
     def checked(*arguments: Any, **named: Any) -> Any:
@@ -187,7 +187,9 @@ def _check(annotation: Any) -> _Check:
         return _PLAIN[annotation]
     if isinstance(annotation, type) and annotation is not object:
         article = "an" if annotation.__name__[0] in "AEIOU" else "a"
-        return _simple(f"{article} {annotation.__name__}", lambda value: isinstance(value, annotation))
+        # A type that is not public has a class attribute `given_as`, which says in words where its values come from.
+        words = vars(annotation).get("given_as", f"{article} {annotation.__name__}")
+        return _simple(words, lambda value: isinstance(value, annotation))
     return ANYTHING
 
 

@@ -17,6 +17,8 @@ class Signal(Checked):
         meaning: one line, with the sign convention.
     """
 
+    given_as = "a signal, such as models.signals.CONTROL_FORCE"
+
     name: str
     symbol: str
     unit: str

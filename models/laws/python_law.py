@@ -1,18 +1,20 @@
-"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`. They are read here, not run.
+"""Controllers in the user's own Python: `law = "my_law.py:step"` in `[controllers.NAME]`, or a function given to `sim.run`.
 
-Linear analysis makes no claim about them. Their files lie in the folder of the vehicle file, or below: no log, result or text of
-a vehicle file can name another one.
+They are read here, not run. Linear analysis makes no claim about them. Files lie in the folder of the vehicle file, or below: no
+log, result or text of a vehicle file can name another one.
 """
 
 import hashlib
+import inspect
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from models.common.errors import InputError, listing, quoted
+from models.common.checks import AT_LEAST_ONE, check
+from models.common.errors import InputError, alike, listing, quoted
 from models.common.files import MIB, origin, read_bytes, read_text
 from models.laws.combinations import PREVIEW
 
@@ -101,13 +103,15 @@ class Programmed:
         name: its name in the vehicle file.
         measured: the signals y, q of them.
         law: the law as the vehicle file names it.
-        source: text of the law's file.
+        source: text of the law's file, or of the function, as far as Python knows it.
+        function: the function itself, which runs in this process; None for a law in a file.
     """
 
     name: str
     measured: tuple[str, ...]
     law: PythonLaw
-    source: str
+    source: str = field(repr=False)
+    function: Callable[..., Any] | None = None
 
     @property
     def kind(self) -> str:
@@ -129,12 +133,37 @@ class Programmed:
         """The law on one line."""
         preview = self.law.preview
         ahead = "" if preview is None else f", told the road {preview:g} s ahead"
-        return f"{self.law.kind} {self.law.law}{ahead}; SHA-256 of its file {self.sha256[:16]}..."
+        known = f"; SHA-256 of its {'source' if self.function else 'file'} {self.sha256[:16]}..." if self.source else ""
+        return f"{self.law.kind} {self.law.law}{ahead}{known}"
 
     @property
     def record(self) -> dict[str, Any]:
         """Name, signals and law as JSON has them."""
         return {"name": self.name, "measured": list(self.measured), **self.law.record, "sha256": self.sha256}
+
+
+def of_function(function: Callable[..., Any], measurable: Sequence[str]) -> Programmed:
+    """Returns the controller of a function; its attributes `measured` and `preview` [s] are as in a vehicle file.
+
+    Args:
+        measurable: signals that a controller can measure, and does if the function has no attribute `measured`.
+
+    Raises:
+        InputError: an attribute is not allowed.
+    """
+    name = getattr(function, "__name__", type(function).__name__).strip("<>")  # of a lambda "<lambda>"
+    preview, signals = getattr(function, "preview", None), getattr(function, "measured", measurable)
+    measured: tuple[str, ...] = check(f"{name}.measured", signals, Annotated[tuple[str, ...], AT_LEAST_ONE])
+    for signal in measured:
+        if signal not in measurable:
+            raise InputError(f"{name}.measured: unknown signal {quoted(signal)}; it can measure {alike(signal, measurable)}")
+    try:
+        source = inspect.getsource(function)
+    except (OSError, TypeError):  # typed at a prompt, or an object
+        source = ""
+    return Programmed(
+        name, measured, PythonLaw(name, None if preview is None else checked_preview(name, preview)), source, function
+    )
 
 
 def sha256(text: str) -> str:

@@ -1,4 +1,6 @@
-"""Running of laws in Python: one call per sample of the controller, guarded and timed. A call gets a `Sample`.
+"""Running of laws in Python: one call per sample of the controller. Laws in files are guarded and timed.
+
+A law is a function `step(sample, state)` that returns force and next state, or `law(t, y)` that returns the force.
 
 Every run executes the file anew, so that the file's global names, as its state, belong to one run: runs do not depend on each
 other. A vectorised law is executed once for all the runs that it gets together.
@@ -29,7 +31,7 @@ from models.common.arrays import Array, check_unmasked
 from models.common.command import BAD_INPUT, complain
 from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
-from models.laws.user_code import compiled, run_own
+from models.laws.user_code import compiled, reason, run_own
 
 LONGEST = 10.0  # s, limit of a call; the law of a car has milliseconds
 SLOWEST = 100.0  # limit of all calls of a run, over the time on the road; `LONGEST` is added to it
@@ -83,36 +85,43 @@ class OwnLaw:
     """
 
     def __init__(self, controller: Programmed, forces: int) -> None:
-        """Executes its file.
+        """Executes its file, or resets its function if that has a method `reset`.
 
         Raises:
             InputError: the file fails, takes too long, or has no such function.
         """
-        law = controller.law
+        law, step = controller.law, controller.function
         self._path, self._forces = law.path or law.folder, forces
         self._fmu, self._name = law.is_fmu, law.function
         self._what = f"controller {controller.name!r}, {'FMU' if self._fmu else 'law'} {law.law}"
         self._index = {name: i for i, name in enumerate(controller.measured)}
         self._left = LONGEST  # s that calls may still take
         self._state: Any = None
-        assert self._path is not None, "code comes from files only"
-        module = ModuleType("roadproof_law")
-        module.__file__ = str(self._path)
-        code = compiled(self._what, self._path, controller.source)
-        self._run("the file", LONGEST_START, lambda: exec(code, vars(module)))
-        step = vars(module).get(law.function)
+        if step is None:
+            assert self._path is not None, "code comes from files only"
+            module = ModuleType("roadproof_law")
+            module.__file__ = str(self._path)
+            code = compiled(self._what, self._path, controller.source)
+            self._run("the file", LONGEST_START, lambda: exec(code, vars(module)))
+            step = vars(module).get(law.function)
         if not callable(step):
             raise InputError(
                 f"{self._what}: the file has no function {law.function!r}; give it one: def {law.function}(sample, state)"
             )
-        self._step: Callable[[Sample, Any], Any] = step
+        self._step: Callable[..., Any] = step
         name = f"{law.function}.vectorised"
-        vectorised, returns = self._run(name, LONGEST, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step)))
+        vectorised, returns, self._timed = self._run(
+            name, LONGEST, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step), _timed(step))
+        )
         if not returns:
             raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
         if vectorised is None:
             raise InputError(f"{self._what}: {name} is neither true nor false; give {name} = True, or leave it out")
         self.vectorised = vectorised
+        if controller.function is not None:
+            self._what = f"controller {controller.name!r}"
+            self._name += "(t, y)" if self._timed else "(sample, state)"
+            self._run("reset()", LONGEST, getattr(step, "reset", lambda: None))
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
         """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
@@ -130,14 +139,14 @@ class OwnLaw:
             said = str(error).removesuffix("; mend that")
             if self._fmu:
                 at = f", at {time:.6g} s" if time else ""
-                raise InputError(f"{self._what}{at}: {said.removeprefix(f'{self._what}: ')}") from None
-            raise InputError(f"{said} at {time:.6g} s; mend that") from None
+                raise InputError(f"{self._what}{at}: {said.removeprefix(f'{self._what}: ')}") from error.__cause__
+            raise InputError(f"{said} at {time:.6g} s; mend that") from error.__cause__
         finally:
             self._left -= clock() - began
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result, whose methods may be user code as well."""
-        given = self._step(sample, self._state)
+        given = (self._step(sample.time, sample.y), None) if self._timed else self._step(sample, self._state)
         if inspect.iscoroutine(given):
             given.close()  # else Python complains that nobody has awaited it
         if not isinstance(given, tuple) or len(given) != 2:
@@ -159,8 +168,12 @@ class OwnLaw:
         return forces.reshape(shape)
 
     def _run(self, name: str, longest: float, code: Callable[[], Any]) -> Any:
-        """Runs user code with a time limit."""
-        assert self._path is not None, "code comes from files only"
+        """Runs user code, that of a file with a time limit."""
+        if self._path is None:  # a function of the caller's, in whose process it is at home
+            try:
+                return code()
+            except Exception as error:
+                raise InputError(f"{self._what}: {name} fails ({reason(error)}); mend that") from error
         over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
         said = f"{self._what}: {name} {over}; mend that"
         raised = interrupt.interrupts_raise()
@@ -271,6 +284,14 @@ def _returns(function: Any) -> bool:
     """Returns True if a call of a user's function is complete when it returns: it is not async, and no generator."""
     kinds = (inspect.iscoroutinefunction, inspect.isgeneratorfunction, inspect.isasyncgenfunction)
     return not any(kind(code) for code in (function, type(function).__call__) for kind in kinds)
+
+
+def _timed(function: Any) -> bool:
+    """Returns True for a law of time and measurements, law(t, y), instead of a sample and a state."""
+    try:
+        return next(iter(inspect.signature(function).parameters), "") == "t"
+    except (TypeError, ValueError):  # a function that is not Python has no signature
+        return False
 
 
 def _short(value: Any) -> str:

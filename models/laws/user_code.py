@@ -60,7 +60,7 @@ def run_own(what: str, path: Path, name: str, code: Callable[[], Any], refuses: 
             raise
         if refuses and isinstance(error, InputError) and interrupt.interrupts_raise() == before:
             raise
-        failed = f"{what}: {name} fails ({_reason(error, path)}); mend that"
+        failed = f"{what}: {name} fails ({reason(error, path)}); mend that"
     if interrupt.interrupts_raise() != before:
         raise KeyboardInterrupt
     if failed:
@@ -78,7 +78,7 @@ def _without_children(code: Callable[[], Any]) -> Any:
             leave_at_once(0)  # no lock can be waited for: whoever held it is not in the child
 
 
-def _reason(error: BaseException, path: Path) -> str:
+def reason(error: BaseException, path: Path | None = None) -> str:
     """Describes an error: its type, its text, and the last line of the file that ran."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == str(path)]

@@ -110,7 +110,7 @@ class Road(ABC):
     @property
     def words(self) -> str:
         """The description on a line for people, without long lists."""
-        kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list)]
+        kind, *short = [(key, value) for key, value in self.describe().items() if not isinstance(value, list) and value != ""]
         # A road of points has heights from lowest to highest, a random one has frequencies.
         units = UNITS | dict.fromkeys(("lowest", "highest"), "m") if "points" in dict(short) else UNITS
         number = [
@@ -139,7 +139,10 @@ class Road(ABC):
             raise InputError(
                 f"the road lies under the {self.track} side, and a {vehicle.kind.name} has only one track; leave track out"
             )
-        highest = float(np.abs(under_wheels(self.displacement, self, vehicle, time)).max())
+        heights = under_wheels(self.displacement, self, vehicle, time)
+        if heights.ndim != 2 or len(heights) != len(time) or not np.all(np.isfinite(heights)):
+            raise InputError(f"{type(self).__name__}.displacement(t) is not a finite height [m] for each time of t; return these")
+        highest = float(np.abs(heights).max())
         if 0 < highest < LOWEST:
             raise InputError(
                 f"the road moves by only {highest:.2g} m in the {time[-1]:.4g} s of the run, and less than {LOWEST:g} m is lost "

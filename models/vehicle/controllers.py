@@ -60,6 +60,8 @@ class DesignConditions:
         loads: on the body, with the size that counts as much as 1 m/s of w [N, N m]; disturbances beside the road.
     """
 
+    given_as = "design conditions, such as vehicle.hardware(name) returns"
+
     noise: tuple[float, ...] = ()
     bandwidth: float | None = None
     loads: tuple[tuple[str, float], ...] = ()
@@ -91,6 +93,8 @@ class ControllerEntry:
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
     """
+
+    given_as = "an entry of vehicle.controllers"
 
     name: str
     measured: tuple[str, ...]

@@ -36,6 +36,8 @@ class Limits:
         places: the axles and corners with other stops.
     """
 
+    given_as = "limits, such as vehicle.limits"
+
     suspension_stroke: "float | StopPair | None" = None
     stop_stiffness: "Stiffness | StopPair | None" = None
     actuator_force: float | None = None
@@ -132,6 +134,8 @@ class Implementation:
         quantisation: resolution of a measured signal, by signal, in its unit.
         seed: of the noise.
     """
+
+    given_as = "an implementation, such as vehicle.implementation"
 
     sample_period: float | None = None
     delay: float = 0

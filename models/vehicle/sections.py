@@ -35,6 +35,8 @@ class WeightedSum:
         filter: from the weighted sum to z; None for none.
     """
 
+    given_as = "a weighted sum, such as one of vehicle.sums"
+
     name: str
     weight: float
     terms: Mapping[str, float]

@@ -86,6 +86,8 @@ class RunLog:
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
 
+    given_as = "a log, such as sim.run_log returns"
+
     name: str
     responses: Mapping[str, Response]
     metadata: Mapping[str, str]

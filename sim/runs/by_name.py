@@ -1,11 +1,12 @@
 """Runs of a vehicle's controllers, which may be named as its file names them."""
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
 
 from models import USUAL_TIMESTEP
-from models.common.checks import AT_LEAST_ONE
+from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError, listing
+from models.laws.python_law import of_function
 from models.roads.road import Road
 from models.vehicle.controllers import ControllerEntry
 from models.vehicle.vehicle import Vehicle
@@ -13,10 +14,15 @@ from sim.runs.run import Run, run_controllers, sample_times
 from synth.controller.controller import Driver, check_fits
 from synth.vehicle.designer import Designer
 
+ControllerLike = Annotated[
+    Driver | ControllerEntry | str | Callable[..., Any],
+    Must("a controller, its name, an entry of vehicle.controllers or a function", lambda value: True),
+]
+
 
 def run(
     vehicle: Vehicle,
-    controllers: Driver | ControllerEntry | str | Annotated[Sequence[Driver | ControllerEntry | str], AT_LEAST_ONE],
+    controllers: ControllerLike | Annotated[Sequence[ControllerLike], AT_LEAST_ONE],
     road: Road,
     duration: float = 3.0,
     timestep: float = USUAL_TIMESTEP,
@@ -26,13 +32,17 @@ def run(
     Args:
         vehicle: the vehicle.
         controllers: as `synth.design_controllers` makes them, or names of the vehicle's, or entries of `vehicle.controllers`:
-            those are designed, and laws in Python and semi-active ones driven as they are. A single one is a list of one.
+            those are designed, and laws in Python and semi-active ones driven as they are. A function is a law, too:
+            law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the force [N], a number or shape (m,);
+            law(sample, state) returns force and next state, as in a file. It measures the signals that its attribute
+            `measured` lists, or all that can be measured. A single controller is a list of one.
         road: the road, such as `models.Bump(height=0.1)`.
         duration: of the run [s].
         timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
 
     Raises:
-        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, or a time is not allowed.
+        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a
+            function fails.
         DesignError: a controller cannot be designed.
 
     Example:
@@ -41,6 +51,11 @@ def run(
         >>> [passive] = run(read_vehicle("quarter_car"), ["passive"], Bump(height=0.05), duration=1.0)
         >>> passive.agrees, passive.physics["tyre_deflection"].shape
         (True, (1001,))
+        >>> def damper(sample, state):
+        ...     return -2000.0 * sample["sprung_velocity"], state
+        >>> [damped] = run(read_vehicle("quarter_car"), damper, Bump(height=0.05), duration=1.0)
+        >>> damped.agrees, bool(damped.physics.peak("sprung_velocity") < passive.physics.peak("sprung_velocity"))
+        (True, True)
     """
     time = sample_times(vehicle, duration, timestep)
     road.check(vehicle, time)
@@ -51,10 +66,12 @@ def run(
     return run_controllers(vehicle, drivers, road, time)
 
 
-def _driver(designer: Designer, given: Driver | ControllerEntry | str) -> Driver:
-    """Returns the controller of a name, or of an entry of the vehicle file."""
-    if not isinstance(given, str | ControllerEntry):
+def _driver(designer: Designer, given: ControllerLike) -> Driver:
+    """Returns the controller of a name, of an entry of the vehicle file, or of a function."""
+    if isinstance(given, Driver):
         return given
+    if not isinstance(given, str | ControllerEntry):
+        return of_function(given, designer.vehicle.linear_model.measurable)
     name, known = given if isinstance(given, str) else given.name, designer.vehicle.controllers
     if isinstance(given, ControllerEntry) and known.get(name) is not given:
         raise InputError(f"controllers: {name!r} is an entry of another vehicle; give one of {listing(known)} of this one")

@@ -47,10 +47,10 @@ class ShownRun(Shown):
         verdict = self.agreement.verdict
         if self.energy is not None:
             verdict += f"; energy {'balances' if self.energy.balances else 'DOES NOT BALANCE'}"
-        road, time = self.prediction.road.describe(), self.physics.time
+        time = self.physics.time
         return f"run of {self.prediction.controller.name}: {verdict}", {
             "vehicle": self.prediction.vehicle.kind.name,
-            "road": ", ".join(f"{what} {value}" for what, value in road.items()),
+            "road": self.prediction.road.words,
             "time": f"{time[-1]:g} s at {time[1]:g} s",
         }
 

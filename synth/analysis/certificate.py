@@ -176,6 +176,8 @@ class Certificate(Shown):
         below: proof of the lower bound for controllers of this kind; None if it was not requested.
     """
 
+    given_as = "a certificate, such as synth.certify returns"
+
     loop: GeneralizedPlant
     stability: Stability
     own: Stability

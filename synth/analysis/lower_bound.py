@@ -70,6 +70,8 @@ class LowerBound:
         zeros: zeros from u to z and from w to y [rad/s] by which `interpolation.limit_at_zeros` proves the bound; else None.
     """
 
+    given_as = "a lower bound, such as synth.find_lower_bound returns"
+
     gamma: float
     state: DualCertificate | None = None
     observer: DualCertificate | None = None

@@ -32,7 +32,7 @@ import numpy as np
 from scipy import linalg
 
 from models.common.arrays import Array
-from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, Positive, check_shape
+from models.common.checks import AT_LEAST_ONE, Checked, Index, Matrix, NotNegative, Positive, at_the_door, check_shape
 from synth.analysis.stability import balance
 from synth.plant.discrete import held_inputs
 from synth.plant.generalized import GeneralizedPlant, check_states
@@ -230,6 +230,28 @@ class SampledLoop(Checked):
         if self.noise is not None:
             expected = (m + k, self.noise.shape[1])
             check_shape("noise", self.noise, expected, f"as the plant has m = {m} inputs, and A_register says k = {k}")
+
+    @classmethod
+    @at_the_door
+    def of_gain(
+        cls, plant: GeneralizedPlant, K: Matrix, Cy: Matrix, sample_period: Positive, delay: NotNegative = 0.0
+    ) -> "SampledLoop":
+        """Returns the loop of a gain, u = K y at every sample.
+
+        Args:
+            plant: n states, m inputs.
+            K: shape (m, q).
+            Cy: the measurements, y = C_y x, shape (q, n).
+            sample_period: [s].
+            delay: from a measurement to its force [samples], a fraction included.
+
+        Raises:
+            InputError: a matrix does not fit the plant.
+        """
+        (n, m), q = plant.B.shape, len(Cy)
+        check_shape("Cy", Cy, (q, n), f"as the plant has n = {n} states")
+        check_shape("K", K, (m, q), f"as the plant has m = {m} inputs, and Cy q = {q} rows")
+        return cls(plant, hold_intervals(sample_period, delay), K @ Cy, np.zeros((0, n)), np.zeros((0, m)))
 
     @property
     def period(self) -> float:

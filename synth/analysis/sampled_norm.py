@@ -139,13 +139,11 @@ def sampled_norm(loop: SampledLoop, near: Positive = 1.0) -> SampledNorm:
         near: a positive estimate of the norm.
 
     Example:
-        >>> import numpy as np
-        >>> from synth import GeneralizedPlant, HoldInterval, SampledLoop, sampled_norm
+        >>> from synth import GeneralizedPlant, SampledLoop, sampled_norm
         >>> oscillator = GeneralizedPlant(
         ...     A=[[0, 1], [-4, -0.1]], B=[[0], [1]], Bw=[[0], [1]], C=[[1, 0], [0, 0]], D=[[0], [0.1]], Dw=[[0], [0]]
         ... )
-        >>> gain, nothing = np.array([[0.0, -2.0]]), np.zeros((0, 2))
-        >>> loop = SampledLoop(oscillator, (HoldInterval(duration=0.01, late=0),), gain, nothing, np.zeros((0, 1)))
+        >>> loop = SampledLoop.of_gain(oscillator, K=[[-2.0]], Cy=[[0, 1]], sample_period=0.01)
         >>> f"{sampled_norm(loop).value:.4f}"
         '0.2894'
     """

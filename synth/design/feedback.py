@@ -32,6 +32,7 @@ from synth.plant.generalized import GeneralizedPlant, check_continuous, check_in
 from synth.plant.numerics import DesignError, InfeasibleError, numerics
 
 WHERE = "design_feedback:"
+SAMPLED = "sampled norm"
 FEW = 4  # states; of more the matrices of a law are not shown
 TWO_STEPS, DESCENT, BOTH = "the two steps", "descent on the norm", "the two steps and descent on the norm"
 
@@ -49,6 +50,8 @@ class FeedbackDesign(Shown):
         remark: distance from the optimum, assumptions and left-out measurements, in words; empty without any.
         value: what the design makes small.
         criterion: name of that: "norm", "sampled norm", "H2 norm", or a goal.
+        sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
+            without a sample period, or if none is proved.
     """
 
     law: LinearLaw
@@ -58,6 +61,12 @@ class FeedbackDesign(Shown):
     remark: str
     value: float
     criterion: str = "norm"
+    sampled_lower_bound: float | None = None
+
+    @property
+    def sampled_norm(self) -> float | None:
+        """L2 gain of the loop that the computer closes, see `synth.sampled_norm`; None without a sample period."""
+        return self.value if self.criterion == SAMPLED else None
 
     @property
     def gain(self) -> Array:
@@ -76,6 +85,7 @@ class FeedbackDesign(Shown):
         title, proved = self.certificate.shown
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
+        value |= {"sampled lower bound": f"{self.sampled_lower_bound:.7g}"} if self.sampled_lower_bound is not None else {}
         said = {"remark": self.remark} if self.remark else {}
         return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **said}
 
@@ -144,7 +154,8 @@ def design_feedback(
         states: names of the states, for messages.
 
     Returns:
-        A `FeedbackDesign`: the law, u = +K y for a gain, its certificate, method, why and remark.
+        A `FeedbackDesign`: the law, u = +K y for a gain, its certificate, method, why and remark; with a sample period also the
+        sampled norm and its lower bound.
 
     Raises:
         InputError: a matrix does not fit the plant, it has no input, or two words do not go together; the message says why.
@@ -364,25 +375,29 @@ class _Asked:
             else:
                 ideal = two_steps_or_descent(plant, self.Cy, tuple, self.lower_bound, self.states, Dyw, work=work)
                 known, near = [ideal.gain], ideal.certificate.norm.value or 1.0
+        from synth.lmi.sampled_bound import find_sampled_bound
+
         if full:
             from synth.design.full_order.sampled_data import lowest_level, sampled_full_order
-            from synth.lmi.sampled_bound import find_sampled_bound
 
             near, _ = lowest_level(problem, near, 0.0)
-            found = sampled_full_order(problem, find_sampled_bound(problem, near), near, self.states, stable)
+            bound = find_sampled_bound(problem, near)
+            found = sampled_full_order(problem, bound, near, self.states, stable)
             law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
         elif structure is not None:
             from synth.design.fixed_order.sampled_data import sampled_fixed_order
-            from synth.lmi.sampled_bound import find_sampled_bound
 
-            found = sampled_fixed_order(problem, find_sampled_bound(problem, near), near, self.states, stable, structure, work)
+            bound = find_sampled_bound(problem, near)
+            found = sampled_fixed_order(problem, bound, near, self.states, stable, structure, work)
             law, norm, remark = found.law, found.norm, found.remark
             method, why = "descent on the sampled norm", f"for {structure.text}"
         else:
             from synth.design.sampled_data import held_design
 
             gain = held_design(problem, near, known, work)
-            law, norm, remark = static_law(gain.gain), gain.norm, ""
+            law, norm, bound = static_law(gain.gain), gain.norm, find_sampled_bound(problem, near)
+            distance = percent(norm / bound.level - 1) if bound and bound.level else ""
+            remark = f"{distance} above the lower bound of the sampled loop" if distance else "no lower bound is proved"
             method = "descent on the sampled norm" if gain.instead else "the two steps for the sampled loop"
             why = (
                 f"not by the two steps, for {gain.instead}"
@@ -392,7 +407,14 @@ class _Asked:
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law.continuous(), Dyw), self.lower_bound, by_itself=plant)
         said = [remark, "the certificate is of the ideal loop, without samples or delay"]
         return FeedbackDesign(
-            law, certificate, method, why or 'order = "full"', "; ".join(text for text in said if text), norm, "sampled norm"
+            law,
+            certificate,
+            method,
+            why or 'order = "full"',
+            "; ".join(text for text in said if text),
+            norm,
+            SAMPLED,
+            None if bound is None else bound.level,
         )
 
     def for_goals(self, section: Mapping[str, Any], family: Sequence[GeneralizedPlant]) -> FeedbackDesign:

@@ -68,6 +68,8 @@ class CentralPoint:
         proof: an X that proves the bound if X itself does not, because of states that are unobservable in z; else None.
     """
 
+    given_as = "a point of a central path"
+
     X: Array
     K: Array
     eta: float

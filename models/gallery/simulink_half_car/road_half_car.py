@@ -5,8 +5,7 @@ The equations are those of Simulink's demonstration of a half-car. Its springs f
 
 import numpy as np
 
-from models import GRAVITY, LinearModel, Parameter, Suspension, VehicleKind, Wheel, signals
-from models.kinds.kind import BodyLoad
+from models import GRAVITY, BodyLoad, LinearModel, Parameter, Suspension, VehicleKind, Wheel, signals
 
 AXLES = ("front", "rear")
 GAPS = tuple(signals.SUSPENSION_DEFLECTION.at(axle) for axle in AXLES)

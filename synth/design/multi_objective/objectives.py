@@ -136,6 +136,8 @@ class BoundedSignal:
         name: of the bound, in words.
     """
 
+    given_as = "a bounded signal"
+
     c: Array
     g: Array
     at_most: float

@@ -53,6 +53,8 @@ class RoadLoop:
         name: of the signal and the road, in words.
     """
 
+    given_as = "a plant on a road"
+
     A: Array
     B: Array
     Cy: Array
