@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from models.laws.linear import static_law
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.stability import is_stable, stabilisability_failures, static_feedback_obstructions
-from synth.design.descent.landscape import Work
 from synth.design.two_step import (
     LARGEST_GAIN,
     NO_GAIN,
@@ -38,6 +38,9 @@ from synth.lmi.central_path import CentralPoint
 from synth.plant.augmented import on_larger_plant
 from synth.plant.generalized import GeneralizedPlant, check_inputs
 from synth.plant.numerics import DesignError, InfeasibleError, NoSolutionError, numerics
+
+if TYPE_CHECKING:
+    from synth.design.descent.landscape import Work
 
 KNOW_NO_NOISE = "they know no noise on what is measured"
 NOT_FROM_THESE = "problem (25) has no solution from the X of (22), which proves nothing against other gains"
@@ -82,7 +85,7 @@ def two_steps_or_descent(
     states: Sequence[str] = (),
     Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
-    work: Work | None = None,
+    work: "Work | None" = None,
 ) -> Design:
     """Returns the result of `two_step_design`, or of a descent, with the reason, if the two steps fail.
 
@@ -184,7 +187,7 @@ def near_lower_bound(
 
 
 def _refined(
-    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float, work: Work
+    plant: GeneralizedPlant, Cy: Array, design: Design, below: LowerBound | None, largest_gain: float, work: "Work"
 ) -> tuple[Design | None, float]:
     """Returns a design of a lower norm than another, and the growth of the gain; None if none is found.
 
