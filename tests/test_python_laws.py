@@ -39,9 +39,6 @@ def step(sample, state):
 """
 MEASURED = ("suspension_deflection", "sprung_velocity")
 SWITCHED = """
-COUNTED = "count = 0\ndef step(t, y):\n  global count\n  count += 1\n  return (10825.2 + count) * y[0] - 2069.5 * y[1]\n"
-
-
 def step(sample, state):
     count = (state or 0) + 1
     return (400.0 if count % 300 > 150 else -300.0) - 2000.0 * sample["sprung_velocity"], count
