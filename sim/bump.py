@@ -38,12 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
+    driven = [run.controller.name for run in runs]
     result = {
         "runs": [run_object(run) | {"half_step": half_step_object(run)} for run in runs],
         "road": road.describe(),
         "timestep": options.timestep,
+        **comparison.left_out_object(names, driven),
     }
-    logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    logs = comparison.recorded(options, vehicle, driven, lambda: dict(zip(driven, runs, strict=True)), result)
     outputs = comparison.write_histories(options, runs, _where(road))
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive)
@@ -66,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += comparison.stop_lines(runs, options.verbose)
         say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
-    return 0 if all(run.passed for run in runs) else 1
+    return 0 if all(run.passed for run in runs) and len(runs) == len(names) else 1
 
 
 def _titled(vehicle: "Vehicle", road: "Bump", options: Namespace) -> list[str]:

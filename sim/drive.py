@@ -36,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)
+    driven = [run.controller.name for run in runs]
     first = run_metrics.first_sample(vehicle, [run.controller for run in runs], road, options.duration, options.timestep)
     measured = [run_metrics.measure_run(run, first) for run in runs]
     roughness = run_metrics.driven_roughness(vehicle, road, time)
@@ -49,9 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "measured_from": float(time[first]),
         "definitions": DEFINITIONS,
         "iri": run_metrics.roughness_object(roughness),
+        **comparison.left_out_object(names, driven),
     }
     steps = [measure_step(run, options.band) for run in runs] if step_of(road) else []
-    logs = comparison.recorded(options, vehicle, names, lambda: dict(zip(names, runs, strict=True)), result)
+    logs = comparison.recorded(options, vehicle, driven, lambda: dict(zip(driven, runs, strict=True)), result)
     outputs = comparison.write_histories(options, runs, road.words)
     passive = comparison.passive_beside(runs, design)
     standings = comparison.standings_of(runs, passive, first, measured)
@@ -86,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines += ["", *standing_lines(standings, about), *comparison.stop_lines(runs, options.verbose, first > 0)]
         say([*lines, *written_lines(outputs), *comparison.log_lines(logs, options.brief, runs), "", *summary_lines(runs)])
     comparison.view(options, logs)
-    return 0 if all(run.passed for run in runs) else 1
+    return 0 if all(run.passed for run in runs) and len(runs) == len(names) else 1
 
 
 if __name__ == "__main__":

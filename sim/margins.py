@@ -122,7 +122,7 @@ def _with_code(vehicle: "Vehicle", controller: "Controller", folder: "Path | Non
 
 def _with_loop(vehicle: "Vehicle", controller: "Controller", timestep: float) -> "Controller":
     """The controller, if its loop is one that has margins."""
-    from sim.studies.stability.loop_transfer import loop_transfer
+    from synth.controller.loop_transfer import loop_transfer
     from synth.controller.open_loop import LoopModel
     from synth.controller.report import sign_note
 

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from models.figures.outputs import check_outputs, written, written_lines
     from models.vehicle.vehicle import read_vehicle
-    from sim.command.comparison import controllers_of, log_lines, recorded, say_false_claims
+    from sim.command.comparison import controllers_of, left_out_object, log_lines, recorded, runnable, say_false_claims
     from sim.linear.nonlinear_elements import at_rest_words
     from sim.studies.frequency.sweep import (
         EXTREMES,
@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage = Stages("designs", LINES, EXTREMES, OWN, "picture and logs")
     stage("designs")
     designer = Designer(vehicle, search=False)
-    controllers = controllers_of(vehicle, names, designer.design, options.exported)
+    controllers = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep), options.exported)
+    driven = [one.name for one in controllers]
     how = options.amplitude, options.timestep, options.speed
     say_false_claims(controllers)
     linear = [one for one in controllers if isinstance(one, Controller)]
@@ -82,8 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "amplitude": options.amplitude,
         "timestep": options.timestep,
         "speed": options.speed,
+        **left_out_object(names, driven),
     }
-    logs = recorded(options, vehicle, names, lambda: _worst_runs(vehicle, sweeps, options), result)
+    logs = recorded(options, vehicle, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
     stage.end()
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))
@@ -110,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 *summary_lines(sweeps),
             ]
         )
-    return 0 if all(map(holds, sweeps)) else 1
+    return 0 if all(map(holds, sweeps)) and len(driven) == len(names) else 1
 
 
 def _worst_runs(vehicle: "Vehicle", sweeps: "Sequence[Sweep | DescribingFunction]", options: Any) -> "dict[str, Run]":

@@ -21,18 +21,18 @@ from sim.physics.run_blocks import BatchInputs, in_blocks
 from sim.report.designs import gain_table
 from sim.runs.run import run_controllers, sample_times
 from sim.studies.stability.growth_test import Trial, grows
-from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
-from sim.studies.stability.stability_margins import (
+from synth.analysis.certificate import Certificate, certify
+from synth.controller.controller import Controller
+from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
+from synth.controller.problem import generalized_plant
+from synth.controller.report import law_lines
+from synth.controller.stability_margins import (
     crossovers,
     gain_crossings,
     largest_sample_period,
     margins,
     sampled_gain_crossings,
 )
-from synth.analysis.certificate import Certificate, certify
-from synth.controller.controller import Controller
-from synth.controller.problem import generalized_plant
-from synth.controller.report import law_lines
 from synth.vehicle.designer import Designer
 from tests.commands import attacks
 from tests.shared import made

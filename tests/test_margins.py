@@ -21,19 +21,24 @@ from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.command import margins_options
 from sim.margins import _which_loop, main
-from sim.studies.stability import growth_test, stability_margins
+from sim.studies.stability import growth_test
 from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.delayed import delayed_rate
 from sim.studies.stability.figure import margins_figure
 from sim.studies.stability.fragility import find_fragility, with_errors
 from sim.studies.stability.growth_test import BUMP, Growth, Trial, grows
 from sim.studies.stability.late_loop import LateLoop, late_loop
-from sim.studies.stability.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
 from sim.studies.stability.margin_search import GainMargin, find_margins, searches
 from sim.studies.stability.report import _fragile_lines, _loop_lines, _loop_object
 from sim.studies.stability.robustness import _worst, read_variations, robustness, varied_text
 from sim.studies.stability.slowest_mode import slowest_rate
-from sim.studies.stability.stability_margins import (
+from synth.analysis.certificate import certify
+from synth.analysis.norm import hinf_norm
+from synth.controller import stability_margins
+from synth.controller.loop_transfer import LoopTransfer, loop_transfer, sampled_loop_transfer
+from synth.controller.open_loop import LoopModel
+from synth.controller.problem import generalized_plant
+from synth.controller.stability_margins import (
     LONGEST,
     _products,
     _sign_changes,
@@ -44,10 +49,6 @@ from sim.studies.stability.stability_margins import (
     margins,
     sampled_gain_crossings,
 )
-from synth.analysis.certificate import certify
-from synth.analysis.norm import hinf_norm
-from synth.controller.open_loop import LoopModel
-from synth.controller.problem import generalized_plant
 from synth.vehicle.designer import Designer, design
 from tests import pages
 from tests.analysed import sampled_radius

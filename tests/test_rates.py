@@ -13,13 +13,13 @@ import synth.vehicle.sample_rate.report
 from models.laws.linear import LinearLaw
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, delay_text
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
-from sim.studies.stability.loop_transfer import loop_transfer
-from sim.studies.stability.stability_margins import largest_sample_period
 from synth.__main__ import main
 from synth.analysis.specification import SampledNorm
 from synth.analysis.stability import sampled_growth
 from synth.controller.controller import Controller
 from synth.controller.implementation_norm import norm_as_implemented
+from synth.controller.loop_transfer import loop_transfer
+from synth.controller.stability_margins import largest_sample_period
 from synth.plant.numerics import DesignError
 from synth.vehicle.designer import Designer, design
 from synth.vehicle.sample_rate.cost import Cost, cost, norm_at, smallest_unstable_period

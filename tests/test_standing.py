@@ -60,13 +60,12 @@ def test_a_table():
     }
     standings = [Standing(name, dict(zip(KEYS, values, strict=True))) for name, values in numbers.items()]
     assert standing_lines(standings, "MuJoCo, from 6 s on") == [
-        "                 ride     travel  tyre load     off   force    force        at",
-        "               m/s2 %  peak mm %  dynamic %  road %   rms N   peak N   stops %",
-        "  passive  0.527       73.5       0.359*      0.206       0        0      1.00",
-        "  I        0.410* -22  49.6* -33  0.371  +3   0.270     211     1228         0*",
-        "  a_longer_name",
-        "               -          -           -           -       -        -         -",
-        "  II       0.410* -22  73.5       0.360   0       0*    100*     629*        0*",
+        "                      ride    travel tyre load    off  force   force       at",
+        "                    m/s2 % peak mm % dynamic % road %  rms N  peak N  stops %",
+        "  passive       0.527      73.5      0.359*     0.206      0       0     1.00",
+        "  I             0.410* -22 49.6* -33 0.371  +3  0.270    211    1228        0*",
+        "  a_longer_name     -         -          -          -      -       -        -",
+        "  II            0.410* -22 73.5      0.360   0      0*   100*    629*       0*",
         "  *: the best; %: against passive; MuJoCo, from 6 s on",
     ]
 

@@ -12,7 +12,7 @@ import re
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -164,6 +164,20 @@ def some_sentences(sentences: Sequence[str], others: Iterable[str]) -> list[str]
     return lines
 
 
+def on_a_screen(parts: Mapping[str, list[str]], shorter: Iterable[Mapping[str, list[str]]]) -> dict[str, list[str]]:
+    """Returns the parts of an answer, with as many of them replaced, one step after another, as a terminal has no room for.
+
+    Args:
+        parts: the lines of each part, by name.
+        shorter: steps, each with the lines that replace parts.
+    """
+    shown = dict(parts)
+    for step in shorter:
+        if len(fitted(line for part in shown.values() for line in part)) > LINES:
+            shown |= step
+    return shown
+
+
 def titled(title: str, source: str) -> list[str]:
     """Returns a title, and below it the path of its source."""
     return [title, Whole(f"{GAP}{source}")]
@@ -200,22 +214,27 @@ def matrix(text: str, rows: Sequence[Sequence[str]]) -> list[str]:
     return lines
 
 
-def table(rows: Iterable[Sequence[str] | str], indent: str = GAP) -> list[str]:
+def table(rows: Iterable[Sequence[str] | str], indent: str = GAP, tight: bool = False) -> list[str]:
     """Returns rows in columns: names left-aligned, numbers right-aligned. A name that is too long has its own line.
 
     Args:
         rows: each with the same number of cells, the first one a name; or a text that spans all columns.
         indent: prefix of every line.
+        tight: True for a single space between columns if more names fit then.
     """
     all_rows = list(rows)
     cells = [row for row in all_rows if not isinstance(row, str)]
     widths = [max(len(cell) for cell in column) for column in list(zip(*cells, strict=True))[1:]]
-    room = WIDTH - len(indent) - sum(len(GAP) + width for width in widths)
-    name = max((len(row[0]) for row in cells if len(row[0]) <= room), default=0)
-    return [line for row in all_rows for line in _row(row, name, widths, indent)]
+
+    def fit(gap: str) -> list[int]:
+        room = WIDTH - len(indent) - sum(len(gap) + width for width in widths)
+        return [len(row[0]) for row in cells if len(row[0]) <= room]
+
+    gap = " " if tight and len(fit(" ")) > len(fit(GAP)) else GAP
+    return [line for row in all_rows for line in _row(row, max(fit(gap), default=0), widths, indent, gap)]
 
 
-def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str) -> Iterator[str]:
+def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str, gap: str) -> Iterator[str]:
     if isinstance(row, str):
         yield f"{indent}{row}".rstrip()
         return
@@ -223,7 +242,7 @@ def _row(row: Sequence[str] | str, name: int, widths: Sequence[int], indent: str
     if len(first) > name:
         yield indent + first
         first = ""
-    yield GAP.join([f"{indent}{first:{name}}", *(f"{cell:>{width}}" for cell, width in zip(rest, widths, strict=True))]).rstrip()
+    yield gap.join([f"{indent}{first:{name}}", *(f"{cell:>{width}}" for cell, width in zip(rest, widths, strict=True))]).rstrip()
 
 
 def command(words: Sequence[str]) -> list[str]:

@@ -200,10 +200,18 @@ class LinearLaw:
 
         Args:
             period: [s].
+
+        Raises:
+            InputError: a state grows by more than `LARGEST` within a period, or the result has entries beyond it.
         """
         if not self.states or self._at(period):
             return replace(self, sample_period=period)
         law = self.continuous()
+        if law.growth * period > np.log(LARGEST):
+            raise InputError(
+                f"a pole of its law at +{law.growth:.4g} 1/s is too fast for a sample every {period:g} s; measure control_force "
+                "with accelerations, or sample faster"
+            )
         k, q = law.B.shape
         augmented = np.zeros((k + 2 * q, k + 2 * q))
         augmented[:k, :k], augmented[:k, k : k + q] = period * law.A, period * law.B

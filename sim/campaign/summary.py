@@ -28,6 +28,7 @@ from sim.studies.ride.expected import expect
 from sim.studies.ride.metrics import dynamic_load, points
 from sim.studies.ride.standing import MEASURES, Standing, columns_of, standing_lines, standing_over_runs, standings_object
 from synth.controller.controller import Controller
+from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.designer import Designer
 
 INPUTS = ("vehicle", "controller", "road", "speed")
@@ -54,7 +55,9 @@ def compare(plan: Plan, store: Store) -> dict[str, dict[Candidate, Standing]]:
         standings[vehicle] = {}
         for candidate, runs in sorted(plan.candidates(vehicle).items(), key=lambda item: item[0].controller != PASSIVE):
             here = {metric: each[runs] for metric, each in values.items()}
-            standings[vehicle][candidate] = standing_over_runs(plan.campaign.vehicles[vehicle], candidate.name, here)
+            one = standing_over_runs(plan.campaign.vehicles[vehicle], candidate.name, here)
+            sound = not unstable_by_itself(plan.driver(plan.key(int(runs[0]))))
+            standings[vehicle][candidate] = replace(one, sound=sound)
     return standings
 
 

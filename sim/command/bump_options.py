@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from sim.command.road_options import ExpectedLog
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, or a controller cannot be
+designed, 2 bad input
 
 examples:
   python -m sim.bump --controller I

@@ -28,6 +28,8 @@ from sim.runs.report import (
 )
 from sim.runs.run import Reference, Run, reference, run_controllers
 from synth.controller.controller import Controller, Driver, code_of
+from synth.controller.law_margins import law_margins, unstable_by_itself, warning_lines
+from synth.controller.open_loop import LoopModel
 
 if TYPE_CHECKING:
     from sim.studies.ride.run_metrics import RunMetrics
@@ -37,16 +39,28 @@ if TYPE_CHECKING:
 def controllers_of(
     vehicle: Vehicle, names: Sequence[str], design: Callable[[str], Controller], exported: Path | None = None
 ) -> list[Driver]:
-    """Returns the controllers of these names; no law in Python is run.
+    """Returns the controllers of these names; no law in Python is run. One that cannot be designed is left out, with a warning.
 
     Args:
+        design: designs a linear controller, see `runnable`.
         exported: folder whose code drives one of them, or None.
 
     Raises:
-        InputError: one cannot be designed, the file of a law cannot be read, or the folder does not fit.
+        InputError: none can be designed, the file of a law cannot be read, or the folder does not fit.
     """
-    linear = vehicle.linear_names
-    drivers: list[Driver] = [design(name) if name in linear else vehicle.controllers[name].driver() for name in names]
+    drivers: list[Driver] = []
+    errors: dict[str, InputError] = {}
+    for name in names:
+        try:
+            drivers.append(design(name) if name in vehicle.linear_names else vehicle.controllers[name].driver())
+        except InputError as error:
+            if name not in vehicle.linear_names or len(names) == 1:
+                raise
+            errors[name] = error
+    if not drivers:
+        raise next(iter(errors.values()))
+    for name, error in errors.items():
+        complain(f"controller {name!r} is left out: {str(error).removeprefix(f'controller {name!r}: ')}")
     if exported is None:
         return drivers
     from synth.controller.export.folder import as_exported, read_folder
@@ -57,6 +71,27 @@ def controllers_of(
         return Designer(vehicle, search=False).design(name) if given else vehicle.controllers[name].driver()
 
     return as_exported(read_folder(exported, driver_of), vehicle, drivers)
+
+
+def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
+    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period.
+
+    Args:
+        timestep: of the runs [s]; the sample period if the vehicle gives none.
+    """
+
+    def designed(name: str) -> Controller:
+        controller = design(name)
+        _ = LoopModel(vehicle, controller, timestep).open_loop
+        return controller
+
+    return designed
+
+
+def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
+    """Returns the requested controllers that are not driven as JSON has them; empty if all are."""
+    left = sorted({*names} - {*driven})
+    return {"left_out": left} if left else {}
 
 
 def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
@@ -240,13 +275,13 @@ def run_named(
     time: Array,
     exported: Path | None = None,
 ) -> list[Run]:
-    """Returns a run of every controller asked for, in their order. Doubtful units and false claims are said first.
+    """Returns a run of every requested controller that can be run, in their order. Warnings are printed first.
 
     Arguments and errors as for `controllers_of` and `run_controllers`.
     """
     for doubt in unit_doubts(vehicle.parameters, vehicle.limits):
         complain(doubt)
-    controllers = controllers_of(vehicle, names, design, exported)
+    controllers = controllers_of(vehicle, names, runnable(vehicle, design, float(time[1])), exported)
     say_false_claims(controllers)
     return run_controllers(vehicle, controllers, road, time)
 
@@ -267,11 +302,13 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
 
 
 def short_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns a line on each controller's claims, and the sentences on a run that does not agree, or is unstable and alone.
+    """Returns a line on each controller's claims, warnings, and the sentences on a run that fails, or is unstable and alone.
 
     Claims of more than `FEW` controllers are left to `-v`.
     """
     lines, without, few = [], dict[str, list[str]](), len(runs) <= FEW
+    linear = {run.controller.name: run.controller for run in runs if isinstance(run.controller, Controller)}
+    margins = {name: law_margins(runs[0].vehicle, one) for name, one in linear.items()}
     for run in runs:
         claim = claims(run.controller) if few else ""
         if not few:
@@ -280,12 +317,14 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
             without.setdefault(claim, []).append(run.controller.name)
         else:
             lines += wrapped(claim, f"{run.controller.name}: ", 4)
+            lines += warning_lines({run.controller.name: margins[run.controller.name]})
         if code := code_line(run):
             lines += wrapped(code, f"{run.controller.name}: ", 4)
         alone = len(runs) == 1 and (math.isfinite(run.diverged) or run.prediction.radius >= 1)
         if alone or not run.passed:
             lines += [f"{run.controller.name}:"] * (len(runs) > 1)
             lines += [f"  {line}" for line in [*verdict_lines(run), *energy_lines(run)]]
+    lines += [] if few else warning_lines(margins)
     lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
     lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
     return ["", *lines] if lines else []
@@ -321,7 +360,7 @@ def standings_of(
         measured: metrics of the runs from there on, where they are known.
     """
     from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import standing
+    from sim.studies.ride.standing import standing, without_unsound
 
     vehicle, road = runs[0].vehicle, runs[0].road
     known: dict[str, Mapping[str, float | None]] = {
@@ -335,7 +374,7 @@ def standings_of(
             broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
             known[name] = {} if broken else measure(vehicle, response, first, road.loaded)
         standings.append(standing(vehicle, name, known[name]))
-    return standings
+    return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
 
 
 def _compared_lines(run: Run, passive: Run | Reference | None) -> list[str]:

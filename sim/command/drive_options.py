@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 NEARLY = 0.01  # relative: so much longer or shorter than its road a run may be without a word
 
 EPILOG = """
-exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, 2 bad input. A run that ends early,
-diverged or on a flat tyre, is judged until then, and has no metrics.
+exit code: 0 physics and analysis agree for every controller and energy balances, 1 not, or a controller cannot be
+designed, 2 bad input. A run that ends early, diverged or on a flat tyre, is judged until then, and has no metrics.
 
 examples:
   python -m sim.drive --controller I --class C --speed 20

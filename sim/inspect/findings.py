@@ -15,7 +15,7 @@ HOLDS, FAILS, MISSING, NOTE = "holds", "FAILS", "missing", "note"
 SAME = 1e-6  # relative: how far other versions of numpy, on another machine, may move a number that was derived
 LATER = ("stability", "energy", "half_step")  # of a result: logs older than formats are numbered may not have them
 # Of a result of format 1: came when there were logs of it, and says nothing that others do not.
-SINCE = ("until", "steps", "geometry", "allowed", "stops")
+SINCE = ("until", "steps", "geometry", "allowed", "stops", "margins")
 HUGE = 1e150  # a linear response beyond it is unstable, and its squares overflow
 
 

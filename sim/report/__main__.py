@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 
 EPILOG = """
-exit code: 0 the report is written, 2 bad input; with --gallery 1 if a number is not reproduced
+exit code: 0 the report is written, 1 without a controller that cannot be designed, 2 bad input; with --gallery 1 if a number is
+not reproduced
 
 examples:
   python -m sim.report --out report.html
@@ -67,11 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loads = tuple(choose_load(text) for text in options.loads)
     with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
         result = _reported(options, vehicle, names, loads, beside)
+    undesigned = sorted({*names} - {one.controller for one in result.compared})
     older = _others(result.page, options.figures) if options.figures is not None else []
     if options.json:
         from sim.report.contents import report_object
 
-        whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": others}
+        whole = {**report_object(result), **written(outputs), "not_of_this_report": older, "left_out": [*others, *undesigned]}
         print(json.dumps(whole, allow_nan=False))
     else:
         left = ["not of this report, and left in figures", *(Whole(f"  {name}") for name in older)] if older else []
@@ -88,14 +90,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", verdict])
             lines += ["", *said, *([""] if said else []), verdict]
         say(lines)
-    return 0
+    return 1 if undesigned else 0
 
 
 def _reported(
     options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
-    from sim.command.comparison import controllers_of, say_false_claims
+    from sim.command.comparison import controllers_of, runnable, say_false_claims
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
     from sim.report.scope import Exported, Scope, check_scope
@@ -118,10 +120,10 @@ def _reported(
     )
     stage("designs")
     designer = Designer(vehicle)
-    controllers, exported = controllers_of(vehicle, names, designer.design), None
+    controllers, exported = controllers_of(vehicle, names, runnable(vehicle, designer.design, options.timestep)), None
     if options.exported is not None:
         known = {one.name: one for one in controllers}
-        coded = controllers_of(vehicle, names, lambda name: cast("Controller", known[name]), options.exported)
+        coded = controllers_of(vehicle, list(known), lambda name: cast("Controller", known[name]), options.exported)
         exported = Exported(options.exported, next(one for one in coded if code_of(one) is not None))
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))

@@ -27,8 +27,9 @@ from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
-from sim.studies.ride.standing import Standing, standing, standings_object
+from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
 from sim.studies.validity.regime_end import regime_end
+from synth.controller.law_margins import unstable_by_itself
 from synth.vehicle.paper import SEED, is_the_papers
 
 BUMP, REGIME, FREQUENCIES, MARGINS = "a bump", "where the linear regime ends", "frequency responses", "margins"
@@ -214,7 +215,8 @@ def _compared(scope: Scope, runs: Sequence[Run], over_roads: Sequence[Standing])
         return standings_of(runs, passive_beside(runs, scope.designer.design))
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
-    return [there.get(name) or standing(scope.vehicle, name, {}) for name in names]
+    unsound = [one.name for one in scope.driven if unstable_by_itself(one)]
+    return without_unsound([there.get(name) or standing(scope.vehicle, name, {}) for name in names], unsound)
 
 
 def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:

@@ -31,6 +31,7 @@ from sim.runs.agreement import COARSEST, PARTS, SLACK, SMALL, Agreement
 from sim.runs.run import Reference, Run
 from sim.runs.steps import StepAgreement
 from synth.controller.controller import Controller, Driver, code_of, has_anti_windup
+from synth.controller.law_margins import law_margins
 from synth.controller.report import (
     BOUND,
     NORM,
@@ -66,6 +67,8 @@ def energy_lines(run: Run) -> list[str]:
     if energy.balances:
         sources = "road and actuators" if energy.loads is None else "road, loads and actuators"
         return [f"energy balances: the work of {sources} is stored or dissipated, all but {of}"]
+    if run.physics.ran_away:
+        return [f"energy is not judged: {of} is neither stored nor dissipated, with forces that the overflowing law throws about"]
     why = "a force does work that is none of the vehicle's, or the timestep is too coarse"
     return [f"energy DOES NOT BALANCE: {of} is neither stored nor dissipated, where {energy.allowed:.0e} is allowed: {why}"]
 
@@ -107,6 +110,7 @@ def run_object(run: Run) -> dict[str, Any]:
         **_stops_object(run),
         **_dampers_object(run),
         **rounding_object(run),
+        **_margins_object(run),
     } | ({"energy": energy_object(run.energy)} if run.energy is not None else {})
 
 
@@ -138,6 +142,12 @@ def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] 
     if steps is None:
         return None
     return {"agrees": steps.agrees, **{name: finite(getattr(steps, name)) for name in ("error", "allowed", "since", "until")}}
+
+
+def _margins_object(run: Run) -> dict[str, Any]:
+    """Returns the windup and the small margins of a linear law as JSON has them; empty of any other driver."""
+    one = run.controller
+    return {"margins": law_margins(run.vehicle, one).record} if isinstance(one, Controller) else {}
 
 
 def _stops_object(run: Run) -> dict[str, Any]:
@@ -255,9 +265,14 @@ def verdict(run: Run) -> str:
         words = "DOES NOT AGREE step by step"
     if agreement.until <= 0:
         words = f"NOTHING COMPARED: it ended at once ({' and '.join(why)})"
-    if run.energy is None:
-        return words
-    return f"{words}; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
+    if run.physics.ran_away and not run.passed:
+        return (
+            f"LAW OVERFLOW at {run.diverged:.4g} s: the law winds up, and rounding decides its forces; the physics is not judged"
+        )
+    if run.energy is not None:
+        words += f"; energy {'balances' if run.energy.balances else 'DOES NOT BALANCE'}"
+    later = run.physics.ran_away and run.diverged > agreement.until
+    return f"{words}; {LAW_OVERFLOW} at {run.diverged:.4g} s" if later else words
 
 
 def summary_lines(runs: Sequence[Run]) -> list[str]:
@@ -419,6 +434,10 @@ def _step_lines(run: Run) -> list[str]:
     if steps is None or steps.until <= 0:
         return []
     numbers = f"{steps.error:.1e} of a peak ({steps.signal}), where {steps.allowed:.0e} is allowed"
+    if not steps.agrees and run.physics.ran_away:
+        return [
+            f"step by step nothing is claimed from {steps.since:.4g} s on: the law's states grow, and rounding decides its forces"
+        ]
     if not steps.agrees:
         return [
             f"DOES NOT AGREE step by step: from {steps.since:.4g} s on, MuJoCo's steps leave those of the vehicle's nonlinear "

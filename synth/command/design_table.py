@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.errors import InputError
 from models.common.interrupt import Parts, uninterrupted
-from models.common.printed import Stages, Whole, say, table, titled
+from models.common.printed import Stages, Whole, on_a_screen, say, table, titled
 from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.invariant_point import is_pole
@@ -26,9 +26,11 @@ from synth.command.table import (
     semi_active_lines,
     short_lines,
     table_lines,
+    undamped,
     verdict_lines,
 )
 from synth.controller.controller import InterruptedDesign
+from synth.controller.law_margins import law_margins, names_of_warnings, warning_lines
 from synth.controller.problem import measurements
 from synth.controller.report import (
     failures_of_sampled_loop,
@@ -47,6 +49,7 @@ from synth.vehicle.expected_ride import ROAD_CLASS, SPEED, expected_ride
 
 FREE = "what no controller decides"  # the stage after the designs: a limit for all, and gains that may be others
 MORE = "-v adds poles, proofs, notes and laws in full, and which gains are not unique"
+MORE_WITH_ABOUT = "-v explains the columns and adds poles, proofs, notes and laws in full"
 ASKED = frozenset(("cross_check", "fragility", "prove", "refine"))  # options whose answer stands in place of gains and rides
 FLAT = 1e-4  # of gamma: how far the gains may move for it is printed
 
@@ -83,6 +86,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 except InterruptedDesign as stopped:
                     rows.append(_built(vehicle, _kept(designer, stopped)))
                     raise
+                except InputError as error:  # of one section, which hides no other
+                    if len(names) == 1:
+                        raise
+                    rows.append(Row(name, None, (), (str(error),)))
                 rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
     if parts.cut and not rows:
         raise KeyboardInterrupt
@@ -107,6 +114,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         moved = {} if options.check or parts.cut else _flatness(designer, rows)
     with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
         rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+        rows = [replace(row, margins=law_margins(vehicle, row.controller)) if row.controller is not None else row for row in rows]
         passive = expected_ride(vehicle, designer.design("passive"))
         designs = [row.controller for row in rows if row.controller is not None]
         saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
@@ -141,6 +149,9 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                         if full
                         else short_lines(row, gains=not promised, checked=bool(options.check))
                     )
+            margins = {row.name: row.margins for row in rows if row.margins is not None} if not (full or asked) else {}
+            warnings, before = warning_lines(margins), lines
+            lines = []
             if options.fragility and not full:
                 from synth.command.fragility import short_lines as fragile_lines
 
@@ -152,7 +163,8 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
                 share = f"{100 * FLAT:g} % more of {of}"
                 lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
                 lines += table([(state, *_range(*values)) for state, values in moved.items()])
-            lines += refine_lines(rows, options.vehicle, full) if full or not asked else []
+            refined, limits = refine_lines(rows, options.vehicle, full) if full or not asked else [], lines
+            lines = []
             if saved:
                 from synth.command.save import left_out_lines
 
@@ -164,8 +176,21 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
             given = ", every force given" if vehicle.dampers else ""
             rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given) if full or not asked else []
             unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
-            more = [] if full else [MORE]
-            say([*lines, "", *table_lines(rows), *about, *rides, *unnamed, *more, "", *verdict_lines(rows)])
+            shown = {
+                "gains": before,
+                "warnings": warnings,
+                "limit": limits,
+                "refine": refined,
+                "files and table": [*lines, "", *table_lines(rows)],
+                "about": about,
+                "rides": [*rides, *unnamed],
+                "more": [] if full else [MORE],
+                "verdict": ["", *verdict_lines(rows)],
+            }
+            if not full:
+                shorter = {"about": [], "more": [MORE_WITH_ABOUT]} if about else {}
+                shown = on_a_screen(shown, (shorter, {"refine": []}, {"warnings": names_of_warnings(margins)}, {"more": []}))
+            say([line for part in shown.values() for line in part])
     if parts.cut:
         raise KeyboardInterrupt
     return 1 if any(row.failures for row in rows) else 0
@@ -203,6 +228,8 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
             controller, said = proved(designer, controller)
         failures = (*controller.certificate.failures, *controller.unmet_specifications)
+        if undamped(controller):  # of the vehicle alone nobody claims that it is damped
+            failures = tuple(each for each in failures if each != controller.certificate.stability.words)
         if options.cross_check:
             from synth.command.cross_check import cross_check
 
@@ -215,10 +242,14 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _built(vehicle: Vehicle, row: Row) -> Row:
-    """A row with the norm as implemented, where the vehicle file says how."""
+    """A row with the norm as implemented, where the vehicle file says how, or with the reason why no computer runs the law."""
     if row.controller is None:
         return row
-    norm, certificate = norm_if_implemented(vehicle, row.controller), row.controller.certificate
+    certificate = row.controller.certificate
+    try:
+        norm = norm_if_implemented(vehicle, row.controller)
+    except InputError as error:
+        return replace(row, failures=(*row.failures, str(error).removeprefix(f"controller {row.name!r}: ")))
     said = (*row.notes, *notes_on_sampled_loop(vehicle, certificate, norm))
     return replace(row, sampled=norm, notes=said, failures=failures_of_sampled_loop(vehicle, certificate, row.failures, norm))
 

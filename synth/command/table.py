@@ -5,6 +5,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from models.common.printed import WIDTH, cells, command, finite, json_object, option, percent, table, titles, wrapped
 from models.laws.linear import FEWER
 from models.vehicle.names import without_copies
@@ -13,7 +15,9 @@ from synth.analysis.certificate import LmiProof
 from synth.analysis.lower_bound import SampledBound
 from synth.analysis.record import SAMPLED_BOUND, bound_record, to_record
 from synth.analysis.specification import SampledNorm
+from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
+from synth.controller.law_margins import LawMargins
 from synth.controller.report import (
     BOUND,
     FEEDBACK_ALONE,
@@ -59,6 +63,7 @@ class Row:
         answers: sentences on what options have asked of it; the notes have them, too.
         ride: expected weighted acceleration on an average road [m/s2], or None.
         refined: True for a controller that was refined, whose gain is the answer.
+        margins: the stability of its law by itself, and its small margins; None if there is no law.
     """
 
     name: str
@@ -73,6 +78,7 @@ class Row:
     answers: tuple[str, ...] = ()
     ride: float | None = None
     refined: bool = False
+    margins: LawMargins | None = None
 
     @property
     def sampled_gap(self) -> float | None:
@@ -104,6 +110,7 @@ def row_object(row: Row) -> dict[str, Any]:
         "expected_ride": row.ride,
         "stability": certificate.stability.verdict,
         **growth_object(controller),
+        **({"margins": row.margins.record} if row.margins is not None else {}),
         "lmi": _lmi_object(certificate.proof),
         "certificate": to_record(certificate) | norm_record(row.sampled) | bound_record(row.sampled_below),
         "notes": [*row.notes, *certificate.remarks],
@@ -165,7 +172,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         return [f"controller {row.name}", *(f"  NOT DESIGNED: {failure}" for failure in row.failures)]
     controller, certificate = row.controller, row.controller.certificate
     lines = heading_lines(controller)
-    lines += _pole_lines(certificate.own.poles)
+    own = certificate.own
+    lines += _pole_lines(np.where(own.on_axis, 1j * np.imag(own.poles), own.poles))
     if certificate.stable:
         lines.append(f"  norm by level sets and by a sweep, {certificate.norm.gap:.0e} apart")
     if certificate.proof is not None:
@@ -180,7 +188,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         lines.append(f"  norm {percent(certificate.gap)} above the lower bound")
     for promise in controller.specifications:
         lines += wrapped(promise.text, "  promise: ", 4)
-    lines += [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
+    free = undamped(controller)
+    lines += _undamped_lines(row, "  ") if free else [f"  {line}" for line in norm_lines(vehicle, controller, row.sampled)]
     if row.sampled_gap is not None and row.sampled_below is not None:
         lines.append(
             f"  sampled norm {percent(row.sampled_gap)} above {row.sampled_below.level:.7g}, which no controller with these "
@@ -192,6 +201,11 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         lines += [f"  {line}" for line in row.fragile.lines]
     said = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
     return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in _failures(row))]
+
+
+def undamped(controller: Controller) -> bool:
+    """Returns True for a vehicle without control that does not damp some motion: a property of the vehicle, not a failure."""
+    return not controller.measured and controller.certificate.stability.verdict == MARGINAL
 
 
 def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
@@ -254,6 +268,8 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     """
     if row.controller is None:
         return _failure_lines(row)
+    if undamped(row.controller):
+        return [*_undamped_lines(row, f"{row.name}: "), *_failure_lines(row)]
     promises = row.controller.specifications
     if promises:
         kept = sum(promise.holds for promise in promises[1:])
@@ -265,6 +281,18 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
         lines += [*preview_lines(row.controller, f"{row.name}: "), *wrapped(FEEDBACK_ALONE, f"{row.name}: ", 4)]
     lines += [part for each in _answers(row, checked) for part in wrapped(each, f"{row.name}: ", 4)]
     return [*lines, *_failure_lines(row)]
+
+
+def _undamped_lines(row: Row, start: str) -> list[str]:
+    """Returns the natural frequencies of an undamped vehicle, with the damping ratios of motions that decay, after some text."""
+    assert row.controller is not None
+    own = row.controller.certificate.own
+    motions = []
+    for pole, free in sorted(zip(own.poles, own.on_axis, strict=True), key=lambda one: abs(one[0])):
+        if pole.imag >= 0:
+            damping = "" if free else f" (damping {-pole.real / abs(pole):.2g})"
+            motions.append(f"{abs(pole) / (2 * math.pi) if abs(pole) > own.rounding else 0.0:.4g} Hz{damping}")
+    return wrapped(f"undamped without control; natural frequencies {', '.join(motions)}", start, 4)
 
 
 def semi_active_lines(vehicle: Vehicle) -> list[str]:
@@ -327,9 +355,13 @@ def verdict_lines(rows: Sequence[Row]) -> list[str]:
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
     said = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
     said = f"not every claim holds: {', '.join(wrong)}" if wrong else said
-    lost = [row.name for row in rows if row.sampled is not None and not row.sampled.stable]
+    judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
+    lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
     if lost:
         said += f"; UNSTABLE as the computer runs it: {', '.join(lost)}"
+    grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
+    if grow:
+        said += f"; a law UNSTABLE by itself: {', '.join(grow)}"
     return [said]
 
 
@@ -346,7 +378,7 @@ def _pole_lines(poles: Collection[complex]) -> list[str]:
     numbers = [f"{pole.real:.4g} +- {pole.imag:.4g}j" for pole in pairs]
     width = max(map(len, numbers), default=0)
     lines = [
-        f"{number:{width}}  {abs(pole) / (2 * math.pi):.3g} Hz, damping {-pole.real / abs(pole):.2g}"
+        f"{number:{width}}  {abs(pole) / (2 * math.pi):.3g} Hz, damping {0.0 - pole.real / abs(pole):.2g}"
         for number, pole in zip(numbers, pairs, strict=True)
     ]
     lines += wrapped("  ".join(f"{pole.real:.4g}" for pole in poles if not pole.imag), "", 0)

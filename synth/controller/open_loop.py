@@ -103,7 +103,10 @@ def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop
     """
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
-    law = controller.law.sampled(period)
+    try:
+        law = controller.law.sampled(period)
+    except InputError as error:
+        raise InputError(f"controller {controller.name!r}: {error}") from error
     try:
         rates = LinearLaw((law.A - np.eye(law.states)) / period, law.B / period, law.C, law.D)
     except InputError as error:

@@ -19,6 +19,7 @@ from synth.analysis.certificate import Certificate
 from synth.analysis.specification import ABOVE, SAMPLED_NORM, SampledNorm
 from synth.analysis.stability import MARGINAL
 from synth.controller.controller import Controller
+from synth.controller.law_margins import law_margins
 from synth.controller.problem import plant_states, road_twist_inputs
 
 SAME = 10 * ABOVE  # relative: agreement of a norm on two machines, from the distance of its enclosing levels
@@ -279,11 +280,13 @@ HELD = 1e-9  # relative; a pole this near to 0 is an integrator's
 
 
 def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns notes on a law that is unstable by itself, and on its anti-windup; empty of a stable one without."""
-    growth, rate = controller.law.growth, controller.law.anti_windup
-    clipped = rate is None and (vehicle.dampers or vehicle.limits.actuator_force is not None)
-    winds = " and winds up where forces are clipped; anti_windup bounds its states" if clipped else ""
-    notes = [f"this law is unstable by itself (+{growth:.4g} 1/s){winds}"] if growth else []
+    """Returns notes on a law that is unstable by itself, its small margins, its integral and its anti-windup."""
+    margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
+    winds = " and winds up where forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
+    notes = [f"this law is unstable by itself (+{margins.growth:.4g} 1/s){winds}"] if margins.growth else []
+    notes += (
+        [f"{margins.small} of the ideal loop: small changes make it unstable; sim.margins says more"] if margins.small else []
+    )
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
         follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"

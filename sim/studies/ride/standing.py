@@ -4,8 +4,8 @@ For a vehicle with several wheels, suspensions or actuators, each column has the
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,10 +59,21 @@ class Standing:
     Attributes:
         controller: its name.
         values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
+        sound: False for a law that is unstable by itself or winds up; it is never called the best.
     """
 
     controller: str
     values: Mapping[str, float | None]
+    sound: bool = True
+
+
+def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> list[Standing]:
+    """Returns the rows with those of unsound laws marked.
+
+    Args:
+        unsound: names of the controllers whose law is unstable by itself or winds up.
+    """
+    return [replace(one, sound=False) if one.controller in unsound else one for one in standings]
 
 
 def columns_of(vehicle: Vehicle) -> dict[str, tuple[str, ...]]:
@@ -109,11 +120,11 @@ def standing_over_runs(vehicle: Vehicle, controller: str, metrics: Mapping[str, 
 def best(standings: Sequence[Standing]) -> dict[str, list[str]]:
     """Returns the names of the best controllers by key: those with the smallest number, to the digits of the table.
 
-    Passive is not compared in forces. If all numbers are equal, none is best.
+    Passive is not compared in forces, and an unsound law in nothing. If all numbers are equal, none is best.
     """
     names: dict[str, list[str]] = {}
     for one in MEASURES:
-        compared = [each for each in standings if not (one.effort and each.controller == PASSIVE)]
+        compared = [each for each in standings if each.sound and not (one.effort and each.controller == PASSIVE)]
         values = {each.controller: value for each in compared if (value := each.values[one.key]) is not None}
         shown = {name: digits(value * one.scale) for name, value in values.items()}
         least = shown[min(values, key=values.__getitem__)] if values else ""
@@ -160,7 +171,9 @@ def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn
         if one.against and passive is not None:
             changes = [_change(each.values[one.key], passive.values[one.key]) for each in standings]
         columns.append(ComparedColumn(one, numbers, changes))
-    legend = "*: the best; " if any(marked[column.measure.key] for column in columns) else ""
+    unsound = ", ".join(one.controller for one in standings if not one.sound)
+    star = f"the best without {unsound}" if unsound else "the best"
+    legend = f"*: {star}; " if any(marked[column.measure.key] for column in columns) else ""
     legend += "%: against passive; " if any(column.changes is not None for column in columns) else ""
     return columns, legend
 
@@ -175,7 +188,7 @@ def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
     if not columns:
         return ["no ride to compare: of every controller a run broke off"]
     rows = zip(["", "", *(one.controller for one in standings)], *map(_cells, columns), strict=True)
-    return [*table(rows), f"  {legend}{about}"]
+    return [*table(rows, tight=True), f"  {legend}{about}"]
 
 
 def _is_there(one: Measure, value: float | None) -> bool:

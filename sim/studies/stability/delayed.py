@@ -13,8 +13,8 @@ from scipy.sparse.linalg import LinearOperator, eigs
 
 from models.common.arrays import Array
 from models.vehicle.vehicle import Vehicle
-from sim.studies.stability.loop_transfer import sampled_loop_transfer
 from synth.controller.controller import Controller
+from synth.controller.loop_transfer import sampled_loop_transfer
 
 FEW = 60  # states and forces on their way; of so few all eigenvalues are quicker
 LARGEST = 4  # eigenvalues that are asked for: two pairs, should two loops of a symmetric vehicle be alike

@@ -13,8 +13,8 @@ from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.sampled_response import taylor4
 from sim.studies.stability.delayed import rate_from_sample_to_sample, slowest_from_sample_to_sample
-from sim.studies.stability.loop_transfer import sampled_loop_transfer
 from synth.controller.controller import Controller
+from synth.controller.loop_transfer import sampled_loop_transfer
 
 
 @dataclass(frozen=True, eq=False)

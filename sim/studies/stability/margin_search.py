@@ -14,10 +14,10 @@ from sim.linear.sampled_response import taylor4
 from sim.runs.run import sample_times
 from sim.studies.stability.bisection import Bisection, run_searches
 from sim.studies.stability.growth_test import GONE, LONGEST, Trial, no_progress
-from sim.studies.stability.loop_transfer import loop_transfer, sampled_loop_transfer
-from sim.studies.stability.stability_margins import Margins, margins, sampled_gain_crossings
 from synth.controller.controller import Controller, check_fits
+from synth.controller.loop_transfer import loop_transfer, sampled_loop_transfer
 from synth.controller.open_loop import with_lag
+from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop

@@ -9,8 +9,8 @@ from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.fragility import FragilityFound
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
-from sim.studies.stability.stability_margins import DiskMargin
 from synth.controller.controller import Controller
+from synth.controller.stability_margins import DiskMargin
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
 NAME, CELL = 24, 12  # columns of a table of margins

@@ -27,8 +27,8 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.lean_scipy import optimize
-from sim.studies.stability.loop_transfer import LoopTransfer
 from synth.analysis.norm import hinf_norm
+from synth.controller.loop_transfer import LoopTransfer
 from synth.plant.generalized import GeneralizedPlant
 
 LARGEST_FACTOR = 1e4  # a loop that bears this much gain bears any: beyond, rounding decides on which side a pole is

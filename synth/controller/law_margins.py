@@ -1,0 +1,181 @@
+"""Warnings about a law: unstable by itself, windup, and small stability margins of its ideal loop.
+
+- A law is *unstable by itself* if its own states grow without measurements: a pole right of the imaginary axis, or outside the
+  unit circle.
+- A law *winds up* if it is unstable by itself, the vehicle file clips its forces (`actuator_force` or adjustable dampers), and it
+  has no anti-windup. Clipped forces are bounded, and so are the measurements that they cause, but the states of the law grow. The
+  forces then stay clipped or jump between the limits, and no later measurement brings the states back. An integrator has a pole
+  at 0 and does not count: its states grow no faster than the measurements.
+- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and
+  `[implementation]`, with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to
+  1, at which the loop is unstable. Below `LEAST_GAIN`, or its inverse, and below `LEAST_DISK` a margin is small. (Skogestad,
+  Postlethwaite 2005, section 2.4.3, ask for a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array
+from models.common.printed import wrapped
+from models.vehicle.vehicle import Vehicle
+from synth.controller.controller import Controller, Driver
+from synth.controller.loop_transfer import LoopTransfer, loop_transfer
+from synth.controller.stability_margins import disk_margin
+
+LEAST_GAIN, LEAST_DISK = 2.0, 0.3
+FEW = 3  # warnings with a line of their own; more share a paragraph
+FACTORS = np.geomspace(1.0, LEAST_GAIN, 42)[1:-1]  # steps of 1.7 %
+EXACT = 1e-9  # relative to the distance from 1: of a factor at which the loop becomes unstable
+
+
+@dataclass(frozen=True)
+class LawMargins:
+    """Stability of a law by itself, and small margins of its ideal loop.
+
+    Attributes:
+        growth: rate of the fastest growing state of the law by itself [1/s]; 0 if no state grows.
+        winds_up: where the forces are clipped, in words, if the law winds up there; empty otherwise.
+        gain: factor above 1 and up to `LEAST_GAIN` at which the loop is unstable, or infinity.
+        gain_lower: factor below 1, down to the inverse, at which the loop is unstable, or 0.
+        disk: symmetric disk margin, from 0 to 2; None if the ideal loop is unstable or no measurement makes a force.
+    """
+
+    growth: float
+    winds_up: str
+    gain: float
+    gain_lower: float
+    disk: float | None
+
+    @property
+    def instability(self) -> str:
+        """The instability of the law by itself, and its windup, in words; empty for a stable law."""
+        if not self.growth:
+            return ""
+        return f"unstable by itself (+{self.growth:.4g} 1/s)" + (f", winds up {self.winds_up}" if self.winds_up else "")
+
+    @property
+    def nearest(self) -> float | None:
+        """The small gain margin that is nearest to 1, either way; None without one."""
+        nearest = self.gain if self.gain * self.gain_lower <= 1 else self.gain_lower
+        return nearest if 0 < nearest < math.inf else None
+
+    @property
+    def pair(self) -> str:
+        """Gain and disk margin as a pair, "-" for a gain margin that is not small."""
+        return f"{'-' if self.nearest is None else _factor(self.nearest)}/{self.disk:#.2g}"
+
+    @property
+    def small(self) -> str:
+        """The margins that are small, in words; empty without any."""
+        texts = [f"gain margin {_factor(self.nearest)}"] if self.nearest is not None else []
+        texts += [f"disk margin {self.disk:#.2g}"] if self.disk is not None and self.disk < LEAST_DISK else []
+        return ", ".join(texts)
+
+    @property
+    def warning(self) -> str:
+        """The warning of short answers: the instability of the law or else its small margins; empty without either."""
+        return self.instability or self.small
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The margins as JSON holds them; None for a gain margin that is not small, and for margins that do not exist."""
+        return {
+            "winds_up": bool(self.winds_up),
+            "gain_margin": self.gain if math.isfinite(self.gain) else None,
+            "gain_margin_lower": self.gain_lower or None,
+            "disk_margin": self.disk,
+        }
+
+
+def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
+    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
+
+    Args:
+        vehicle: with the limits of its file.
+        controller: its controller.
+    """
+    law = controller.law
+    where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
+    gain, gain_lower, disk = math.inf, 0.0, None
+    if law.acts and controller.certificate.stable:
+        limits = replace(vehicle.limits, actuator_bandwidth=controller.hardware.bandwidth)
+        loop = loop_transfer(replace(vehicle, limits=limits), controller, range(len(law.D)))
+        if _growth(loop, np.ones(1))[0] < 0:  # rounding may decide on a marginal loop
+            gain = _first_unstable(loop, FACTORS, math.inf)
+            gain_lower = _first_unstable(loop, 1 / FACTORS, 0.0)
+            disk = disk_margin(loop).size
+    return LawMargins(law.growth, where, gain, gain_lower, disk)
+
+
+def warning_lines(margins: Mapping[str, LawMargins]) -> list[str]:
+    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs.
+
+    Args:
+        margins: by name of the controller.
+    """
+    alike: dict[str, list[str]] = {}
+    for name, one in margins.items():
+        if one.warning:
+            alike.setdefault(one.warning, []).append(name)
+    if len(alike) <= FEW:
+        return [line for warning, names in alike.items() for line in wrapped(warning, f"{', '.join(names)}: ", 4)]
+    grow, small = _warned(margins)
+    clipped = {f", winding up {one.winds_up}": None for one in grow.values() if one.winds_up}
+    rates = ", ".join(f"{name} (+{one.growth:.4g} 1/s)" for name, one in grow.items())
+    pairs = ", ".join(f"{name} {one.pair}" for name, one in small.items())
+    lines = wrapped(rates, f"unstable by itself{''.join(clipped)}: ", 4) if grow else []
+    return [*lines, *(wrapped(pairs, "gain/disk margin: ", 4) if small else [])]
+
+
+def names_of_warnings(margins: Mapping[str, LawMargins]) -> list[str]:
+    """Returns the names of the controllers that `warning_lines` warns of, for an answer without room; arguments as there."""
+    grow, small = _warned(margins)
+    texts = [f"{what}: {', '.join(some)}" for what, some in (("unstable by itself", grow), ("small margins", small)) if some]
+    return wrapped("; ".join(texts), hang=4) if texts else []
+
+
+def _warned(margins: Mapping[str, LawMargins]) -> tuple[dict[str, LawMargins], dict[str, LawMargins]]:
+    """Returns those that are unstable by themselves, and of the others those with small margins."""
+    grow = {name: one for name, one in margins.items() if one.instability}
+    return grow, {name: one for name, one in margins.items() if one.small and name not in grow}
+
+
+def unstable_by_itself(driver: Driver) -> bool:
+    """Returns True if a driver is a linear controller whose law is unstable by itself."""
+    return isinstance(driver, Controller) and driver.law.growth > 0
+
+
+def _clipped(vehicle: Vehicle) -> str:
+    """Returns where the forces are clipped, in words; empty if they are not."""
+    if (force := vehicle.limits.actuator_force) is not None:
+        return f"at {force / 1e3:g} kN" if force >= 1e3 else f"at {force:g} N"
+    return "behind the adjustable dampers" if vehicle.dampers else ""
+
+
+def _growth(loop: LoopTransfer, factors: Array) -> Array:
+    """Returns the growth of the loops with these factors on all forces [1/s], infinite where no delay is allowed."""
+    growth = np.linalg.eigvals(loop.closed(factors)).real.max(axis=-1)
+    return np.where(loop.comes_back * factors >= 1, np.inf, growth)
+
+
+def _first_unstable(loop: LoopTransfer, factors: Array, without: float) -> float:
+    """Returns the factor nearest to 1 at which the loop becomes unstable, or `without` if none of these is unstable."""
+    unstable = np.flatnonzero(_growth(loop, factors) >= 0)
+    if not len(unstable):
+        return without
+    first = int(unstable[0])
+    stable, at = (float(factors[first - 1]) if first else 1.0), float(factors[first])
+    while abs(at - stable) > EXACT * abs(at - 1):
+        middle = (stable + at) / 2
+        stable, at = (stable, middle) if _growth(loop, np.array([middle]))[0] >= 0 else (middle, at)
+    return at
+
+
+def _factor(factor: float) -> str:
+    """Returns a factor with two digits of its distance from 1, at most six behind the point."""
+    distance = abs(factor - 1)
+    return f"{factor:.{min(6, max(2, 1 - math.floor(math.log10(distance))))}f}" if distance else "1"
