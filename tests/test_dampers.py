@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from models.roads.choice import choose_road
 from models.roads.iso8608 import Iso8608
 from models.roads.load import Lift
 from models.roads.loaded import RoadWithLoads
@@ -291,6 +292,16 @@ def test_physics_is_followed_where_rounding_decides():
             (run,) = compare_runs([prediction], [physics])
             (line,) = [line for line in verdict_lines(run) if "decision" in line]
             assert f"from those of the exact response, first of damping at {time[k]:.4g} s" in line
+
+
+def test_nothing_but_rounding_agrees():
+    """On a flat road noise alone makes decisions of a damper, whose force is its coefficient times a velocity of rounding."""
+    noise = "[implementation]\nnoise = { unsprung_velocity = 1e-3 }\n"
+    vehicle = parse_vehicle(QUARTER + DAMPER + noise + '[controllers.linear]\nsemi_active = "skyhook_linear"\n')
+    flat = choose_road("flat").build(vehicle, 15.0, 0, 10.0)
+    (run,) = run_controllers(vehicle, [vehicle.controllers["linear"].driver()], flat, sample_times(vehicle, 0.3, 1e-3))
+    assert 0 < run.physics.peak("control_force") < 1e-9
+    assert run.agrees
 
 
 def test_a_damper_takes_energy():

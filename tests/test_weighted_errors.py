@@ -159,15 +159,20 @@ def test_a_car():
 
 
 def test_z_weighs_the_requested_force():
-    """The error of a force is in the acceleration that z weighs, and not in the force, with or without a lag."""
+    """The error of a force is in the acceleration that z weighs, and not in the force, with or without a lag, by itself or in a
+    sum.
+    """
+    both = "both = { sum = { sprung_acceleration = 2.0, control_force = 0.5 } }\n[controllers.soft]"
     for lag in ("", "lag = true\n[limits]\nactuator_bandwidth = 60.0\n"):
-        vehicle = parse_vehicle(CAR.format(tolerance=f"{{ force = {WEIGHT} }}") + lag)
+        text = CAR.format(tolerance=f"{{ force = {WEIGHT} }}") + lag
+        vehicle = parse_vehicle(text.replace("[controllers.soft]", both))
         controller = Designer(vehicle).design("soft")
         errors = vehicle.controllers["soft"].errors
         assert errors is not None
         open_loop = structured_plant(vehicle, controller, errors).closed_by(replace(controller.law, D=0 * controller.law.D))
-        acceleration, force, q = open_loop.at(np.array([7.0]))[0][:, -1]
+        acceleration, force, summed, q = open_loop.at(np.array([7.0]))[0][:, -1]
         assert (force, q) == (0, 0)
+        assert summed == pytest.approx(2 * acceleration, rel=1e-9)  # rounding
         through = 60 / (60 + 7j) if lag else 1.0
         B, (C, D) = vehicle.linear_model.B, vehicle.linear_model.rows(["sprung_acceleration"])
         A = vehicle.linear_model.A

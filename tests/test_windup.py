@@ -8,9 +8,10 @@ import pytest
 
 from models.laws.linear import LinearLaw
 from models.roads.road import Bump, RoadInput
-from models.vehicle.limits_and_implementation import Limits
+from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from sim.campaign.__main__ import main as campaign
+from sim.physics.energy import BALANCED
 from sim.physics.run_blocks import DIVERGED
 from sim.physics.simulate import MonitoredBatch
 from sim.runs.report import controller_lines, controller_object, events, verdict, verdict_lines
@@ -132,6 +133,24 @@ def test_a_law_that_overflows_breaks_off_and_is_named():
     assert "  100.0 % of the cells: the law's own states run away until it asks for no finite force" in envelope_lines(
         cells, 0.05
     )
+
+
+def test_a_request_that_swings_behind_a_lag():
+    """A force that changes from one limit to the other within a step is that of the request behind the lag: in the steps of the
+    vehicle's equations, and in the energy balance, which is of second order there.
+    """
+    law = "A = [[30.0, -90.0], [90.0, 30.0]]\nB = [[1.0], [0.0]]\nC = [[1e6, 0.0]]\nD = [[0.0]]\n"
+    text = f'{read_vehicle("quarter_car").text}\n[controllers.swings]\nmeasured = ["sprung_velocity"]\n{law}'
+    limits = Limits(actuator_force=1500.0, actuator_bandwidth=60.0)
+    vehicle = replace(parse_vehicle(text, source="mine"), limits=limits, implementation=Implementation(sample_period=4e-3))
+    controllers = design(vehicle, ["swings"])
+    (coarse,), (fine,) = (run_controllers(vehicle, controllers, BUMP, sample_times(vehicle, 1.5, h)) for h in (2e-3, 5e-4))
+    for run in (coarse, fine):
+        assert np.abs(run.physics["controller_1"]).max() * 1e6 > 1e15
+        assert run.agreement.steps.agrees
+        assert run.energy.balances
+        assert run.energy.allowed == BALANCED  # what is left over is RK4's at once, without a look at half the step
+    assert coarse.energy.residual / fine.energy.residual > 4  # at least first order in a quarter of the step; measured 47
 
 
 def test_a_batch_keeps_what_others_ask_for():

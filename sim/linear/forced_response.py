@@ -15,11 +15,11 @@ from models.roads.road import RoadInput
 from sim.linear.sampled_response import (
     load_forcing,
     outside_at_samples,
-    recursion,
     response_of,
     road_forcing,
     taylor4,
 )
+from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.open_loop import with_lag
 from synth.plant.discrete import held_inputs

@@ -48,6 +48,7 @@ from models.laws.linear import LinearLaw
 from models.roads.road import Road, RoadInput, delays, under_wheels
 from models.vehicle.limits_and_implementation import steps_held
 from models.vehicle.vehicle import Vehicle
+from sim.response.recursion import recursion
 from sim.response.response import Response
 from synth.controller.controller import Controller
 from synth.controller.open_loop import LoopModel, OpenLoop
@@ -67,12 +68,18 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
     """Bounds the effect of rounding on every output signal [the signal's unit]; without a controller, under given forces."""
     model = vehicle.linear_model
     rate, shaken = _shaken(vehicle)
+    pushed = np.zeros(len(model.inputs))
+    if vehicle.dampers:  # the force of a damper is rounded as its velocity is
+        from sim.linear.dampers import stretching
+
+        pushed[[model.inputs.index(one.force) for one in vehicle.adjustable]] = [one.steepest_slope for one in vehicle.adjustable]
+        pushed *= np.abs(stretching(vehicle)) @ shaken
     if controller is None:
-        return dict(zip(model.outputs, (np.abs(model.C) @ shaken).tolist(), strict=True))
+        return dict(zip(model.outputs, (np.abs(model.C) @ shaken + np.abs(model.D) @ pushed).tolist(), strict=True))
     gain = _most_asked(controller.law_on_states(vehicle), rate) @ np.abs(model.rows(controller.measured)[0])
     if controller.law.states:  # its forces may far exceed those of a static gain, and move the states
         shaken = shaken + np.abs(model.B) @ (gain @ shaken) / rate
-    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (gain @ shaken)
+    moved = np.abs(model.C) @ shaken + np.abs(model.D) @ (pushed + gain @ shaken)
     return dict(zip(model.outputs, moved.tolist(), strict=True))
 
 
@@ -436,27 +443,6 @@ def _convolution(A: Array, push: Callable[[Array], Array], start: Array, h: floa
         if (pushed := push(start + s)).any():
             total += weight * pushed @ linalg.expm(A * (h - s)).T
     return total
-
-
-def recursion(Phi: Array, forcing: Array) -> Array:
-    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
-
-    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
-    stretches from rest come first, side by side, and then what each adds to those behind it.
-    """
-    *runs, samples, n = forcing.shape
-    length = math.isqrt(samples) + 1
-    stretches = -(-samples // length)
-    padded = np.zeros((*runs, stretches * length, n))
-    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
-    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
-        for k in range(1, length):
-            states[..., k, :] += states[..., k - 1, :] @ transposed
-        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
-        for i in range(1, stretches):
-            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
-    return padded[..., :samples, :]
 
 
 def response_of(

@@ -44,10 +44,11 @@ from models.common.arrays import Array
 from models.common.printed import Shown
 from models.kinds.strut_and_tyre import DAMPER, STATIC_LOAD
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import build_spec, damped_tyres, mocap_indices, pushed_dofs
+from models.vehicle.mjcf import MOST_ASKED, build_spec, damped_tyres, mocap_indices, pushed_dofs
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import PhysicsRuns
-from sim.response.regime import BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
+from sim.response.recursion import lag_stages, lagging
+from sim.response.regime import AT, BUMP_STOP, LIFT_OFF, REGIME_ENDS, SATURATION, utilisation
 from sim.response.response import Response
 
 if TYPE_CHECKING:
@@ -148,13 +149,13 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
     lengths, speeds = (starts[:, 2 + k :: 2] for k in (0, 1))
     grown = ends[:, 2::2] - lengths[:-1]  # within a step, over its road, which may carry a damper or an actuator
     middle = 1.5 * grown / h - (speeds[:-1] + speeds[1:]) / 4
-    most = vehicle.limits.actuator_force or np.inf
     forces = np.stack([runs.response[name][index, :count] for name in vehicle.linear_model.inputs], axis=-1)
-    forces = along * np.clip(forces, -most, most)
-    before, between, after = _forces(vehicle, forces, h)
-    work = (before * speeds[:-1, :actuators] + 4 * between * middle[:, :actuators] + after * speeds[1:, :actuators]) * h / 6
+    first, *inner, last = along * _acting(vehicle, forces, runs.requested_force[index, :count], h)
     if vehicle.limits.actuator_bandwidth is None:
-        work = forces[:-1] * grown[:, :actuators]  # the work of a held force is exact
+        work = first * grown[:, :actuators]  # the work of a held force is exact
+    else:
+        amid = 2 * (inner[0] + inner[1]) * middle[:, :actuators]
+        work = (first * speeds[:-1, :actuators] + amid + last * speeds[1:, :actuators]) * h / 6
     least = None
     if vehicle.dampers:
         response = runs.response.run(index).until(float(time[count - 1]) + h / 2)
@@ -363,12 +364,19 @@ def _look(vehicle: Vehicle, model: mujoco.MjModel, qpos: Array, qvel: Array, roa
     return values
 
 
-def _forces(vehicle: Vehicle, forces: Array, h: float) -> tuple[Array, Array, Array]:
-    """Returns the actuators' forces [N] at beginning, middle and end of every step, shape (T - 1, m), from those at the samples.
+def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Array:
+    """Returns the actuators' forces [N] in RK4's stages of every step, shape (4, T - 1, m).
 
-    A lagging force approaches its command exponentially, so its ends determine its middle.
+    The largest force limits what lags behind a request, which may be far beyond it and change its sign within a step.
+
+    Args:
+        forces: of physics at the samples [N], shape (T, m).
+        requested: see `PhysicsRuns`.
     """
-    bandwidth = vehicle.limits.actuator_bandwidth
-    before, after = forces[:-1], forces[1:]
-    share = 1 / (1 + np.exp(-bandwidth * h / 2)) if bandwidth else 0.0
-    return before, before + share * (after - before), after
+    limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)
+    if limits.actuator_force is None:
+        return np.stack(lag_stages(forces, z))
+    most = limits.actuator_force
+    asked = np.clip(requested[:, : forces.shape[1]], -MOST_ASKED, MOST_ASKED)
+    stages = lag_stages(np.where(np.abs(forces) < AT * most, forces, lagging(asked, z)), z)
+    return np.clip(stages, -most, most)

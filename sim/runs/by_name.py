@@ -32,8 +32,7 @@ def run(
         timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
 
     Raises:
-        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a
-            signal with noise is measured by no controller.
+        InputError: the road cannot be driven by this vehicle, a controller belongs to another one, or a time is not allowed.
         DesignError: a controller cannot be designed.
 
     Example:

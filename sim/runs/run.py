@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.errors import InputError, listing
+from models.common.errors import InputError
 from models.common.printed import Shown, cell, html_table
 from models.laws.python_law import Programmed
 from models.roads.road import Road, RoadInput
@@ -227,16 +227,6 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
     return np.arange(round(duration / timestep) + 1) * timestep
 
 
-def _check_noise(vehicle: Vehicle, controllers: Sequence[Driver]) -> None:
-    """Refuses noise or quantisation of a signal that no controller measures, among these and those of the vehicle file."""
-    measured = {name for controller in (*controllers, *vehicle.controllers.values()) for name in controller.measured}
-    how = vehicle.implementation
-    for kind, values in {"noise": how.noise, "quantisation": how.quantisation}.items():
-        for name in values:
-            if measured and name not in measured:
-                raise InputError(f"[implementation] {kind} of {name!r}, which is not measured; measured are: {listing(measured)}")
-
-
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its run says so
 def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, time: Array, balanced: bool = True) -> list[Run]:
     """Runs every controller over the road, from rest, and compares.
@@ -245,7 +235,6 @@ def run_controllers(vehicle: Vehicle, controllers: Sequence[Driver], road: Road,
         time: equidistant sample times from 0 [s], see `sample_times`.
         balanced: False leaves out positions, energy and the change by half the step.
     """
-    _check_noise(vehicle, controllers)
     ahead = not vehicle.dampers  # else the predictions follow the decisions that dampers make in physics
     on = RoadInput(vehicle, road, time)
     known = [

@@ -20,9 +20,10 @@ from scipy import linalg
 
 from models.common.arrays import Array
 from models.roads.road import RoadInput
-from models.vehicle.mjcf import has_geometry
+from models.vehicle.mjcf import MOST_ASKED, has_geometry
 from models.vehicle.vehicle import Vehicle
-from sim.linear.sampled_response import recursion, roundings
+from sim.linear.sampled_response import roundings
+from sim.response.recursion import SHARES, lag_stages, lagging, recursion
 from sim.response.regime import AT
 from sim.response.response import Response
 
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from models.kinds.motion import Motion, Pulls
 
 EXACT = 1e-10  # of a peak; up to 1e-12 per step was measured, and a force that is wrong by 1e-4 leaves 1e-8 and more
-SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
 WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
@@ -298,18 +298,13 @@ def _given(vehicle: Vehicle, physics: Response, requested_force: Array | None, h
         now[:, j] = np.clip(physics[one.coefficient] - one.nominal, one.low, one.high)
         rates[j] = one.damper.bandwidth or 0.0
     pushing = ~np.isin(inputs, list(vehicle.dampers))
-    z = rates * h
-    way = z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))  # share of the distance to its command that a lag covers in a step of RK4
+    z, asked = rates * h, MOST_ASKED if limits.actuator_force else np.inf
     if requested_force is not None:
         demand = requested_force[:count, : len(inputs)]
-        now = np.where(z > 0, recursion(np.diag(1 - way), way * demand), demand)
+        now = lagging(np.where(pushing, np.clip(demand, -asked, asked), demand), z)
     else:
         now = np.where(pushing, np.clip(now, -most, most), now)
-    before, change = now[:-1], np.diff(now, axis=0) / np.where(way > 0, way, 1.0)
-    stages, gone = [], np.zeros_like(before)
-    for share in SHARES:
-        gone = share * z * (change - gone)
-        stages.append(np.where(pushing, np.clip(before + gone, -most, most), before + gone))
+    stages = [np.where(pushing, np.clip(stage, -most, most), stage) for stage in lag_stages(now, z)]
     if requested_force is not None:
         return stages, np.ones(count - 1, dtype=bool)
     at_limit = np.where(z > 0, np.sign(now) * (np.abs(now) >= AT * most), 0.0)

@@ -140,17 +140,20 @@ def _of_added_force(
 ) -> tuple[Array, Array]:
     """Returns B and D of a force that is added to the requested one, which z weighs without it."""
     forces = vehicle.linear_model.inputs
-    signals = [signal for signal, weight in vehicle.performance.items() if weight > 0]
-    other = [signal for signal in signals if signal not in forces]
+    other = [signal for signal, weight in vehicle.performance.items() if weight > 0 and signal not in forces]
+    without = [replace(one, terms={name: by for name, by in one.terms.items() if name not in forces}) for one in vehicle.sums]
+    sums = tuple(one for one in without if one.terms)
     B, D = np.zeros(of_states), np.zeros(of_z)
     model: LinearModel = vehicle.linear_model.behind_lag(bandwidth)
     B[: len(model.A)] = model.B
-    if not other:
+    if not other and not sums:
         return B, D
-    rest = replace(vehicle, performance={signal: vehicle.performance[signal] for signal in other}, filters=_of(vehicle, other))
+    weights = {signal: vehicle.performance[signal] for signal in other}
+    rest = replace(vehicle, performance=weights, filters=_of(vehicle, other), sums=sums)
     plant, names = generalized_plant(rest, bandwidth), plant_states(vehicle, bandwidth)
     B[[names.index(name) for name in plant_states(rest, bandwidth)]] = plant.B
-    D[[signals.index(signal) for signal in other]] = plant.D
+    rows = [one.name for one in vehicle.weighted]
+    D[[rows.index(one.name) for one in rest.weighted]] = plant.D
     return B, D
 
 

@@ -140,7 +140,8 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
         time: of the loads [s].
     """
     cut = continuous(vehicle, controller)
-    model, direct = cut.model, readings_of_loads(cut, controller)
+    # Tyres that damp feel the road's velocity beside the loads, and on level ground there is none.
+    model, direct = cut.model, readings_of_loads(cut, controller)[:, : len(cut.model.loads)]
     A, load = model.A + model.B @ cut.G, road.loads(vehicle, np.array([time]))[0]
     if np.linalg.eigvals(A).real.max() >= 0:
         return {}

@@ -1,0 +1,62 @@
+"""Linear recursions from sample to sample, among them the first-order lag of an actuator in steps of RK4."""
+
+import itertools
+import math
+
+import numpy as np
+
+from models.common.arrays import Array
+
+SHARES = (0.0, 0.5, 0.5, 1.0)  # times of RK4's stages, as shares of a step
+
+
+def recursion(Phi: Array, forcing: Array) -> Array:
+    """Returns x[k+1] = Phi x[k] + forcing[k] from x[0] = 0, shape (..., T, n) like the forcing.
+
+    Python takes a step for every sample of a stretch and for every stretch, not for every sample of all: the responses of all
+    stretches from rest come first, side by side, and then what each adds to those behind it.
+    """
+    *runs, samples, n = forcing.shape
+    length = math.isqrt(samples) + 1
+    stretches = -(-samples // length)
+    padded = np.zeros((*runs, stretches * length, n))
+    padded[..., 1:samples, :] = forcing[..., : samples - 1, :]
+    states, transposed = padded.reshape(*runs, stretches, length, n), np.ascontiguousarray(Phi.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop may overflow; the run says so
+        for k in range(1, length):
+            states[..., k, :] += states[..., k - 1, :] @ transposed
+        powers = np.stack(list(itertools.accumulate([transposed] * length, np.matmul)))
+        for i in range(1, stretches):
+            states[..., i, :, :] += np.vecmat(states[..., i - 1, -1:, :], powers)
+    return padded[..., :samples, :]
+
+
+def lagging(commands: Array, z: Array) -> Array:
+    """Returns what lags behind commands at the samples, from 0, as RK4 integrates it, shape (T, m).
+
+    Args:
+        commands: held from each sample to the next, shape (T, m).
+        z: rate of every lag times the timestep, shape (m,); 0 for none: its command acts at once.
+    """
+    way = _way(z)
+    return np.where(z > 0, recursion(np.diag(1 - way), way * commands), commands)
+
+
+def lag_stages(now: Array, z: Array) -> list[Array]:
+    """Returns what lags behind held commands in the four stages of every step of RK4, shape (T - 1, m) each.
+
+    Args:
+        now: its values at the samples, shape (T, m); without a lag the commands.
+        z: see `lagging`.
+    """
+    way, before, gone = _way(z), now[:-1], np.zeros_like(now[:-1])
+    change, stages = np.diff(now, axis=0) / np.where(way > 0, way, 1.0), list[Array]()
+    for share in SHARES:
+        gone = share * z * (change - gone)
+        stages.append(before + gone)
+    return stages
+
+
+def _way(z: Array) -> Array:
+    """Returns the share of the distance to its command that a lag covers in a step of RK4."""
+    return z * (1 - z / 2 * (1 - z / 3 * (1 - z / 4)))
