@@ -18,10 +18,23 @@ Whatever else a module holds may move without notice.
 """
 
 import sys
-from os.path import dirname
+from importlib.util import find_spec
+from os.path import dirname, join
 
 if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != dirname(__path__[0]):
     sys.path.append(sys.path.pop(0))  # the user's folder comes last: its models.py is not ours
+
+for _name in ("models",):
+    _spec = find_spec(_name)
+    _where = [] if _spec is None else [*(_spec.submodule_search_locations or ())]
+    if _spec is not None and join(dirname(__path__[0]), _name) not in _where:
+        _line = (
+            f"{_spec.origin or _where[0]} hides Roadproof's package {_name!r}; rename it, or run commands as in: roadproof bump"
+        )
+        if sys.argv[:1] != ["-m"]:
+            raise ImportError(_line)
+        sys.stderr.write(f"roadproof: {_line}\n")
+        raise SystemExit(2)
 
 from models.common.interrupt import quiet_start
 

@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.export is not None:
         from synth.command.export_file import SUFFIXES, export_file
 
-        if options.export.suffix in SUFFIXES:
+        if options.export.suffix.lower() in SUFFIXES:
             return export_file(vehicle, options)
         from synth.command.export import export
 

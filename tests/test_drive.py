@@ -194,7 +194,8 @@ def test_what_metrics_rest_on_is_said(capsys):
     out = prose(table)
     assert f"the variance of suspension_deflection is {percent(run['settled']['share'])} of its final value" in out
     assert "every other signal in this table is closer" in out  # velocities, which no metric is of, may be
-    assert "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %" in out
+    assert "~ is approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv, the fourth root of a mean, up to 8 %" in out
+    assert "crest is from 7 % too low to 14 % too high" in out
     assert "for short runs or light damping the +- is up to 45 % too large" in out
     assert "may be off" not in out
     for name, metric in run["metrics"].items():

@@ -90,6 +90,9 @@ def test_linear_response_over_many_seeds(name, controller, road_class):
             kind = metric.rsplit("_", 1)[1]
             off = {"vdv": 0.02, "mtvv": 0.025, "crest": 0.05, "peak": 0.11 if (name, controller) == CASES[0][:2] else 0.07}[kind]
             assert abs(found[metric].mean() - mean) < off * mean + 3 * found[metric].std(ddof=1) / 8, metric
+            if name == "quarter_car" and kind in ("crest", "peak"):  # beyond a deviation of the mean, as measured over 120 roads
+                small = kind == "crest" and controller == "I"
+                assert (mean < found[metric].mean()) == small, metric
 
 
 @pytest.mark.attack

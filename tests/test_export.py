@@ -52,6 +52,9 @@ C = [[-900.0]]
 D = [[-1500.0]]
 sample_period = 0.005
 """
+LIMITS = "\n[limits]\nactuator_force = 500.0\n"
+TEXT = read_vehicle("quarter_car").text + LAW + BUILT + LIMITS
+SEEN = ("suspension_deflection", "sprung_velocity")
 SEMI_ACTIVE = ("skyhook", "skyhook_linear", "groundhook", "hybrid", "add", "pdd", "skyhook_add")
 
 
@@ -78,7 +81,9 @@ def differing(law: ExportedLaw, folder: Path, samples: int) -> int:
     seen, given = (number * len(law.inputs))(), (number * len(law.outputs))()
     step, python, wrong = getattr(library, f"{law.name}_step"), PythonStep(law), 0
     getattr(library, f"{law.name}_init")(ctypes.byref(state))
-    for row in random_inputs(law, samples, 7):
+    for k, row in enumerate(random_inputs(law, samples, 7)):
+        if law.fixed is None and k % 20 == 19:
+            row[k % len(row)] = (np.nan, np.inf, -np.inf, float(np.finfo(NUMBERS[law.numbers]).max))[k // 20 % 4]
         seen[:] = row
         step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
         wrong += sum(float(ours) != theirs for ours, theirs in zip(python(row), given, strict=True))
@@ -107,6 +112,65 @@ def random_law(rng: np.random.Generator, vehicle: Vehicle, numbers: str) -> Expo
         return exported_law(built, controller, numbers, "law")
     most = 1.5 * np.abs(list(random_inputs(double, 50, 1))).max(axis=0)
     return exported_law(built, controller, numbers, "law", dict(zip(measured, most.tolist(), strict=True)))
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["double", "float"])
+def test_a_sensor_that_fails_is_held(numbers, tmp_path):
+    """NaN or infinity acts as the last finite input and is counted; after a spike that overflows forces are within the limit."""
+    vehicle = parse_vehicle(TEXT.replace("[limits]", "delay = 1\n[limits]"))
+    law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law")
+    library, number = compiled(law, tmp_path), cortex_m4.C_TYPES[numbers]
+
+    class State(ctypes.Structure):
+        _fields_ = (
+            ("x", number * 2),
+            ("line", number),
+            ("oldest", ctypes.c_int),
+            ("valid", number * 2),
+            ("faults", ctypes.c_int),
+        )
+
+    def driven(rows: list[list[float]]) -> list[tuple[float, int]]:
+        state, seen, given = State(), (number * 2)(), (number * 1)()
+        library.law_init(ctypes.byref(state))
+        results = list[tuple[float, int]]()
+        for row in rows:
+            seen[:] = row
+            library.law_step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
+            results.append((given[0], state.faults))
+        return results
+
+    broken = [[float("nan"), 0.1], [0.01, 0.2], [0.02, float("inf")], [float("nan"), float("-inf")], [0.03, -0.1]]
+    held = [[0.0, 0.1], [0.01, 0.2], [0.02, 0.2], [0.02, 0.2], [0.03, -0.1]]
+    assert driven(broken) == [(force, faults) for (force, _), faults in zip(driven(held), (1, 0, 1, 2, 0), strict=True)]
+    most = float(np.finfo(NUMBERS[numbers]).max)
+    forces, faults = zip(*driven([[most, -most], [most, most], *[[0.01, 0.1]] * 500]), strict=True)
+    assert np.all(np.abs(forces) <= 500)
+    assert faults[0] > 0
+
+
+@needs_cc
+@pytest.mark.parametrize("numbers", ["int16", "int32"])
+def test_whole_numbers_take_any_law(numbers, tmp_path):
+    """A gain beyond the largest integer is scaled: the force is the law's but for rounding, and any input is within the limit."""
+    text = read_vehicle("quarter_car").text + BUILT + LIMITS
+    text += '\n[controllers.law]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ngain = [[-4e9, -2000.0]]\n'
+    vehicle = parse_vehicle(text.replace("-4e9", "-40000.0") if numbers == "int16" else text)
+    law = exported_law(vehicle, _given(vehicle, "law"), numbers, "law", dict.fromkeys(SEEN, 0.01))
+    assert law.fixed is not None
+    library, number = compiled(law, tmp_path), cortex_m4.C_TYPES[numbers]
+    state, seen, given, python = (ctypes.c_double * 8)(), (number * 2)(), (number * 1)(), PythonStep(law)
+    library.law_init(ctypes.byref(state))
+    for y in ([0.002, 0.004], [-0.004, 0.01], [0.0, -0.007], [1e9, 1e9], [-1e9, -1e9], [1e9, 0.0]):
+        seen[:] = [int(value) for value in np.clip(np.rint(y / law.fixed.seen), -law.fixed.largest - 1, law.fixed.largest)]
+        library.law_step(ctypes.byref(state), ctypes.byref(seen), ctypes.byref(given))
+        assert [*python(list(seen))] == [*given]
+        top = law.fixed.largest * law.fixed.seen
+        ideal = float(np.clip(law.D[0] @ np.clip(y, -top, top), -500, 500))
+        rounded = np.abs(law.D[0]) @ law.fixed.seen / 2 + law.fixed.given[0]  # of readings, then of the force and its limit
+        assert abs(given[0] * law.fixed.given[0] - ideal) <= rounded + 1e-4 * abs(ideal)  # 1e-4: coefficients of 15 bits
+        assert abs(given[0] * law.fixed.given[0]) <= 500
 
 
 @needs_cc

@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     named = LAW.replace("controllers.law", 'controllers."end"')
     (folder / "car.toml").write_text(read_vehicle("quarter_car").text + LAW + named + BUILT + LIMITS)
     assert main(["--vehicle", str(folder / "car.toml"), "--export", str(folder / "all.mat")]) == 0
-    assert main(["--vehicle", str(folder / "car.toml"), "--controller", "law", "--export", str(folder / "one.mat")]) == 0
+    assert main(["--vehicle", str(folder / "car.toml"), "--controller", "law", "--export", str(folder / "one.MAT")]) == 0
     return folder
 
 
@@ -59,7 +59,7 @@ def test_a_law_comes_back(folder):
     assert struct["Ts"] == struct["sampled"]["Ts"] == 0.005
     assert struct["anti_windup"] == 5.0
     again = (
-        '\n[controllers.again]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nfile = "one.mat"\nanti_windup = 5.0\n'
+        '\n[controllers.again]\nmeasured = ["suspension_deflection", "sprung_velocity"]\nfile = "one.MAT"\nanti_windup = 5.0\n'
     )
     (folder / "again.toml").write_text((folder / "car.toml").read_text() + again)
     back = read_vehicle(str(folder / "again.toml")).controllers["again"].law

@@ -1,6 +1,7 @@
 """Little address space, or the user's own models.py beside the files: a command does its work, or says in one line why not."""
 
 import errno
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -112,6 +113,23 @@ def test_files_of_the_users_own_names(tmp_path):
         run = subprocess.run([sys.executable, *command], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=120)
         assert (run.returncode, run.stderr) == (0, "")
         (tmp_path / "sim.py").write_text("raise SystemExit('the wrong file')\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [("models", "-m sim.bump"), ("models", "-m synth"), ("synth", "-m sim.bump"), ("models", "mine.py"), ("synth", "mine.py")],
+)
+def test_a_file_that_hides_a_package_is_named(name, command, tmp_path):
+    """A file of the user's that is found before a package is named in one line, with the command that works there."""
+    (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')\n")
+    (tmp_path / "mine.py").write_text("import sim\n")
+    known = environment() | {"PYTHONPATH": os.pathsep.join(map(str, (tmp_path, ROOT)))}
+    run = subprocess.run([sys.executable, *command.split()], cwd=tmp_path, env=known, capture_output=True, text=True, timeout=60)
+    line = f"{tmp_path / name}.py hides Roadproof's package '{name}'; rename it, or run commands as in: roadproof bump\n"
+    if command.startswith("-m"):
+        assert (run.returncode, run.stdout, run.stderr) == (2, "", f"roadproof: {line}")
+    else:
+        assert (run.returncode, run.stderr.splitlines(keepends=True)[-1]) == (1, f"ImportError: {line}")
 
 
 def test_a_valve_too_fast_is_named():

@@ -8,6 +8,8 @@ import itertools
 import json
 import os
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -257,6 +259,22 @@ def test_the_name_that_is_given_says_what_a_picture_is(target, tmp_path):
         assert (tmp_path / target).read_bytes().startswith(begins)
         assert link.is_symlink()
         link.unlink()
+
+
+@pytest.mark.parametrize("backend", ["nonsense", *attacks(["module://matplotlib_inline.backend_inline", "TkAgg", "Agg", ""])])
+def test_a_picture_needs_no_backend(backend, tmp_path):
+    """A picture is drawn whatever MPLBACKEND says, and what it says stays for the rest of the process."""
+    pytest.importorskip("matplotlib", reason="pictures need the extra [report]")
+    code = (
+        "import os, pathlib, numpy as np\nfrom models.figures.figure import Curve, Figure, Panel\n"
+        "from models.figures.picture import check_drawing, write_picture\ncheck_drawing()\n"
+        "one = Curve(np.arange(2.0), np.arange(2.0), 'd', '#000000')\n"
+        "write_picture(Figure('a', 'b', (Panel('c', 'x', 'y', (one,)),)), pathlib.Path('a.PNG'))\nprint(os.environ['MPLBACKEND'])"
+    )
+    environment = os.environ | {"MPLBACKEND": backend, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (ran.stdout, ran.stderr) == (f"{backend}\n", "")
+    assert (tmp_path / "a.PNG").read_bytes().startswith(b"\x89PNG")
 
 
 def test_only_long_names_may_be_broken():

@@ -287,6 +287,10 @@ def test_text_of_a_vehicle_file_runs_nothing(tmp_path):
             "def step(sample, state):\n  return [1][int(sample.time > 0.1)], state",
             "IndexError: list index out of range, line 2) at 0.101 s",
         ),
+        (
+            "import numpy as np\n\ndef step(sample, state): return np.ma.array([1.0], mask=True), state",
+            "its force has masked values",
+        ),
         ("def step(sample, state): return float('nan'), state", "its force is not finite) at 0 s"),
         ("def step(sample, state): return [1.0, 2.0], state", "its force has shape (2,); expected (1,)"),
         ("def step(sample, state): return 3.0", "it gives 3.0, and not two things"),

@@ -241,6 +241,38 @@ def test_wrong_calls(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        ("Bump", "Iso8608", "Profile", "LinearLaw", "GeneralizedPlant", "run", "Response"),
+        pytest.param((), marks=pytest.mark.attack),
+    ],
+)
+def test_numbers_of_numpy(names, monkeypatch, tmp_path):
+    """A number may be an array of no dimension, an array may have a mask without masked values, and masked values are refused."""
+    monkeypatch.chdir(tmp_path)
+    for name in names or calls():
+        call, right = calls()[name]
+        for argument, value in right.items():
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                call(**{**right, argument: np.array(value)})
+                call(**{**right, argument: np.array(value)[()]})
+            elif isinstance(value, (np.ndarray, list)) and np.size(value) and np.asarray(value).dtype.kind == "f":
+                call(**{**right, argument: np.ma.array(value, mask=False)})
+                mask = np.arange(np.size(value)).reshape(np.shape(value)) == 0
+                for wrong in (np.ma.array(value, mask=mask), [*np.ma.array(value, mask=mask)]):
+                    with pytest.raises(InputError, match=f"^{argument} has masked values; fill them"):
+                        call(**{**right, argument: wrong})
+
+
+def test_an_unknown_signal_is_one_line():
+    """Every function of a response that takes the name of a signal lists the signals that there are."""
+    one = sim.Response(np.array([0.0, 0.1]), models.read_vehicle("quarter_car").kind.signals[:2], np.zeros((2, 2)))
+    for call in (one.peak, one.scale, one.rms, one.__getitem__, lambda name: one.only([name])):
+        with pytest.raises(InputError, match=f"no signal 'acceleration'; give one of: {', '.join(sorted(one.names))}$"):
+            call("acceleration")
+
+
+@pytest.mark.parametrize(
     ("name", "argument", "wrong"),
     [
         *(("find_margins", "timestep", step) for step in (1e9, 1e-9)),

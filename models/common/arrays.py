@@ -3,12 +3,32 @@
 Shapes and units are in the docstrings; entries are float64 unless those say complex.
 """
 
+import sys
+
 import numpy as np
 
 from models.common.errors import InputError
 
 Array = np.ndarray
 MOST = 2000  # rows or columns; more needs methods for large sparse systems
+
+
+def is_masked(value: object) -> bool:
+    """Returns True for an array, or nested lists, in which a value is masked."""
+    masks = sys.modules.get("numpy.ma")  # which takes time to import, and is there if a masked array is
+    if masks is None or not isinstance(value, np.ndarray | list | tuple):
+        return False
+    return masks.is_masked(value) if isinstance(value, np.ndarray) else any(is_masked(one) for one in value)
+
+
+def check_unmasked(name: str, value: object) -> None:
+    """Refuses masked values, whose mask arithmetic would lose.
+
+    Raises:
+        InputError: a value is masked; the message names the array.
+    """
+    if is_masked(value):
+        raise InputError(f"{name} has masked values; fill them, as by filled(0.0), or leave them out")
 
 
 def real_matrix(value: object, name: str, largest: float, expected: str = "") -> tuple[Array, float]:
@@ -25,6 +45,7 @@ def real_matrix(value: object, name: str, largest: float, expected: str = "") ->
     Raises:
         InputError: it is not such a matrix; the message names it.
     """
+    check_unmasked(name, value)
     try:
         given = np.asarray(value)
     except (TypeError, ValueError) as error:

@@ -17,7 +17,7 @@ from typing import Annotated, Any, NoReturn, Protocol, TypeVar, Union, get_args,
 
 import numpy as np
 
-from models.common.arrays import Array
+from models.common.arrays import Array, check_unmasked, is_masked
 from models.common.errors import InputError, quoted
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -90,10 +90,17 @@ def check(name: str, value: Any, annotation: Any) -> Any:
     Raises:
         InputError: it does not fit; the message has the name.
     """
+    check_unmasked(name, value)
     try:
         return _check(annotation).read(value)
     except _UnfitError as error:
         raise InputError(f"{name}{error.place} = {quoted(error.value)} is not allowed; give {error.words}") from None
+
+
+def plain(value: Any) -> Any:
+    """Returns NumPy's scalar, or its array of no dimension, as a number of Python; any other value unchanged."""
+    scalar = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim)
+    return value.item() if scalar and not is_masked(value) else value
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], why: str) -> None:
@@ -186,6 +193,7 @@ def _check(annotation: Any) -> _Check:
 
 def _simple(words: str, fits: Callable[[Any], bool]) -> _Check:
     def read(value: Any) -> Any:
+        value = plain(value)
         if not fits(value):
             raise _UnfitError(value, words)
         return value
@@ -274,6 +282,7 @@ def _at(place: str, item: _Check, value: Any) -> Any:
 
 def is_finite(value: Any) -> bool:
     """Returns True for a real and finite number, of numpy or not."""
+    value = plain(value)
     try:
         return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
@@ -281,6 +290,7 @@ def is_finite(value: Any) -> bool:
 
 
 def _number(value: Any) -> Any:
+    value = plain(value)
     if not (is_finite(value) or (isinstance(value, float) and math.isinf(value))):
         raise _UnfitError(value, "a number")
     return value

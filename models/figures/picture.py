@@ -1,6 +1,9 @@
 """Figures as picture files, drawn by matplotlib without a display."""
 
+import os
+import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +39,23 @@ def check_drawing() -> None:
         InputError: matplotlib is not installed.
     """
     try:
-        import matplotlib  # noqa: F401
+        _matplotlib()
     except ImportError:
         raise InputError("pictures need matplotlib; pip install 'roadproof[report]' or leave --picture out") from None
+
+
+def _matplotlib() -> Any:
+    """Imports matplotlib. The environment's MPLBACKEND may name a backend that is not installed; nothing here needs one."""
+    given = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
+    try:
+        import matplotlib
+    finally:
+        if given is not None:
+            os.environ["MPLBACKEND"] = given
+    if given:
+        with suppress(ValueError):
+            matplotlib.rcParams["backend"] = given  # as matplotlib does, for the other code of this process
+    return matplotlib
 
 
 def write_picture(figure: Figure, *paths: Path) -> None:
@@ -47,8 +64,7 @@ def write_picture(figure: Figure, *paths: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    import matplotlib
-
+    matplotlib = _matplotlib()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph \d+ ")  # letters that the font lacks are drawn as boxes
         canvas = _drawn(figure)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, SupportsIndex
 
 import numpy as np
 
-from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive
+from models.common.checks import AT_LEAST_ONE, Checked, Must, Name, Positive, plain
 from models.common.errors import InputError, listing, number_range, quoted
 from models.common.printed import Shown
 from models.kinds.linear_model import LinearModel
@@ -96,6 +96,7 @@ class Parameter(Checked):
         """
         smallest = self.smallest if self.smallest is not None else SMALLEST if self.positive else 0.0
         allowed = number_range(smallest, self.largest, self.unit)
+        value = plain(value)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise InputError(f"{self.name} = {quoted(value)} is not a number; give {allowed}")
         if not smallest <= value <= self.largest:  # NaN is in no range

@@ -16,8 +16,8 @@ from models.common.errors import InputError, listing, quoted
 from models.common.files import MIB, origin, read_bytes, read_text
 from models.laws.combinations import PREVIEW
 
-LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.py):(?P<function>[^\W\d]\w*)")
-FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.fmu")
+LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
+FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
 GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file beside the vehicle file, as in fmu = "their.fmu"'
 MOST_TEXT, MOST_FMU = MIB, 200 * MIB  # bytes of its file

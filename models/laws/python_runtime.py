@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from models.common import interrupt
-from models.common.arrays import Array
+from models.common.arrays import Array, check_unmasked
 from models.common.command import BAD_INPUT, complain
 from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
@@ -90,7 +90,8 @@ class OwnLaw:
         """
         law = controller.law
         self._path, self._forces = law.path or law.folder, forces
-        self._what, self._name = f"controller {controller.name!r}, law {law.law}", law.function
+        self._fmu, self._name = law.is_fmu, law.function
+        self._what = f"controller {controller.name!r}, {'FMU' if self._fmu else 'law'} {law.law}"
         self._index = {name: i for i, name in enumerate(controller.measured)}
         self._left = LONGEST  # s that calls may still take
         self._state: Any = None
@@ -126,7 +127,11 @@ class OwnLaw:
         try:
             return self._run(self._name, min(LONGEST, self._left), lambda: self._called(sample, shape))
         except InputError as error:
-            raise InputError(f"{str(error).removesuffix('; mend that')} at {time:.6g} s; mend that") from None
+            said = str(error).removesuffix("; mend that")
+            if self._fmu:
+                at = f", at {time:.6g} s" if time else ""
+                raise InputError(f"{self._what}{at}: {said.removeprefix(f'{self._what}: ')}") from None
+            raise InputError(f"{said} at {time:.6g} s; mend that") from None
         finally:
             self._left -= clock() - began
 
@@ -138,6 +143,7 @@ class OwnLaw:
         if not isinstance(given, tuple) or len(given) != 2:
             raise InputError(f"it gives {_short(given)}, and not two things; end it with: return force, state")
         force, self._state = given
+        check_unmasked("its force", force)
         forces = np.asarray(force)
         if forces.dtype.kind not in "bifu" and forces.dtype.kind != "O":
             raise InputError(f"its force is {_short(force)}, which is no real number; give newtons")
@@ -161,7 +167,7 @@ class OwnLaw:
         try:
             with _watchdog.watching(said, longest) as watched:
                 try:
-                    return run_own(self._what, self._path, name, code)
+                    return run_own(self._what, self._path, name, code, refuses=self._fmu)
                 except InputError:
                     if not watched.late:
                         raise

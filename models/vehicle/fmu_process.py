@@ -50,7 +50,7 @@ class Slave:
         texts = [about[name].encode() for name in ("guid", "resources")]
         one = begin(b"controller", CO_SIMULATION, *texts, ctypes.byref(self._callbacks), 0, 0)
         if not one:
-            raise RuntimeError(f"fmi2Instantiate gives no instance{self._why()}")
+            raise RuntimeError(f"fmi2Instantiate returned no instance{self._why()}")
         self._one = ctypes.c_void_p(one)
         real = ctypes.c_double
         self._call("fmi2SetupExperiment", 0, real(0.0), real(0.0), 0, real(0.0))
@@ -76,7 +76,7 @@ class Slave:
         self.said = ""
         status = getattr(self._library, function)(self._one, *arguments)
         if status not in (0, 1):
-            raise RuntimeError(f"{function} returns {STATUS[status] if 0 <= status < 6 else status}{self._why()}")
+            raise RuntimeError(f"{function} returned {STATUS[status] if 0 <= status < 6 else status}{self._why()}")
 
 
 def serve(lines: TextIO, answers: TextIO) -> None:

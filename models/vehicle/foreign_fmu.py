@@ -36,6 +36,8 @@ MOST_INSIDE, MOST_FILES, MOST_XML = 512 * MIB, 10_000, 16 * MIB  # unpacked
 FORCE = signals.CONTROL_FORCE
 CORNERS = ("", "front", "rear", "front_left", "front_right", "rear_left", "rear_right")
 GIVE = "give an FMU of FMI 2.0 for co-simulation"
+TOOL = "Roadproof"  # whose FMUs have the delay of their computer in them, and say so in an annotation
+DAMAGED = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError)
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,14 @@ class Description:
         guid: its token.
         identifier: name of its library.
         inputs, outputs: Real variables by name.
+        delay: samples by which its outputs are late, as Roadproof's export notes them; 0 for FMUs of other tools.
     """
 
     guid: str
     identifier: str
     inputs: dict[str, Variable]
     outputs: dict[str, Variable]
+    delay: int
 
 
 def law_of(file: str, sha256: str) -> Callable[[Sample, "ForeignFmu | None"], Any]:
@@ -108,7 +112,7 @@ class ForeignFmu:
         threading.Thread(target=_read, args=(process.stdout, self._answers), daemon=True, name="roadproof-fmu").start()
         resources = (Path(folder) / "resources").as_uri()
         about = {"library": str(library), "guid": description.guid, "resources": resources, "inputs": inputs, "outputs": outputs}
-        self._ask(about, LONGEST_START, "its start")
+        self._ask(about, LONGEST_START, "the start")
 
     def step(self, time: float, period: float, seen: Sequence[float]) -> list[float]:
         """Returns the forces of a sample [N].
@@ -116,7 +120,7 @@ class ForeignFmu:
         Raises:
             InputError: the step is refused, takes too long, or ends the process.
         """
-        return self._ask({"time": time, "period": period, "inputs": list(seen)}, LONGEST, "its step")
+        return self._ask({"time": time, "period": period, "inputs": list(seen)}, LONGEST, "the step")
 
     def _ask(self, asked: dict[str, Any], longest: float, what: str) -> list[float]:
         try:
@@ -125,15 +129,15 @@ class ForeignFmu:
             line = self._answers.get(timeout=longest)
         except queue.Empty:
             self._end()
-            raise InputError(f"{what} takes longer than {longest:g} s") from None
+            raise InputError(f"{what} took longer than {longest:g} s") from None
         except OSError:
             line = ""
         if not line:
             code = self._process.wait(LONGEST)
-            raise InputError(f"{what} ends its process ({f'signal {-code}' if code < 0 else f'exit code {code}'})")
+            raise InputError(f"{what} ended the process of the FMU ({f'signal {-code}' if code < 0 else f'exit code {code}'})")
         answer = json.loads(line)
         if "error" in answer:
-            raise InputError(f"{what} fails: {answer['error']}")
+            raise InputError(f"{what} failed: {answer['error']}")
         return answer["outputs"]
 
 
@@ -165,37 +169,47 @@ def unpacked(file: Path, folder: Path) -> tuple[Description, Path]:
     """
     try:
         with zipfile.ZipFile(file) as archive:
-            entries = archive.infolist()
-            _check_entries(entries)
-            names = {one.filename for one in entries}
-            if "modelDescription.xml" not in names:
-                raise InputError(f"has no modelDescription.xml; {GIVE}")
-            description = read_description(archive.read("modelDescription.xml"))
+            description, names = _described(archive), set(archive.namelist())
             suffix = {"windows": ".dll", "darwin": ".dylib"}.get(platform.system().lower(), ".so")
             own = f"binaries/{_platform()}/{description.identifier}{suffix}"
             if own not in names:
                 there = sorted({name.split("/")[1] for name in names if re.fullmatch(r"binaries/[^/]+/.+", name)})
                 raise InputError(
-                    f"has no binary for {_platform()}, but for {listing(there)}"
-                    if there
-                    else "has no binaries, but sources alone"
+                    f"the FMU has binaries for {listing(there) if there else 'no platform'}, and none for {_platform()}; "
+                    f"export it for {_platform()}"
                 )
             archive.extractall(folder, [name for name in names if name.startswith(("binaries/", "resources/"))])
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
-        raise InputError(f"is no FMU, or damaged ({error}); {GIVE}") from error
+    except DAMAGED as error:
+        raise InputError(f"the file is not an FMU, or is damaged ({error}); {GIVE}") from error
     (folder / "resources").mkdir(exist_ok=True)
     return description, folder / own
+
+
+def own_delay(file: Path) -> int:
+    """Returns the delay of an FMU's own outputs [samples]; 0 for a file that is not a valid FMU, whose first step is refused."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return _described(archive).delay
+    except (InputError, *DAMAGED):
+        return 0
+
+
+def _described(archive: zipfile.ZipFile) -> Description:
+    _check_entries(archive.infolist())
+    if "modelDescription.xml" not in archive.namelist():
+        raise InputError(f"the file has no modelDescription.xml; {GIVE}")
+    return read_description(archive.read("modelDescription.xml"))
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
     for one in entries:
         parts = PurePosixPath(one.filename).parts
         if ".." in parts or one.filename.startswith("/") or "\\" in one.orig_filename or ":" in one.filename:
-            raise InputError(f"has a file {quoted(one.orig_filename)}, whose name leads out of its folder")
+            raise InputError(f"the name of its file {quoted(one.orig_filename)} leads out of its folder; {GIVE}")
         if one.external_attr >> 28 == 0xA:
-            raise InputError(f"has a link {quoted(one.filename)}, which may lead out of its folder")
+            raise InputError(f"it contains a link, {quoted(one.filename)}; {GIVE} without links")
     if len(entries) > MOST_FILES or sum(one.file_size for one in entries) > MOST_INSIDE:
-        raise InputError(f"unpacks to more than {MOST_FILES} files or {MOST_INSIDE // MIB} MiB")
+        raise InputError(f"it unpacks to more than {MOST_FILES} files or {MOST_INSIDE // MIB} MiB; export it with less inside")
 
 
 def read_description(content: bytes) -> Description:
@@ -205,27 +219,29 @@ def read_description(content: bytes) -> Description:
         InputError: it is no description of FMI 2.0 for co-simulation that runs by itself.
     """
     if len(content) > MOST_XML or b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise InputError(f"its modelDescription.xml is too large, or has definitions of its own; {GIVE}")
+        raise InputError(f"its modelDescription.xml is too large, or defines entities; {GIVE}")
     try:
         root = ElementTree.fromstring(content)
         if root.get("fmiVersion") != "2.0":
-            raise InputError(f"is of FMI {quoted(root.get('fmiVersion'))}; {GIVE}")
+            raise InputError(f"its version is FMI {quoted(root.get('fmiVersion'))}; {GIVE}")
         kind = root.find("CoSimulation")
         if kind is None:
-            raise InputError(f"is for model exchange alone; {GIVE}")
+            raise InputError(f"it is for model exchange only; {GIVE}")
         if kind.get("needsExecutionTool") in ("true", "1"):
-            raise InputError("needs a program of its own beside it; export it so that it runs by itself")
+            raise InputError("it needs the program that exported it; export it so that it runs without that program")
         identifier = kind.get("modelIdentifier", "")
         if not re.fullmatch(r"\w+", identifier):
-            raise InputError(f"modelIdentifier = {quoted(identifier)} is no name")
+            raise InputError(f"its modelIdentifier, {quoted(identifier)}, is not a name in C; {GIVE}")
         found: dict[str, dict[str, Variable]] = {"input": {}, "output": {}}
         for one in root.iter("ScalarVariable"):
             real, causality = one.find("Real"), one.get("causality")
             if causality in found and real is None:
-                raise InputError(f"{causality} {one.get('name')!r} is no Real; readings and forces are")
+                raise InputError(f"its {causality} {one.get('name')!r} is not of type Real; export its signals as Real")
             if causality in found and real is not None:
                 found[causality][one.attrib["name"]] = Variable(int(one.attrib["valueReference"]), real.get("unit", ""))
-        return Description(root.attrib["guid"], identifier, found["input"], found["output"])
+        computer = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Implementation")
+        delay = 0 if computer is None else int(computer.attrib["delay"])
+        return Description(root.attrib["guid"], identifier, found["input"], found["output"], delay)
     except (ElementTree.ParseError, KeyError, ValueError, LookupError) as error:
         raise InputError(f"its modelDescription.xml is damaged ({error}); {GIVE}") from error
 
@@ -238,17 +254,18 @@ def _matched(description: Description, measured: Sequence[str]) -> tuple[list[in
     """
     if {*description.inputs} != {*measured}:
         raise InputError(
-            f"its inputs are {listing(sorted(description.inputs)) or 'none'}; they must be what is measured: {listing(measured)}"
+            f"its inputs are {listing(sorted(description.inputs)) or 'none'}, and the controller measures {listing(measured)}; "
+            "list the inputs in `measured`"
         )
     named = {(f"{FORCE.name}_{corner}" if corner else FORCE.name): corner for corner in CORNERS}
     forces = [name for name in named if name in description.outputs]
     if not forces:
         outputs = listing(sorted(description.outputs)) or "none"
-        raise InputError(f"its outputs are {outputs}; forces are called {FORCE.name}, or {FORCE.name}_CORNER")
+        raise InputError(f"its outputs are {outputs}; name its forces {FORCE.name}, or {FORCE.name}_CORNER")
     for name, one in {**description.inputs, **{name: description.outputs[name] for name in forces}}.items():
         unit = _unit(name)
         if unit and one.unit and _plain(one.unit) != unit:
-            raise InputError(f"its {name} is in {quoted(one.unit)}; expected {unit}")
+            raise InputError(f"the unit of its {name} is {quoted(one.unit)}; export it in {unit}")
     return [description.inputs[name].reference for name in measured], [description.outputs[name].reference for name in forces]
 
 

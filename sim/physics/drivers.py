@@ -1,7 +1,7 @@
 """Drivers of runs other than linear laws: laws in Python, known forces, and adjustable dampers, sample by sample."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.laws.python_law import Programmed, samples_ahead
 from models.laws.semi_active import SemiActive
-from models.vehicle.limits_and_implementation import steps_per_sample
+from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.sensor_readout import AntiWindup, Laws, LinearLaws, Readout
 from synth.controller.controller import Controller, Driver
@@ -79,6 +79,16 @@ def steps_ahead(vehicles: Sequence[Vehicle], controllers: Sequence[RunDriver], t
     periods = [steps_per_sample(vehicle.implementation, timestep) for vehicle in vehicles]
     pairs = zip(controllers, periods, strict=True)
     return max((max(preview_samples(driver, steps * timestep) - 1, 0) * steps for driver, steps in pairs), default=0)
+
+
+def implementation_around(controller: RunDriver, vehicle: Vehicle) -> Implementation:
+    """Returns the implementation around a controller: of the vehicle's delay, what an FMU does not have in itself."""
+    how = vehicle.implementation
+    if not isinstance(controller, Programmed) or not controller.law.is_fmu or controller.law.path is None or not how.delay:
+        return how
+    from models.vehicle.foreign_fmu import own_delay
+
+    return replace(how, delay=max(how.delay - own_delay(controller.law.path), 0))
 
 
 def preview_forces(

@@ -255,7 +255,7 @@ def in_shares(course: BatchInputs, shares: Sequence[slice]) -> list[Callable[[Ca
                 controllers[runs], vehicles[runs], timestep, mine, int(np.diff(edges).max()) if going is None else 0
             )
         if not plain:
-            how = [one.implementation for one in vehicles[runs]]
+            how = [drivers.implementation_around(*one) for one in zip(controllers[runs], vehicles[runs], strict=True)]
             laws = _laws_of(course, runs, readout.names, K, memory, mine, anti_windup, whole, ahead)
             seen = _seen_names(readout, mine)
             samplers = [Sampler(how, laws, seen, timestep, len(now))]

@@ -245,7 +245,11 @@ def _others(page: "Page", folder: Path) -> list[str]:
     """Figures and tables in the folder that are not of this page: of an earlier report, or its owner's, so they stay."""
     own = {f"{table.name}.csv" for part in page.parts for table in part.tables}
     own |= {f"{figure.name}{suffix}" for part in page.parts for figure in part.figures for suffix in (".svg", ".png")}
-    there = {path.name for path in folder.iterdir() if path.suffix in (".csv", ".svg", ".png") and not path.name.startswith(".")}
+    there = {
+        path.name
+        for path in folder.iterdir()
+        if path.suffix.lower() in (".csv", ".svg", ".png") and not path.name.startswith(".")
+    }
     return sorted(there - own)
 
 

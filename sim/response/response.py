@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.checks import at_the_door, check_fields
-from models.common.errors import InputError, listing
+from models.common.errors import InputError, listing, quoted
 from models.common.printed import Shown
 from models.kinds.signals import Signal, is_kept
 from models.vehicle.vehicle import Vehicle
@@ -63,11 +63,14 @@ class Response(Shown):
         """Returns one signal over time, shape (..., T).
 
         Raises:
-            KeyError: there is no such signal; the message lists those there are.
+            InputError: there is no such signal; the message lists the signals of the response.
         """
+        return self.values[..., self._column(signal)]
+
+    def _column(self, signal: str) -> int:
         if signal not in self.names:
-            raise KeyError(f"no signal {signal!r}; this response has {listing(self.names)}")
-        return self.values[..., self.names.index(signal)]
+            raise InputError(f"the response has no signal {quoted(signal)}; give one of: {listing(self.names)}")
+        return self.names.index(signal)
 
     @at_the_door
     def run(self, index: int) -> "Response":
@@ -88,7 +91,7 @@ class Response(Shown):
 
     def only(self, names: Sequence[str]) -> "Response":
         """Returns the response with some of its signals."""
-        columns = [self.names.index(name) for name in names]
+        columns = [self._column(name) for name in names]
         return Response(self.time, tuple(self.signals[i] for i in columns), self.values[..., columns])
 
     def until(self, time: float) -> "Response":
@@ -109,7 +112,7 @@ class Response(Shown):
 
     def peak(self, signal: str) -> Array:
         """Returns the largest magnitude of a signal, shape (...,), NaN if a run broke off (see `sim.physics.simulate`)."""
-        return self._peaks[..., self.names.index(signal)]
+        return self._peaks[..., self._column(signal)]
 
     @cached_property
     def _peaks(self) -> Array:
@@ -122,7 +125,7 @@ class Response(Shown):
         A signal that symmetry keeps silent, such as roll over a bump under both tracks, has no peak of its own: its scale is a
         thousandth of the loudest signal of its unit.
         """
-        unit = self.signals[self.names.index(signal)].unit
+        unit = self.signals[self._column(signal)].unit
         loudest = max(float(self.peak(other.name)) for other in self.signals if other.unit == unit)
         return max(float(self.peak(signal)), SILENT * loudest)
 

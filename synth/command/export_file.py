@@ -28,7 +28,7 @@ def export_file(vehicle: Vehicle, options: Namespace) -> int:
     Raises:
         InputError: a controller is unknown, or none that this file can hold, or the file cannot be written.
     """
-    return _mat(vehicle, options) if options.export.suffix == ".mat" else _fmu(vehicle, options)
+    return _mat(vehicle, options) if options.export.suffix.lower() == ".mat" else _fmu(vehicle, options)
 
 
 def _mat(vehicle: Vehicle, options: Namespace) -> int:

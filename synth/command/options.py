@@ -68,7 +68,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
         raise InputError("--range is of whole numbers; give --export with --numbers int32 or int16, or leave it out")
     if options.export is None and "numbers" in options.given:
         raise InputError("--numbers is of the code of --export; name its folder with --export, or leave it out")
-    fmu = options.export is not None and options.export.suffix == ".fmu"
+    fmu = options.export is not None and options.export.suffix.lower() == ".fmu"
     for name in ("part", "fmi"):
         if not fmu and name in options.given:
             raise InputError(f"--{name} is of an FMU; name its file with --export FILE.fmu, or leave it out")

@@ -200,8 +200,8 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
         )
     if metrics.error is not None:
         notes.append(
-            "~ is approximate: mtvv to 7 %, crest to 10 %, peaks to 20 %; vdv is the fourth root of a mean; for short runs or "
-            "light damping the +- is up to 45 % too large"
+            "~ is approximate: peaks are up to 23 % too high, mtvv up to 9 %, vdv, the fourth root of a mean, up to 8 %; crest "
+            "is from 7 % too low to 14 % too high; for short runs or light damping the +- is up to 45 % too large"
         )
     notes += line_words(run.vehicle, metrics.line) if metrics.line is not None else []
     if metrics.static:

@@ -325,9 +325,10 @@ def line_words(vehicle: Vehicle, line: Equivalent) -> list[str]:
     return [
         "expected numbers are by statistical linearisation, with the lines that fit the curves best over this road, "
         f"{beyond}: " + "; ".join([*slopes, *means]),
-        "so they are approximate: rms and dynamic load to about 1 %, vdv to 4 %, energy to 5 %, crest to 8 %",
-        "with friction, or other sharp bends at rest: rms and dynamic load to 4 %, vdv to 10 %, crest to 35 %, mostly too high",
-        "if wheels leave the road, errors are larger: vdv up to 8 %, crest, travel and forces up to 15 %",
+        "so they are approximate: rms and dynamic load to about 1 %, vdv up to 4 % too high, energy up to 5 %, crest up to 8 %",
+        "with friction, or other sharp bends at rest: rms and dynamic load to 4 %, vdv up to 10 % too high, crest up to 35 %",
+        "if wheels leave the road, all are too high: vdv by up to 8 %, crest, travel and forces by up to 15 %, and by up to 20 % "
+        "if wheels are in the air for a fifth of the time",
     ]
 
 

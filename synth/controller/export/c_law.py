@@ -1,9 +1,9 @@
 """The computation that is exported: a controller as its vehicle file runs it, and the same step by step in Python.
 
-A sample goes so: readings are quantised; a linear law's forces are summed over readings, then states, in the order of the
-columns; forces are limited, or become coefficients of adjustable dampers; the states are summed likewise; and what was computed
-`delay` samples before goes out. C and Python do the same operations in the same order, in the same numbers, so they have the same
-bits.
+A sample goes so: an input that is not finite is replaced by its last finite value; readings are quantised; a linear law's forces
+are summed over readings, then states, in the order of the columns; forces are limited, or become coefficients of adjustable
+dampers; the states are summed likewise; and what was computed `delay` samples before goes out. A force or state that overflows
+becomes 0. C and Python do the same operations in the same order, in the same numbers, so they have the same bits.
 """
 
 import re
@@ -25,6 +25,7 @@ from synth.controller.export.fixed_point import BITS, FixedPoint, fixed_point, r
 
 NUMBERS = {"double": np.float64, "float": np.float32, "int32": np.int32, "int16": np.int16}
 STILL = {"double": 1e-150, "float": 1e-30}  # m/s, replaces a velocity of 0
+LARGEST = {"double": float(np.finfo(float).max), "float": float(np.finfo(np.float32).max)}  # from here on a number is no value
 NEAREST = {"double": 2.0**52, "float": 2.0**23}  # a number this large has no fraction left
 GIVEN = "given"  # where a range is from, if no peak proves it
 SPARE = 1.1  # times a proved peak, for what sampling and rounding add to it
@@ -232,14 +233,15 @@ class PythonStep:
 
     def __post_init__(self) -> None:
         law = self.law
-        # Python's own numbers have the bits of float64, at a fifth of the time.
-        self._number = float if law.numbers == "double" else NUMBERS[law.numbers]
+        # Python's own numbers have the bits of float64, at a fifth of the time. In fixed point the law's own tables are not used.
+        self._number = NUMBERS[law.numbers] if law.numbers == "float" else float
         tables = law.A, law.B, law.C, law.D, np.zeros((law.states, 0)) if law.anti_windup is None else law.anti_windup
         self._A, self._B, self._C, self._D, self._L = ([self._all(row) for row in table.tolist()] for table in tables)
         self._resolution, self._ends = self._all(law.resolution.tolist()), [self._all(one) for one in law.dampers]
         self._x = [self._number(0)] * law.states
-        still = [one[0] for one in law.dampers] or [0.0] * len(law.outputs)
-        self._line = [self._all(still) for _ in range(law.delay)]
+        still = [one[0] for one in law.dampers] or [0] * len(law.outputs)
+        self._line = [still if law.fixed is not None else self._all(still) for _ in range(law.delay)]
+        self._valid = [self._number(0)] * len(law.inputs)
 
     def _all(self, values: Sequence[float]) -> list[Any]:
         return [self._number(value) for value in values]
@@ -249,7 +251,8 @@ class PythonStep:
         if self.law.fixed is not None:
             return self._late(self._whole(self.law.fixed, [int(value) for value in seen]))
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            computed = self._computed(self._all(seen))
+            self._valid = [self._valid_or(value, last) for value, last in zip(self._all(seen), self._valid, strict=True)]
+            computed = self._computed(self._valid)
         return self._late(computed)
 
     def _late(self, computed: list[Any]) -> list[Any]:
@@ -277,9 +280,10 @@ class PythonStep:
         closing = [-value for value in seen[law.readings :]]
         closing = [number(STILL[law.numbers]) if value == 0 else value for value in closing]
         if law.semi_active:
-            requested = self._semi_active(y)
+            requested = [self._valid_or(c, n) for c, (n, _, _) in zip(self._semi_active(y), self._ends, strict=True)]
             return [self._clipped(c - n, low, high) + n for c, (n, low, high) in zip(requested, self._ends, strict=True)]
-        forces = [self._sum(zero, (row, y), (of_states, self._x)) for row, of_states in zip(self._D, self._C, strict=True)]
+        sums = [self._sum(zero, (row, y), (of_states, self._x)) for row, of_states in zip(self._D, self._C, strict=True)]
+        forces = [self._valid_or(force, zero) for force in sums]
         given, out = forces, forces
         if law.dampers:
             beyond = [self._clipped(f / v, low, high) for f, v, (_, low, high) in zip(forces, closing, self._ends, strict=True)]
@@ -290,8 +294,11 @@ class PythonStep:
             given = out = [self._clipped(force, -most, most) for force in forces]
         missing = [] if law.anti_windup is None else [g - f for g, f in zip(given, forces, strict=True)]
         rows = zip(self._A, self._B, self._L, strict=True)
-        self._x = [self._sum(zero, (a, self._x), (b, y), (after, missing)) for a, b, after in rows]
+        self._x = [self._valid_or(self._sum(zero, (a, self._x), (b, y), (after, missing)), zero) for a, b, after in rows]
         return out
+
+    def _valid_or(self, value: Any, otherwise: Any) -> Any:
+        return value if abs(value) < LARGEST[self.law.numbers] else otherwise  # false for NaN
 
     def _sum(self, start: Any, *parts: tuple[list[Any], list[Any]]) -> Any:
         for row, values in parts:

@@ -6,7 +6,7 @@ from textwrap import indent
 import numpy as np
 
 from models.common.arrays import Array
-from synth.controller.export.c_law import NEAREST, STILL, ExportedLaw
+from synth.controller.export.c_law import LARGEST, NEAREST, STILL, ExportedLaw
 
 FLAGS = "-std=c99 -O2 -ffp-contract=off"
 
@@ -30,6 +30,19 @@ SEMI_ACTIVE = {
 }
 THIRD = ("add", "pdd", "skyhook_add")
 
+VALID = """/* Copies a finite value. Returns 1, and copies nothing, if the value is infinite or not a number. */
+static int PREFIX_fault(NUMBER value, NUMBER *copy)
+{
+    int fault = 1;
+
+    if ((value < MOST) && (-value < MOST))
+    {
+        *copy = value;
+        fault = 0;
+    }
+    return fault;
+}
+"""
 CLIPPED = """static NUMBER PREFIX_clipped(NUMBER value, NUMBER low, NUMBER high)
 {
     NUMBER result = value;
@@ -110,6 +123,9 @@ class CSource:
         outs = "".join(f"    {number} {name}; /* {unit} */\n" for name, unit in zip(law.outputs, self.out_units, strict=True))
         state = f"    {number} x[{law.states}];\n" if law.states else ""
         state += f"    {number} line[{law.delay}][{len(law.outputs)}];\n    int oldest;\n" if law.delay else ""
+        if law.fixed is None:
+            state += f"    {number} valid[{len(law.inputs)}]; /* the last finite inputs */\n"
+            state += "    int faults; /* inputs, outputs and states of the last step that were not finite */\n"
         state = state or "    int unused; /* the law keeps nothing; C99 has no empty struct */\n"
         seconds = "" if law.period is None else CSource.number(self, law.period)
         period = f"#define {p.upper()}_SAMPLE_PERIOD {seconds} /* s */\n\n" if seconds else ""
@@ -145,7 +161,7 @@ class CSource:
     def source(self) -> str:
         """Returns NAME.c."""
         law, p = self.law, self.p
-        body = [f'#include "{p}.h"\n#include "{p}_data.h"\n']
+        body = [f'#include "{p}.h"\n#include "{p}_data.h"\n', self._filled(VALID)]
         clips = law.limit is not None or bool(law.dampers)
         if clips:
             body.append(self._filled(CLIPPED))
@@ -163,6 +179,7 @@ class CSource:
             "NUMBER": self.law.numbers,
             "ZERO": self.number(0),
             "LARGE": self.number(NEAREST[self.law.numbers]),
+            "MOST": self.number(LARGEST[self.law.numbers]),
         }
         for word, own in words.items():
             text = text.replace(word, own)
@@ -178,6 +195,9 @@ class CSource:
                 f"for (k = 0; k < {law.delay}; k++)\n{{\n    for (i = 0; i < {m}; i++)\n    {{\n"
                 f"        state->line[k][i] = {still};\n    }}\n}}\nstate->oldest = 0;"
             )
+        if law.fixed is None:
+            lines.append(f"for (i = 0; i < {len(law.inputs)}; i++)\n{{\n    state->valid[i] = {self.number(0)};\n}}")
+            lines.append("state->faults = 0;")
         declared = "int i;\n" * bool(lines) + "int k;\n" * bool(law.delay) + "\n" * bool(lines)
         inner = declared + ("\n".join(lines) if lines else "state->unused = 0;")
         return f"void {p}_init({p}_state *state)\n{{\n{indent(inner, '    ')}\n}}\n"
@@ -193,14 +213,16 @@ class CSource:
             lines.append(f"{number} next[{law.states}];")
         if not law.semi_active or law.delay:
             lines.append("int i;")
-        lines.append("")
-        for i, name in enumerate(law.inputs[:q]):
-            step = law.resolution[i]
-            lines.append(f"y[{i}] = {f'{p}_quantised(in->{name}, {self.number(step)})' if step else f'in->{name}'};")
+        lines += ["", "state->faults = 0;"]
+        lines += [f"state->faults += {p}_fault(in->{name}, &state->valid[{i}]);" for i, name in enumerate(law.inputs)]
+        for i, step in enumerate(law.resolution):
+            seen = f"state->valid[{i}]"
+            lines.append(f"y[{i}] = {f'{p}_quantised({seen}, {self.number(step)})' if step else seen};")
         if law.dampers and not law.semi_active:
-            for j, name in enumerate(law.inputs[q:]):
-                still = self.number(STILL[law.numbers])
-                lines.append(f"closing[{j}] = (in->{name} == {zero}) ? {still} : -in->{name};")
+            still = self.number(STILL[law.numbers])
+            for j in range(len(law.inputs) - q):
+                seen = f"state->valid[{q + j}]"
+                lines.append(f"closing[{j}] = ({seen} == {zero}) ? {still} : -{seen};")
         lines += self._semi_active() if law.semi_active else self._linear()
         return self._ended(lines)
 
@@ -213,16 +235,18 @@ class CSource:
             lines += [f"state->oldest = (state->oldest + 1) % {law.delay};"]
         else:
             lines += [f"out->{name} = computed[{j}];" for j, name in enumerate(law.outputs)]
-        if not (law.states or law.delay):
+        if law.fixed is not None and not (law.states or law.delay):
             lines.append("(void)state;")
         inner = "\n".join(lines)
         return f"void {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)\n{{\n{indent(inner, '    ')}\n}}\n"
 
     def _linear(self) -> Sequence[str]:
         law, p, number, m, q, k = self.law, self.p, self.law.numbers, len(self.law.outputs), self.law.readings, self.law.states
-        zero, inner = self.number(0), [f"{number} force = {p}_sum({self.number(0)}, {p}_D[i], y, {q});"]
+        zero = self.number(0)
+        inner = [f"{number} force = {zero};", f"{number} total = {p}_sum({zero}, {p}_D[i], y, {q});", ""]
         if k:
-            inner.append(f"\nforce = {p}_sum(force, {p}_C[i], state->x, {k});")
+            inner.append(f"total = {p}_sum(total, {p}_C[i], state->x, {k});")
+        inner.append(f"state->faults += {p}_fault(total, &force);")
         given = "computed[i]"
         if law.dampers:
             inner += [
@@ -242,7 +266,10 @@ class CSource:
             if law.anti_windup is not None:
                 after.append(f"next[i] = {p}_sum(next[i], {p}_L[i], missing, {m});")
             lines.append(f"for (i = 0; i < {k}; i++)\n{{\n" + indent("\n".join(after), "    ") + "\n}")
-            lines.append(f"for (i = 0; i < {k}; i++)\n{{\n    state->x[i] = next[i];\n}}")
+            lines.append(
+                f"for (i = 0; i < {k}; i++)\n{{\n    state->x[i] = {zero};\n"
+                f"    state->faults += {p}_fault(next[i], &state->x[i]);\n}}"
+            )
         return lines
 
     def _semi_active(self) -> Sequence[str]:
@@ -275,9 +302,9 @@ class CSource:
             text = text.replace("NUMBER", number)
             for word in sorted(replaced, key=len, reverse=True):
                 text = text.replace(word, self.number(replaced[word]))
-            lines += text.split("\n")
-            low_high = f"{p}_dampers[{j}][1], {p}_dampers[{j}][2]"
-            lines.append(f"computed[{j}] = {p}_clipped(c - {p}_dampers[{j}][0], {low_high}) + {p}_dampers[{j}][0];")
+            nominal, low_high = f"{p}_dampers[{j}][0]", f"{p}_dampers[{j}][1], {p}_dampers[{j}][2]"
+            lines += [*text.split("\n"), f"computed[{j}] = {nominal};", f"state->faults += {p}_fault(c, &computed[{j}]);"]
+            lines.append(f"computed[{j}] = {p}_clipped(computed[{j}] - {nominal}, {low_high}) + {nominal};")
             blocks.append("{\n" + indent("\n".join(lines), "    ") + "\n}")
         return blocks
 

@@ -28,7 +28,7 @@ from synth.controller.export.fixed_source import source_of
 
 LOOP, LOOP_TYPE, LOOP_STEP = "loop_of_a_run.c", "loop_of_a_run", "loop_of_a_run_step"
 NEAREST_EVEN = "6755399441055744.0"  # 1.5 * 2^52: added and taken off, it leaves the nearest whole number, of two the even one
-INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integer and the padding
+INTEGER = 64  # bytes beside the numbers of a state struct, which hold its integers and the padding
 
 
 def own_compiler() -> str | None:
@@ -175,7 +175,7 @@ class CompiledStep:
     def __init__(self, code: ExportedCode) -> None:
         """Initialises the state of the code."""
         law, number = code.law, NUMBERS[code.law.numbers]
-        kept = (law.states + law.delay * len(law.outputs)) * np.dtype(number).itemsize
+        kept = (law.states + law.delay * len(law.outputs) + len(law.inputs)) * np.dtype(number).itemsize
         self.state = np.zeros(kept + INTEGER, dtype=np.uint8)
         self.seen, self.given = np.zeros(len(law.inputs), number), np.zeros(len(law.outputs), number)
         self.x: Array = self.state[: law.states * np.dtype(number).itemsize].view(number)

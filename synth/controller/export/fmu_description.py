@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 from models.kinds.signals import OWN, Signal
+from models.vehicle.foreign_fmu import TOOL
+from models.vehicle.limits_and_implementation import samples
 from synth.controller.export.fmu_model import FmuModel
 
 BASE = {
@@ -21,7 +23,7 @@ BASE = {
     "s": {"s": 1},
 }
 RATES = {"m/s": "m/s2", "m/s2": "m/s3", "rad/s": "rad/s2"}
-CATEGORIES = ("logStatusError", "logStatusDiscard")
+CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError")
 STEP, SAMPLES = 0.001, 1000  # s, of a system that has no period; samples of the default experiment
 Attributes = Mapping[str, str | float | bool | None]
 
@@ -40,7 +42,7 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
         "modelName": model.title,
         "guid" if version == 2 else "instantiationToken": token,
         "description": _about(model),
-        "generationTool": "Roadproof",
+        "generationTool": TOOL,
         "variableNamingConvention": "structured",
     }
     head |= {"numberOfEventIndicators": 0} if version == 2 else {}
@@ -51,9 +53,14 @@ def description(model: FmuModel, version: int, token: str, files: Sequence[str])
     lines += _units(model)
     lines += ["  <LogCategories>", *(f"    <Category{_written({'name': one})}/>" for one in CATEGORIES), "  </LogCategories>"]
     lines.append(f"  <DefaultExperiment{_written({'startTime': 0, 'stopTime': SAMPLES * step, 'stepSize': step})}/>")
+    computer = f"<Implementation{_written({'delay': model.delay})}/>"
+    if version == 2 and model.delay:
+        lines.append(f'  <VendorAnnotations><Tool name="{TOOL}">{computer}</Tool></VendorAnnotations>')
     lines += ["  <ModelVariables>", *_variables(model, version), "  </ModelVariables>"]
-    lines += ["  <ModelStructure>", *_structure(model, version), "  </ModelStructure>", "</fmiModelDescription>"]
-    return "\n".join(lines) + "\n"
+    lines += ["  <ModelStructure>", *_structure(model, version), "  </ModelStructure>"]
+    if version == 3 and model.delay:
+        lines.append(f'  <Annotations><Annotation type="{TOOL}">{computer}</Annotation></Annotations>')
+    return "\n".join([*lines, "</fmiModelDescription>"]) + "\n"
 
 
 def build_description(model: FmuModel, files: Sequence[str]) -> str:
@@ -69,10 +76,11 @@ def build_description(model: FmuModel, files: Sequence[str]) -> str:
 def _about(model: FmuModel) -> str:
     if model.states:
         return f"{model.title}. SI units, from static equilibrium. In co-simulation inputs are held over a step, which is exact."
+    title = f"{model.title}. Outputs are {samples(model.delay)} late" if model.delay else model.title
     if model.period is None:
-        return f"{model.title}. A step computes outputs of the inputs that are set, and may have any length."
+        return f"{title}. A step computes outputs of the inputs that are set, and may have any length."
     return (
-        f"{model.title}. A step of {model.period:g} s, and no other, computes outputs of the inputs that are set: step it before "
+        f"{title}. A step of {model.period:g} s, and no other, computes outputs of the inputs that are set: step it before "
         "the vehicle, or its outputs act a period later."
     )
 

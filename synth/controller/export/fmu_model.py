@@ -27,6 +27,7 @@ class FmuModel:
         outputs: p signals.
         states: n signals of continuous states; none of a sampled law.
         period: step that it must be called with [s]; None for any.
+        delay: samples from an input to the output that answers it; 0 of a linear system.
         start: outputs before the first step, shape (p,).
         slopes: of outputs, then states' derivatives, by inputs, then states, shape (p + n, m + n); None of a sampled law.
         sources: C files of its own, by name.
@@ -38,6 +39,7 @@ class FmuModel:
     outputs: tuple[Signal, ...]
     states: tuple[Signal, ...]
     period: float | None
+    delay: int
     start: Array
     slopes: Array | None
     sources: Mapping[str, str]
@@ -76,8 +78,8 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         f"    {law.name}_init(&model->law);\n{starts}}}\n\n"
         "void fmu_update(fmu_model *model)\n{\n    (void)model; /* outputs are those of the last step */\n}\n\n"
         "double fmu_slope(int unknown, int known)\n{\n    (void)unknown;\n    (void)known;\n    return 0.0;\n}\n\n"
-        f"void fmu_step(fmu_model *model, double step)\n{{\n    {law.name}_in in;\n    {law.name}_out out;\n\n    (void)step;\n"
-        f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}}}\n"
+        f"int fmu_step(fmu_model *model, double step)\n{{\n    {law.name}_in in;\n    {law.name}_out out;\n\n    (void)step;\n"
+        f"{ins}    {law.name}_step(&model->law, &in, &out);\n{outs}    return model->law.faults;\n}}\n"
     )
     sources = {
         f"{law.name}.h": code.header(),
@@ -87,7 +89,7 @@ def law_model(vehicle: Vehicle, law: ExportedLaw, certificate: str) -> FmuModel:
         "fmu_model.h": _head((len(inputs), m, 0), law.period, f'#include "{law.name}.h"\n\n', f"    {law.name}_state law;\n"),
     }
     title = f"Controller {law.controller} of a {vehicle.kind.name}"
-    return FmuModel(law.name, title, tuple(inputs), tuple(outputs), (), law.period, still, None, sources)
+    return FmuModel(law.name, title, tuple(inputs), tuple(outputs), (), law.period, law.delay, still, None, sources)
 
 
 def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
@@ -103,7 +105,7 @@ def linear_model(identifier: str, title: str, system: LinearSystem) -> FmuModel:
     }
     slopes = np.block([[system.D, system.C], [system.B, system.A]])
     states = tuple(replace(one, name=f"state.{one.name}") for one in system.states)
-    return FmuModel(identifier, title, system.inputs, system.outputs, states, None, np.zeros(p), slopes, sources)
+    return FmuModel(identifier, title, system.inputs, system.outputs, states, None, 0, np.zeros(p), slopes, sources)
 
 
 def _head(counts: tuple[int, int, int], period: float | None, includes: str, own: str) -> str:

@@ -21,6 +21,7 @@ from synth.controller.export.compiled import ExportedCode, driven_by
 from synth.controller.export.fixed_source import source_of
 
 VECTORS, SEED = 1000, 20261126
+INVALID = 50  # test vectors from one with an input that is not finite to the next
 TABLES = ("A", "B", "C", "D", "anti_windup")
 CERTIFICATE, MANIFEST, VEHICLE = "certificate.json", "MANIFEST.sha256", "vehicle.toml"
 MOST = 10_000_000  # bytes of a file of the folder
@@ -89,7 +90,9 @@ def files(vehicle: Vehicle, driver: Driver, law: ExportedLaw) -> dict[str, str]:
 def vectors(law: ExportedLaw) -> str:
     """Returns test/vectors.csv: inputs of random samples, and the outputs that the code must give for them."""
     step, rows = PythonStep(law), [", ".join([*law.inputs, *law.outputs])]
-    for seen in random_inputs(law, VECTORS, SEED):
+    for k, seen in enumerate(random_inputs(law, VECTORS, SEED)):
+        if law.fixed is None and k % INVALID == INVALID - 1:
+            seen[k // INVALID % len(seen)] = (math.nan, math.inf, -math.inf)[k // INVALID % 3]
         rows.append(",".join(_digits(law, value) for value in [*seen, *step(seen)]))
     return "\n".join(rows) + "\n"
 
@@ -148,7 +151,7 @@ All readings are measured from static equilibrium, upwards positive. {" ".join(f
 ## The code
 
 - Numbers are `{law.numbers}`. Sums go from the first column to the last. There is no heap, no recursion and no library.
-{_whole_numbers(law)}- Compile with `{FLAGS}`.
+{_whole_numbers(law)}{_faults(law)}- Compile with `{FLAGS}`.
 - A compiler that fuses multiplication and addition of floating-point numbers rounds otherwise, and gives other last bits.
 - `test/main.c` holds the code against `test/vectors.csv` back to back: every output must have the bits of the file.
 
@@ -169,6 +172,22 @@ def _whole_numbers(law: ExportedLaw) -> str:
     return (
         "- Inputs and outputs are whole numbers of the steps above: multiply by a step to have the unit. Arithmetic saturates.\n"
         f"- The ranges of the readings: {ranges}. Within them the peaks of states and forces are proved by the law.\n"
+    )
+
+
+def _faults(law: ExportedLaw) -> str:
+    """Returns the lines of README.md about inputs that are not finite numbers."""
+    if law.fixed is not None:
+        return (
+            "- Integers cannot hold NaN or infinity. If a sensor fails, give the last valid integer. Inputs are clipped at\n"
+            f"  ±{law.fixed.largest} steps.\n"
+        )
+    safe = "the nominal coefficient" if law.dampers else "0 N"
+    return (
+        "- If an input is NaN or infinite, the step uses the last finite value of this input. Before the first one it uses 0.\n"
+        f"  If a sum overflows, the output is {safe} and the state starts again at 0. No output is ever NaN.\n"
+        "- `state.faults` counts the inputs, sums and states of the last step that were not finite. 0 means none. Read it after\n"
+        "  each step, and decide how long to drive on held inputs.\n"
     )
 
 

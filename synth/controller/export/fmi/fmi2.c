@@ -51,8 +51,8 @@ static fmi2Status answer(instance *one, int status)
 {
     if ((status != FMU_OK) && (one->calls != NULL) && (one->calls->logger != NULL))
     {
-        one->calls->logger(one->calls->componentEnvironment, one->core.name, (fmi2Status)status,
-                           (status == FMU_DISCARD) ? "logStatusDiscard" : "logStatusError", one->core.said);
+        one->calls->logger(one->calls->componentEnvironment, one->core.name, (fmi2Status)status, fmu_category(status),
+                           one->core.said);
     }
     return (fmi2Status)status;
 }

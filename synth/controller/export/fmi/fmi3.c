@@ -55,8 +55,7 @@ static fmi3Status answer(instance *one, int status)
 {
     if ((status != FMU_OK) && (one->log != NULL))
     {
-        one->log(one->environment, (fmi3Status)status, (status == FMU_DISCARD) ? "logStatusDiscard" : "logStatusError",
-                 one->core.said);
+        one->log(one->environment, (fmi3Status)status, fmu_category(status), one->core.said);
     }
     return (fmi3Status)status;
 }

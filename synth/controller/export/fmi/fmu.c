@@ -20,6 +20,13 @@ void fmu_begin(fmu_core *core, const char *name)
     fmu_update(&core->now.model);
 }
 
+const char *fmu_category(int status)
+{
+    static const char *const CATEGORIES[] = {"logStatusWarning", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+    return CATEGORIES[status];
+}
+
 int fmu_refuse(fmu_core *core, int status, const char *why)
 {
     (void)snprintf(core->said, sizeof core->said, "%s", why);
@@ -102,6 +109,7 @@ int fmu_initialize(fmu_core *core, int begin)
 int fmu_advance(fmu_core *core, double time, double step)
 {
     int i;
+    int faults;
     const double period = FMU_PERIOD;
 
     if (core->now.mode != FMU_RUNNING)
@@ -126,15 +134,22 @@ int fmu_advance(fmu_core *core, double time, double step)
     }
     for (i = 0; i < FMU_INPUTS; i++)
     {
-        if (!isfinite(core->now.model.u[i]))
+        if ((FMU_STATES > 0) && !isfinite(core->now.model.u[i])) /* a sampled law holds its last finite input */
         {
             (void)snprintf(core->said, sizeof core->said, "input %s is not a finite number; the step was not done",
                            fmu_inputs[i]);
             return FMU_ERROR;
         }
     }
-    fmu_step(&core->now.model, step);
+    faults = fmu_step(&core->now.model, step);
     core->now.time = time + step;
+    if (faults > 0)
+    {
+        (void)snprintf(core->said, sizeof core->said,
+                       "%d value(s) were not finite at %.9g s; the step used the last finite input, or 0 for a sum that overflows",
+                       faults, time);
+        return FMU_WARNING;
+    }
     return FMU_OK;
 }
 

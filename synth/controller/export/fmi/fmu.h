@@ -20,7 +20,7 @@
 #define FMU_TIME (FMU_FIRST_DERIVATIVE + FMU_STATES)
 
 /* The numbers of both standards' states of an answer. */
-enum { FMU_OK = 0, FMU_DISCARD = 2, FMU_ERROR = 3 };
+enum { FMU_OK = 0, FMU_WARNING = 1, FMU_DISCARD = 2, FMU_ERROR = 3 };
 
 typedef enum { FMU_NEW, FMU_INITIALIZING, FMU_RUNNING, FMU_ENDED } fmu_mode;
 
@@ -42,12 +42,13 @@ typedef struct
 /* Functions of the model, of fmu_model.c. */
 void fmu_start(fmu_model *model);
 void fmu_update(fmu_model *model); /* outputs and derivatives of inputs and states; of a sampled law nothing */
-void fmu_step(fmu_model *model, double step);
+int fmu_step(fmu_model *model, double step); /* returns how many values of a sampled law were not finite */
 double fmu_slope(int unknown, int known); /* the derivative of an output or state's derivative by an input or state */
 extern const char *const fmu_inputs[FMU_INPUTS];
 
-/* Functions of fmu.c; each returns FMU_OK, FMU_DISCARD or FMU_ERROR. */
+/* Functions of fmu.c; each returns FMU_OK, FMU_DISCARD or FMU_ERROR, and fmu_advance FMU_WARNING, too. */
 void fmu_begin(fmu_core *core, const char *name);
+const char *fmu_category(int status); /* of the log */
 int fmu_refuse(fmu_core *core, int status, const char *why);
 int fmu_get(fmu_core *core, const unsigned int *references, size_t count, double *values);
 int fmu_set(fmu_core *core, const unsigned int *references, size_t count, const double *values);

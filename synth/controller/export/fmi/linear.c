@@ -148,7 +148,7 @@ static void prepare(fmu_model *model, double step)
     model->step = step;
 }
 
-void fmu_step(fmu_model *model, double step)
+int fmu_step(fmu_model *model, double step)
 {
     double x[FMU_STATES];
     int i;
@@ -171,4 +171,5 @@ void fmu_step(fmu_model *model, double step)
         }
     }
     memcpy(model->x, x, sizeof x);
+    return 0;
 }
