@@ -431,7 +431,7 @@ def test_a_picture_is_of_the_signals():
     runs = ran(wild_vehicle, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
     figure = history_figure(runs, "a bump")
     assert figure is not None
-    assert figure.finding.startswith("I_printed has the lowest peak of sprung acceleration, ")
+    assert figure.finding.startswith("`I_printed` has the lowest peak of sprung acceleration, ")
     assert runs[2].broke_off is not None
     assert figure.title.endswith(f". wild broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
     assert "\nleaves the axis" in figure.panels[0].title

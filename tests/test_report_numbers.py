@@ -407,7 +407,7 @@ def test_nothing_stable(tmp_path):
     """A report of nothing but an unstable loop is written, and says so."""
     file = vehicle_file(tmp_path, '[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[1e5]]\n')
     read = page(tmp_path, "--vehicle", file, "--controller", "bad")
-    assert "bad's loop is UNSTABLE" in read.text
+    assert "The loop of bad is UNSTABLE" in read.text
     assert read.state == "ends"
     assert "frequency-responses" not in read.tables
 
@@ -523,7 +523,7 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     assert (run.passed, lost.passed, lost.agreement.agrees) == (True, False, True)
     said = over_the_bump(scope, [lost])
     assert worst(said) == "fails"
-    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."
+    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for `I`: see the table of energy."
     # What half the step leaves may allow more of a run than is usual: the table says how much of which.
     kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
     assert worst(over_the_bump(scope, [kept])) == "holds"
@@ -553,7 +553,7 @@ def test_an_unstable_controller_leaves_the_others_to_be_seen():
         bad = [curve for curve in panel.curves if "bad" in curve.label + curve.name]
         assert bad
         assert all(curve.x.max() < runs[2].broke_off[1] for curve in bad)
-    assert "leaves the axis: bad at " in figure.panels[0].title
+    assert "leaves the axis: `bad` at " in figure.panels[0].title
 
 
 def test_the_headline_says_what_holds_throughout(plain):

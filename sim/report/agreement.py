@@ -6,14 +6,14 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.common.printed import Column
+from models.common.printed import Column, as_name
 from models.figures.figure import Curve, Figure, Panel
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
 from sim.physics.energy import Energy
-from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
+from sim.report.scope import BUMP_DURATION, Scope, change_text, names_text
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
@@ -102,7 +102,7 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"'continuous' is that of the {continuous}. Neither knows {another} end of the linear regime{unknown}, "
         f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
     )
-    verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
+    verdicts = tuple(f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run))
     diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
     figures = (figure,) if diagram is None else (figure, diagram)
     return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), figures)
@@ -116,7 +116,7 @@ def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
     least = min(peaks, key=lambda one: peaks[one])
     against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))
     words, unit = name.replace("_", " "), scope.vehicle.kind.signal(name).unit
-    return f"Over the bump {least} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
+    return f"Over the bump {as_name(least)} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
 
 
 def _bounded(scope: Scope, run: Run) -> bool:
@@ -152,7 +152,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         f"applies; and the power of the step with which it shrinks, from {h:g} to {h / 2:g} ms."
     ]
     if len(finer) < len(runs):
-        text.append(f"Orders are of {joined([run.controller.name for run in finer])} alone.")
+        text.append(f"Orders are of {names_text(run.controller.name for run in finer)} alone.")
     if "exact" in kinds:
         text.append(
             "MuJoCo is the exact sampled response to within its integrator's error, order 4. Below 1e-9 there is only rounding, "

@@ -9,6 +9,7 @@ from typing import Any
 from models.figures.page import Page, Section, Table
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
+from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import Vehicle
 from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
@@ -119,6 +120,7 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         headline(compared),
         tuple(lead(compared, dive, norms, where)),
         tuple(one.text for one in answer if one.state != "holds"),
+        sketch=vehicle_sketch(vehicle),
     )
     return Report(whole, compared, where)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import cell
+from models.common.printed import as_name, cell
 from models.figures.page import Section, State, Table
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle
@@ -38,7 +38,10 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
         "as they were exported, each by its content. Code of another law, vehicle or sample period drives nothing.",
     ]
     findings = [
-        Statement(f"Over the paper's bump the exported code of {driver.name}, in {code.law.numbers}, {said}.", _state(run.passed))
+        Statement(
+            f"Over the paper's bump the exported code of {as_name(driver.name)}, in {code.law.numbers}, {said}.",
+            _state(run.passed),
+        )
     ]
     tables = [_facts(vehicle, exported)]
     if isinstance(driver, CompiledController) and not code.law.dampers:
@@ -53,7 +56,9 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
         tables.append(table)
         text += notes
         if not agrees:
-            findings.append(Statement(f"Margins of {driver.name} with its exported code DO NOT AGREE in MuJoCo.", "fails"))
+            findings.append(
+                Statement(f"Margins of {as_name(driver.name)} with its exported code DO NOT AGREE in MuJoCo.", "fails")
+            )
     else:
         text.append("Linear analysis speaks of no law that sets dampers, so there is no norm or margin of its numbers.")
     return Section(TITLE, TERM, tuple(text), tuple(tables)), findings

@@ -1,15 +1,16 @@
 """Data shared by the sections of a report: its subject, its loops, common results, and the format of numbers."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from models.common.printed import Column
+from models.common.printed import Column, as_name
 from models.figures.figure import Style, styles
 from models.roads.load import Load
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import check
@@ -238,7 +239,12 @@ def change_text(value: float, passive: float) -> str:
     if not (math.isfinite(value) and math.isfinite(passive) and passive > 0):
         return ""
     share = value / passive - 1
-    return f", {percents(share)} % {'above' if share > 0 else 'below'} passive" if abs(share) >= LEAST else ""
+    return f", {percents(share)} % {'above' if share > 0 else 'below'} {as_name(PASSIVE)}" if abs(share) >= LEAST else ""
+
+
+def names_text(names: Iterable[str]) -> str:
+    """Returns names of controllers in a sentence: `a`, `b` and `c`."""
+    return joined([as_name(name) for name in names])
 
 
 def joined(words: list[str]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.printed import Column, cell
+from models.common.printed import Column, as_name, cell
 from models.figures.figure import Bars, Figure, Panel, styles
 from models.figures.page import Section, Table
 from models.vehicle.names import PASSIVE
@@ -65,7 +65,7 @@ def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[st
         values = np.array([dive.get(name, math.nan) for name in names])
         words = tuple(f"{value:.2g}°" if math.isfinite(value) else "-" for value in values.tolist())
         panels.append(Panel("Dive under 0.5 g of braking", "largest dive [deg]", "", (), Bars(names, values, words, colors)))
-    title = f"Shorter bars are better, ★ is the best. {compared_on(compared, rides)}. Percentages are against passive."
+    title = f"Shorter bars are better, ★ is the best. {compared_on(compared, rides)}. Percentages are against {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), size=(3.4, 2.0), finding=f"{headline(compared)}.")
 
 
