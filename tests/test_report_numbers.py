@@ -500,6 +500,50 @@ def test_a_norm_as_built(tmp_path, plain, capsys):
     assert "norms" not in plain.tables
 
 
+def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
+    """With --class or --road the first table, the metrics and the verdict are of that road, as `sim.drive` has them."""
+    options = (
+        "--controller",
+        "passive",
+        "--controller",
+        "I",
+        "--class",
+        "B",
+        "--seed",
+        "3",
+        "--speed",
+        "15",
+        "--duration",
+        "4",
+        *STEP,
+    )
+    whole = printed(capsys, report, "--quick", "--out", str(tmp_path / "report.html"), *options)
+    found = printed(capsys, drive, "--no-logs", *options)
+    assert whole["compared"] == found["compared"]
+    rows = {(row["metric"], row["controller"]): row for row in whole["tables"]["road"]}
+    for run in found["runs"]:
+        for name, one in run["metrics"].items():
+            row = rows[name.replace("_", " "), run["controller"]["name"]]
+            assert (row["MuJoCo"], row["expected"]) == tuple(
+                "-" if value is None else f"{value:.4g}" for value in (one["mujoco"], one["expected"])
+            )
+    read = PageRead(tmp_path / "report.html")
+    assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} to 4 s" in read.lead[-1]
+    assert "Over the road MuJoCo agrees with the linear analysis throughout its 4 s for passive and I" in read.text
+    assert "MuJoCo agrees with the analysis, over the road throughout" in read.text
+    assert not any("paper's bump" in said for said in (*read.lead, *read.answer))
+
+
+def test_a_report_without_a_road_has_no_speed(tmp_path):
+    """Speed, seed and duration of a road that is not given are refused, as are two roads, before the work."""
+    for options, words in (
+        (("--speed", "9"), "--speed is of a road, and none is given"),
+        (("--class", "B", "--road", "flat"), "not both"),
+    ):
+        with pytest.raises(InputError, match=words):
+            report(["--quick", "--out", str(tmp_path / "no.html"), *options])
+
+
 def test_energy_table(plain, capsys):
     """The report's energies are those of the command, and leave over what it says, of what it allows."""
     for name in NAMES:
@@ -527,7 +571,7 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     # What half the step leaves may allow more of a run than is usual: the table says how much of which.
     kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
     assert worst(over_the_bump(scope, [kept])) == "holds"
-    assert [row[-2:] for row in energy_table([run, kept]).rows] == [
+    assert [row[-2:] for row in energy_table([run, kept], scope.where).rows] == [
         (f"{one.residual:.1e}", f"{one.allowed:.1e}") for one in (run.energy, kept.energy) if one is not None
     ]
 

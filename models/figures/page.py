@@ -289,7 +289,8 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in three columns."""
+    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in their columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else "three" if len(figure.panels) > MANY else ""
+    many = {2: "pairs"}.get(figure.columns, "three") if len(figure.panels) > MANY else ""
+    return "wide" if figure.columns == 1 else many

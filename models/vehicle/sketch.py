@@ -1,10 +1,10 @@
 """A vehicle file as a sketch: what its kind, its parameters, its limits and its computer are, drawn and in words."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 from models.figures.sketch import Sketch, Strut, View
-from models.kinds.kind import VehicleKind, Wheel
+from models.kinds.kind import Wheel
 from models.kinds.signals import TYRE_DEFLECTION
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
@@ -22,119 +22,92 @@ def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
         vehicle: the vehicle.
         computer: False leaves out sensors and computer.
     """
-    kind = vehicle.kind
+    kind, given = vehicle.kind, vehicle.parameters
     symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
-    axles = {wheel.behind(vehicle.parameters): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each
-    places = sorted(axles, reverse=True)
-    box = _box(vehicle.implementation) if computer else ()
-    side = View(
-        tuple(_strut(vehicle, axles[place], -place, _axle(axles[place]), symbols) for place in places),
-        _body(vehicle, symbols, "pitch_inertia"),
-        spans=_spans(vehicle, symbols),
-        computer=box,
-    )
-    views = [side]
-    across = [wheel for wheel in kind.wheels if wheel.side and wheel.behind(vehicle.parameters) == places[0]]
+    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each
+    mass = next((symbols.setdefault(name, "m") for name in ("sprung_mass", "mass") if name in given), "")
+    front, rear = (given.get(f"axle_distance{axle}", 0.0) for axle in AXLES)
+    letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
+    spans = ((-front - rear, -front, letters[1]), (-front, 0.0, letters[0])) if front else ()
+    struts = [_strut(vehicle, wheel, place, _axle(wheel), symbols) for place, wheel in sorted(axles.items())]
+    body, box = [mass, *filter(None, [symbols.get("pitch_inertia")])], _box(vehicle.implementation) if computer else ()
+    views = [View(tuple(struts), ", ".join(body), spans, computer=box)]
+    across = {-wheel.lateral(given): wheel for wheel in kind.wheels if wheel.side and -wheel.behind(given) == min(axles)}
     if len(across) > 1:
-        right = {wheel: -wheel.lateral(vehicle.parameters) for wheel in sorted(across, key=lambda one: one.side)}
-        views.append(
-            View(
-                tuple(_strut(vehicle, wheel, place, wheel.side, symbols) for wheel, place in right.items()),
-                _body(vehicle, symbols, "roll_inertia"),
-                spans=((min(right.values()), max(right.values()), symbols.get("track", "")),),
-                bar=symbols.get("anti_roll_stiffness_rear", "") * bool(vehicle.parameters.get("anti_roll_stiffness_rear")),
-            )
-        )
-    title = f"{kind.name.replace('_', ' ')}{', from the side and from behind' if len(views) > 1 else ''}"
+        struts = [_strut(vehicle, wheel, place, wheel.side, symbols) for place, wheel in sorted(across.items())]
+        body, bar = [mass, *filter(None, [symbols.get("roll_inertia")])], "anti_roll_stiffness_rear"
+        span = (min(across), max(across), symbols.get("track", ""))
+        views.append(View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, "") if given.get(bar) else ""))
+    title = f"{kind.name.replace('_', ' ')}{', from the side and from behind' * (len(views) > 1)}"
     return Sketch(title, tuple(views), (*_parameters(vehicle, symbols), *_hardware(vehicle, computer)))
 
 
 def _axle(wheel: Wheel) -> str:
-    return wheel.road_body.removeprefix("road").removeprefix("_").removesuffix(wheel.side).replace("_", " ").strip()
-
-
-def _body(vehicle: Vehicle, symbols: dict[str, str], inertia: str) -> str:
-    masses = [name for name in ("sprung_mass", "mass") if name in vehicle.parameters]
-    return ", ".join([*(symbols.setdefault(name, "m") for name in masses), *filter(None, [symbols.get(inertia)])])
+    return wheel.road_body.removeprefix("road").removesuffix(wheel.side).replace("_", " ").strip()
 
 
 def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dict[str, str]) -> Strut:
     """Returns a wheel and its suspension; gives symbols to parameters that have none."""
-    kind: VehicleKind = vehicle.kind
-    ending = wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
-    found = [one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection]
-    stands = any(one.deflection == wheel.tyre_deflection for one in found)  # the suspension itself is on the road
+    kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
+    one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
+    stands = one is not None and one.deflection == wheel.tyre_deflection  # the suspension itself is on the road
 
-    def symbol(parameter: str, letter: str) -> str:
+    def symbol(letter: str, *names: str, ending: str = ending) -> str:
+        parameter = next(filter(None, (kind.of_corner(name, ending) for name in names)), "")
         there = vehicle.parameters.get(parameter) or parameter in vehicle.curves
         return symbols.setdefault(parameter, letter) if there else ""
 
-    corner = found[0].ending if found else ending
-    tyre = kind.of_corner("tyre_stiffness", ending) or kind.of_corner("stiffness", ending)
-    one = found[0] if found else None
+    tyre = [("spring", symbol("k", "tyre_stiffness", "stiffness") or "k"), ("damper", symbol("c", "tyre_damping"))]
+    if one is None:
+        return Strut(place, name, tuple(tyre[:1]))
+    parts = [
+        ("spring", symbol("k", one.stiffness, "stiffness", ending=one.ending)),
+        ("damper", symbol("c", one.damping, "damping", ending=one.ending)),
+        ("adjustable damper" if one.force in vehicle.dampers else "force", "u" if one.force else ""),
+    ]
     return Strut(
         place,
         name,
-        spring=symbol(one.stiffness or kind.of_corner("stiffness", corner), "k") if one else "",
-        damper=symbol(one.damping or kind.of_corner("damping", corner), "c") if one else "",
-        force="u" if one and one.force else "",
-        adjustable=one is not None and one.force in vehicle.dampers,
-        stopped=one is not None and vehicle.limits.stops_at(one.corner) is not None,
-        mass=(symbol(kind.of_corner("unsprung_mass", ending), "m") or "m") if one and not stands else "",
-        tyre="" if stands else symbol(tyre, "k") or "k",
-        tyre_damper=symbol(kind.of_corner("tyre_damping", ending), "c"),
+        tuple(part for part in parts if part[1]),
+        "" if stands else symbol("m", "unsprung_mass") or "m",
+        () if stands else tuple(part for part in tyre if part[1]),
+        vehicle.limits.stops_at(one.corner) is not None,
     )
-
-
-def _spans(vehicle: Vehicle, symbols: dict[str, str]) -> tuple[tuple[float, float, str], ...]:
-    """Returns the distances of the centre of mass from the axles."""
-    front, rear = (vehicle.parameters.get(f"axle_distance{axle}") for axle in AXLES)
-    if front is None or rear is None:
-        return ()
-    letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
-    return ((-front - rear, -front, letters[1]), (-front, 0.0, letters[0]))
 
 
 def _box(how: Implementation) -> tuple[str, ...]:
     """Returns the computer in a few letters."""
-    period, late = how.sample_period, how.delay
+    period, late, noise = how.sample_period, how.delay, how.noise_text
     lines = [f"every {1e3 * period:g} ms"] if period is not None else []
-    if late:
-        lines.append(f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} samples late")
-    lines += [how.noise_text] if how.noise_text and " " not in how.noise_text else ["noise, steps"] * bool(how.noise_text)
-    return ("computer", *(lines or ["ideal"]))
+    lines += [f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} steps late"] if late else []
+    return ("computer", *lines, *([noise.replace(" and ", ", ")] if noise else [] if lines else ["ideal"]))
 
 
-def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> list[tuple[str, str, str]]:
-    """Returns a row for each parameter, of both axles together."""
+def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yields a row for each parameter, of both axles together."""
     known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
     for name, value in vehicle.parameters.items():
         if value or known[name].usual != 0:
             axle = next((axle for axle in AXLES if name.endswith(axle)), "")
             unit = known[name].unit.replace("m2", "m²").replace(" ", "·").removesuffix("1")
             text = f"{value:g} {unit}".rstrip() + " with a curve" * (name in vehicle.curves)
-            groups.setdefault(name.removesuffix(axle), {})[axle.replace("_", " ")] = text
-    rows = []
+            groups.setdefault(name.removesuffix(axle), {})[axle] = text
     for stem, texts in groups.items():
-        symbol = next((symbols[name] for name in (stem, f"{stem}{AXLES[0]}", f"{stem}{AXLES[1]}") if name in symbols), "")
+        symbol = next((symbols[f"{stem}{axle}"] for axle in texts if f"{stem}{axle}" in symbols), "")
         alike = len({*texts.values()}) == 1
-        value = next(iter(texts.values())) if alike else ", ".join(f"{text}{axle}" for axle, text in texts.items())
-        rows.append((symbol, stem.replace("_", " "), value))
-    return rows
+        value = (
+            next(iter(texts.values())) if alike else ", ".join(f"{text}{axle.replace('_', ' ')}" for axle, text in texts.items())
+        )
+        yield symbol, stem.replace("_", " "), value
 
 
-def _hardware(vehicle: Vehicle, computer: bool) -> list[tuple[str, str, str]]:
-    """Returns rows on strokes and other limits, adjustable dampers, sensors and the computer."""
-    dampers = dict.fromkeys(damper.words for damper in vehicle.dampers.values())
-    rows = [("u", "force", "; ".join(dampers))] if dampers else []
-    rows.append(("", "strokes and limits", _listed(vehicle.limits.phrases(vehicle.kind.suspensions)) or "none"))
+def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
+    """Yields rows on adjustable dampers, strokes and other limits, sensors and the computer."""
+    if vehicle.dampers:
+        yield "u", "force", "; ".join(dict.fromkeys(damper.words for damper in vehicle.dampers.values()))
+    yield "", "strokes and limits", ", ".join(vehicle.limits.phrases(vehicle.kind.suspensions)) or "none"
     if computer:
-        measured = dict.fromkeys(name for entry in vehicle.controllers.values() for name in entry.measured)
-        rows.append(("y", "sensors", _listed([name.replace("_", " ") for name in measured]) or "none"))
+        measured = dict.fromkeys(name.replace("_", " ") for entry in vehicle.controllers.values() for name in entry.measured)
+        yield "y", "sensors", ", ".join(measured) or "none"
         ideal = "ideal: a force at every step at once, from exact signals"
-        rows.append(("", "computer", _listed([one.replace("_", " ") for one in vehicle.implementation.phrases]) or ideal))
-    return rows
-
-
-def _listed(words: Sequence[str]) -> str:
-    return ", ".join(words)
+        yield "", "computer", ", ".join(vehicle.implementation.phrases).replace("_", " ") or ideal

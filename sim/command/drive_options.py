@@ -45,18 +45,26 @@ def parser() -> Parser:
         EPILOG,
     )
     parser.add_controller_and_vehicle("required")
-    parser.add_argument(
-        "--class", dest="road_class", metavar="CLASS", help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
-    )
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
-    parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
+    add_road(parser, "C")
     add_loads(parser, "pushes the body, on a flat road where none is named")
-    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
     parser.add_number(
         "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
     )
     add_run_options(parser, 20.0)
     return parser
+
+
+def add_road(parser: Parser, default: str) -> None:
+    """Adds `--class` with its default in words, `--seed`, `--road` and `--speed`."""
+    parser.add_argument(
+        "--class",
+        dest="road_class",
+        metavar="CLASS",
+        help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
+    )
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
+    parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
+    parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle; 100 km/h is 27.8")
 
 
 def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
@@ -65,7 +73,7 @@ def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLo
     from sim.command.road_options import ExpectedLog, same_path
     from sim.runs.run import sample_times
 
-    text, added = split_off(_road_text(options))
+    text, added = split_off(road_text(options))
     loads, file = [*added, *options.loads], named_file(text)
 
     def is_it(road: Mapping[str, Any]) -> bool:
@@ -88,7 +96,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     from models.roads.choice import choose_road
     from models.roads.load_choice import choose_load
 
-    choice = choose_road(_road_text(options))
+    choice = choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is not random; leave it out")
@@ -113,7 +121,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
-def _road_text(options: argparse.Namespace) -> str:
+def road_text(options: argparse.Namespace) -> str:
     """Returns the text of the requested road."""
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")

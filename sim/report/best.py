@@ -154,7 +154,7 @@ def titled(vehicle: Vehicle, stem: str, drivers: Sequence[Driver]) -> str:
 def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
     """Returns the goals and limits of the vehicle file, and who keeps them; None without any.
 
-    Goals are held against what is proved, limits against the run over the bump.
+    Goals are held against what is proved, limits against the run over the road.
     """
     rows = []
     for one in scope.controllers:
@@ -163,6 +163,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
                 unit = f" {promise.unit}" if promise.unit else ""
                 what = f"{promise.what.replace('_', ' ')}, at most {promise.at_most:.6g}{unit}"
                 rows.append((what, one.name, f"{'✓' if promise.holds else '✗'} {promise.value:.4g}{unit}"))
+    road = "road" if scope.own_road is not None else "bump"
     limits = {end: end.thresholds(scope.vehicle) for end in (BUMP_STOP, SATURATION)}
     for run in runs:
         ended = reached(scope.vehicle, run.physics)
@@ -170,7 +171,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
             if thresholds:
                 when = float(ended[REGIME_ENDS.index(end)])
                 kept = "✓ not reached" if math.isinf(when) else f"✗ at {when:.3g} s"
-                rows.append((f"{end.name}, not over the bump", run.controller.name, kept))
+                rows.append((f"{end.name}, not over the {road}", run.controller.name, kept))
     if not rows:
         return None
     caption = "What the vehicle file asks for, and who keeps it (✓) or not (✗). Goals are held against what is proved of them."

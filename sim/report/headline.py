@@ -8,7 +8,7 @@ from models.common.printed import as_name, percent
 from models.figures.page import State
 from models.roads.road import Bump
 from sim.linear.dampers import is_linear
-from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, names_text, percents
+from sim.report.scope import Scope, at_most, joined, names_text, percents
 from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
 from sim.runs.report import NO_STATE
@@ -105,7 +105,7 @@ def norms(scope: Scope) -> list[Statement]:
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
-    """Returns statements on the agreement of MuJoCo with linear analysis over the paper's bump, and its end."""
+    """Returns statements on the agreement of MuJoCo with linear analysis over the road, and its end."""
     built = "" if scope.is_ideal else " of the loop as built"
     which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
@@ -113,7 +113,7 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if throughout:
         statements.append(
             Statement(
-                f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
+                f"Over {scope.where} MuJoCo agrees with {which} throughout its {scope.duration:g} s for "
                 f"{names_text(throughout)}{_how(scope, runs)}."
             )
         )
@@ -121,17 +121,17 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
         until = run.agreement.until
         if run.agreement.agrees and until < math.inf:
             text = (
-                f"Over the paper's bump, {as_name(run.controller.name)} agrees with {which} until {until:.3g} s of "
-                f"{BUMP_DURATION:g} s: {what_ended(run)}."
+                f"Over {scope.where}, {as_name(run.controller.name)} agrees with {which} until {until:.3g} s of "
+                f"{scope.duration:g} s: {what_ended(run)}."
             )
             statements.append(Statement(text, "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
-        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {names_text(wrong)}."
+        text = f"Over {scope.where} MuJoCo DOES NOT AGREE with {which} for {names_text(wrong)}."
         statements.append(Statement(text, "fails"))
     unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
     if unbalanced:
-        text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {names_text(unbalanced)}: see the table of energy."
+        text = f"Over {scope.where} energy DOES NOT BALANCE{built} for {names_text(unbalanced)}: see the table of energy."
         statements.append(Statement(text, "fails"))
     return statements
 
@@ -150,7 +150,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if not missing:
         return []
     text = (
-        f"Over the paper's bump adjustable dampers leave out, of the force that they are asked for (rms): "
+        f"Over {scope.where} adjustable dampers leave out, of the force that they are asked for (rms): "
         f"{joined([f'{share} of that of {as_name(name)}' for name, share in missing.items()])}. Norms, frequency responses and "
         "margins are of the loop whose every force is given, and say nothing of these rides."
     )
@@ -216,14 +216,14 @@ def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequenc
     return [one.name for one, _ in ends if one.name in wrong]
 
 
-def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
+def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
     """Describes the controllers without a claimed height; empty if there are none of them."""
     names = unclaimed(ends, runs)
     if not names:
         return ""
     return (
-        f"For {names_text(names)} no height is claimed below which the analysis is true: over the paper's bump MuJoCo does not "
-        "agree with it."
+        f"For {names_text(names)} no height is claimed below which the analysis is true: over {scope.where} MuJoCo "
+        "does not agree with it."
     )
 
 
@@ -231,7 +231,7 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
     if not ends:
         return []
-    wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
+    wrong, none = unclaimed(ends, runs), unclaimed_words(scope, ends, runs)
     ends = [(one, end) for one, end in ends if one.name not in wrong]
     heights: list[str] = []
     statements = [Statement(none, "fails")] if none else []

@@ -129,7 +129,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         f"{scope.noise_qualifier}: up to which height nothing breaks, from one linear run of the loop as it "
         "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
     )
-    if none := unclaimed_words(ends, runs):
+    if none := unclaimed_words(scope, ends, runs):
         text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
     table = Table("regime", caption, ("controller", *titles(REGIME)), tuple(rows), words=2)

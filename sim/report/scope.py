@@ -9,6 +9,7 @@ from pathlib import Path
 from models.common.printed import Column, as_name
 from models.figures.figure import Style, styles
 from models.roads.load import Load
+from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
 from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
@@ -57,6 +58,9 @@ class Scope:
         front: the axes of a trade-off, as `--front` has them; None without one.
         loads: that are put on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
+        own_road: the road that all is driven over in place of the paper's bump; None for that.
+        road_name: its name, as it was given.
+        duration: of the runs over either [s].
     """
 
     vehicle: Vehicle
@@ -69,6 +73,24 @@ class Scope:
     front: str | None = None
     loads: tuple[Load, ...] = ()
     exported: Exported | None = None
+    own_road: Road | None = None
+    road_name: str = ""
+    duration: float = BUMP_DURATION
+
+    @property
+    def road(self) -> Road:
+        """Returns the road that all is driven over."""
+        return self.own_road or Bump()
+
+    @property
+    def where(self) -> str:
+        """Returns that road in a few words."""
+        return "the road" if self.own_road is not None else "the paper's bump"
+
+    @property
+    def speed(self) -> float:
+        """Returns the speed that sinusoids are driven at [m/s]: on a rig, where the vehicle stands, that of the paper's bump."""
+        return self.road.speed or Bump().speed
 
     @property
     def stem(self) -> str:

@@ -212,7 +212,7 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     if (during := _hardest_stretch(runs)) is not None:
         near = history_panels(runs, looks, _bounded, continuous=False, during=during)
         panels, columns, size = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2, (6.5, 2.6)
-        note = f". Right: {during[0]:.4g} to {during[1]:.4g} s"
+        note = f". Each signal over all of the run, then from {during[0]:.4g} to {during[1]:.4g} s"
     broken = [
         f"{as_name(run.controller.name)} broke off at {off[1]:.3g} s ({off[0]})"
         for run in runs
@@ -265,7 +265,7 @@ def _least(runs: Sequence[Run]) -> str:
         return ""
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
     words, unit = name.replace("_", " "), runs[0].vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return f"{as_name(least)} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {as_name(most)} has {peaks[most]:.3g}"
+    return f"{as_name(least)} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {as_name(most)} has {peaks[most]:.3g}."
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:
