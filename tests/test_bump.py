@@ -459,7 +459,7 @@ def test_a_picture_is_of_the_signals():
                 kept = run.physics.until(runs[2].broke_off[1])
                 outside = kept.time[(kept[name] < low) | (kept[name] > high)]
                 last = outside[0] if len(outside) else kept.time[-1]
-                assert panel.title.endswith(f"leaves the axis: wild at {last:.3g} s") == bool(len(outside))
+                assert panel.title.endswith(f"leaves the axis: `wild` at {last:.3g} s") == bool(len(outside))
                 assert max(curve.x.max() for curve in own) == last
                 continue
             assert lines["", True].x.max() <= until

@@ -196,5 +196,5 @@ def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
 
 
 def _subscripted(one: re.Match[str]) -> str:
-    low = f'<tspan dy="3" font-size="10">{GREEK.get(one[2], one[2])}</tspan><tspan dy="-3">\u200b</tspan>' if one[2] else ""
+    low = f'<tspan dy="3" font-size="72%">{GREEK.get(one[2], one[2])}</tspan><tspan dy="-3">\u200b</tspan>' if one[2] else ""
     return f'<tspan font-style="italic">{one[1]}</tspan>{low}'

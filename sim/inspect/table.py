@@ -23,7 +23,9 @@ def write_signals(path: Path, proof: Proof) -> None:
     if proof.vehicle is None or not any(one.samples for one in proof.runs):
         raise InputError("--csv: there are no signals in the log to write; leave it out")
     time = np.arange(max(one.samples for one in proof.runs)) * proof.timestep
-    write_columns(path, time, [column for one in proof.runs for column in run_columns(one.recorded.name, _responses(proof, one))])
+    write_columns(
+        path, time, [column for one in proof.runs for column in run_columns(one.recorded.name, dict(_responses(proof, one)))]
+    )
 
 
 def _responses(proof: Proof, one: Inspected) -> Iterator[tuple[str, Response]]:

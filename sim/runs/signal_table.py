@@ -3,7 +3,7 @@
 import csv
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from models.common.arrays import Array
@@ -14,26 +14,23 @@ from sim.runs.run import Run
 Column = tuple[str, Array]  # heading and values over time
 
 
-def run_columns(name: str, responses: Iterable[tuple[str, Response]]) -> list[Column]:
-    """Returns the columns of a run, headed `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
+def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column]:
+    """Yields the columns of a run, headed `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
 
     Args:
         name: of the run, usually its controller's.
-        responses: each with its source, as in ("mujoco", response), over the same samples from 0.
+        responses: by their source, as in "mujoco", over the same samples from 0.
     """
-    named = [
-        (signal.name, (f"{signal.name} {name} {source} [{signal.unit}]", response[signal.name]))
-        for source, response in responses
-        for signal in response.signals
-    ]
-    order = list(dict.fromkeys(signal for signal, _ in named))
-    return [column for _, column in sorted(named, key=lambda one: order.index(one[0]))]
+    for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
+        for source, response in responses.items():
+            if signal in response.signals:
+                yield f"{signal.name} {name} {source} [{signal.unit}]", response[signal.name]
 
 
 def write_runs(path: Path, runs: Sequence[Run]) -> None:
     """Writes MuJoCo's signals and those of the exact sampled response of runs over one road; errors as `write_columns`."""
-    columns = [run_columns(run.controller.name, (("mujoco", run.physics), ("sampled", run.sampled))) for run in runs]
-    write_columns(path, runs[0].prediction.time, list(itertools.chain(*columns)))
+    each = (run_columns(run.controller.name, {"mujoco": run.physics, "sampled": run.sampled}) for run in runs)
+    write_columns(path, runs[0].prediction.time, list(itertools.chain(*each)))
 
 
 def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
