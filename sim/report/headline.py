@@ -151,7 +151,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
         return []
     text = (
         f"Over {scope.where} adjustable dampers leave out, of the force that they are asked for (rms): "
-        f"{joined([f'{share} of that of {as_name(name)}' for name, share in missing.items()])}. Norms, frequency responses and "
+        f"{joined([f'{share} with {as_name(name)}' for name, share in missing.items()])}. Norms, frequency responses and "
         "margins are of the loop whose every force is given, and say nothing of these rides."
     )
     return [Statement(text, "ends" if most > HALF else "holds")]
