@@ -289,8 +289,9 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in their columns."""
+    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many of three or two columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    many = {2: "pairs"}.get(figure.columns, "three") if len(figure.panels) > MANY else ""
+    wide, high = figure.size
+    many = "" if len(figure.panels) <= MANY else "pairs" if wide > 2 * high else "three"
     return "wide" if figure.columns == 1 else many

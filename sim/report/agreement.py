@@ -129,7 +129,7 @@ def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetric
         "Every metric in MuJoCo; below, and in the file, that of the exact sampled response and what is expected of such roads."
     )
     table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
-    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are of {start:.4g} s on."
+    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are measured from {start:.4g} s on."
     about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
     return Section(
         "What happens over the road?", scope.road.words, (f"{about.removesuffix('.')}.", *verdicts_of(runs)), (table,), figures
