@@ -289,7 +289,7 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many of three or two columns."""
+    """Returns the CSS class of a figure: one column is wide, bars are narrow, others form a grid, of two or three columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
     wide, high = figure.size

@@ -153,12 +153,14 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
         headings = [f"{f:g} Hz" for f in at]
         together = ", of all forces together" if len(vehicle.linear_model.inputs) > 1 else ""
         caption = (
-            f"The law of {as_name(controller.name)}, of {states_text(law)}: the amplitude of the force that it asks for"
-            f"{together}, per unit of each signal that it measures, at some frequencies."
+            f"The law of controller {as_name(controller.name)}, of {states_text(law)}: the amplitude of the force that it asks "
+            f"for{together}, per unit of each signal that it measures, at some frequencies."
         )
     else:
         entries, headings = controller.gain, [force.replace("_", " ") for force in forces]
-        caption = f"The gain of {as_name(controller.name)}: the force it asks for, per unit of each signal that it measures."
+        caption = (
+            f"The gain of controller {as_name(controller.name)}: the force it asks for, per unit of each signal that it measures."
+        )
     rows = tuple(
         (
             name.replace("_", " "),

@@ -79,8 +79,9 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
         else []
     )
     if not wrong:
+        under = "Under" if scope.own_road is None else "On a flat road, under"
         agreed = names_text(run.controller.name for run in runs)
-        findings = [Statement(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
+        findings = [Statement(f"{under} {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
     pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
     table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
