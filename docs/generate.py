@@ -19,10 +19,13 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
+
 import models
 import sim
 import synth
 from models.common.command import Parser
+from models.figures.sketch import sketch_svg
 from models.kinds import signals
 from models.laws import semi_active
 from models.laws.combinations import COMMANDS as OPTIONS
@@ -33,11 +36,13 @@ from models.roads.load import LOADS
 from models.roads.obstacles import OBSTACLES
 from models.roads.profile import Profile
 from models.roads.rig import Rig
+from models.roads.road import Bump
 from models.suspension import STOP_KEYS, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.vehicle import filter as weights
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits
+from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import kind, kinds, read_vehicle
 from sim.__main__ import COMMANDS
 from sim.campaign.file import KEYS as CAMPAIGN_KEYS
@@ -381,6 +386,18 @@ def names(package: Any) -> str:
 
 
 # Pictures and the notebook
+
+
+def car() -> str:
+    """Returns the picture of the home page, `.github/pictures/car.svg`: the half-car that ships, over the paper's bump."""
+    bump = Bump()
+    middle = bump.length / 2  # under the front wheel
+    high = 280  # units of the drawing per metre: four times what lengths have
+
+    def road(place: float) -> float:
+        return high * float(bump.displacement(np.array((place + middle) / bump.speed)))
+
+    return sketch_svg(vehicle_sketch(read_vehicle("half_car"), computer=False), road, alone=True) + "\n"
 
 
 def drawn() -> list[tuple[str, str, str, Path]]:

@@ -22,8 +22,8 @@ PARAMETERS = (
     Parameter("unsprung_mass", "kg", "m_u, wheel, hub and brake"),
     Parameter("suspension_stiffness", "N/m", "k_s; 0 for a purely active strut", positive=False),
     Parameter("suspension_damping", "N s/m", "c_s", positive=False),
-    Parameter("tyre_stiffness", "N/m", "k_u", varied=Variation("tyre stiffness", 0.75, 1.25)),
-    Parameter("tyre_damping", "N s/m", f"c_u, {TYRE_DAMPING}", positive=False, optional=True),
+    Parameter("tyre_stiffness", "N/m", "k_t (the paper's k_u)", varied=Variation("tyre stiffness", 0.75, 1.25)),
+    Parameter("tyre_damping", "N s/m", f"c_t, {TYRE_DAMPING}", positive=False, optional=True),
 )
 
 STATES = (

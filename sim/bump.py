@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     time = sample_times(vehicle, options.duration, options.timestep)
     road.check(vehicle, time)
     comparison.check_view(options)
-    check_outputs({"picture": options.picture, "logs": options.logs}, vehicle.files)
+    check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, vehicle.files, options.json)
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)

@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     road = requested_road(vehicle, options, time)
     check_band(road, options.band, "band" in options.given)
     comparison.check_view(options)
-    check_outputs({"picture": options.picture, "logs": options.logs}, vehicle.files)
+    check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, vehicle.files, options.json)
 
     design = Designer(vehicle, search=False).design
     runs = comparison.run_named(vehicle, names, design, road, time, options.exported)

@@ -47,4 +47,4 @@ def _list(page: str, kind: str) -> str:
 
 
 def _text(piece: str) -> str:
-    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"</?bdi>", "", piece))).split())
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"</?(bdi|code)>", "", piece))).split())

@@ -431,9 +431,9 @@ def test_a_picture_is_of_the_signals():
     runs = ran(wild_vehicle, "passive", "I_printed", "wild", road=Bump(height=0.2, speed=20.0), duration=0.6)
     figure = history_figure(runs, "a bump")
     assert figure is not None
-    assert figure.finding.startswith("I_printed has the lowest peak of sprung acceleration, ")
+    assert figure.finding.startswith("`I_printed` has the lowest peak of sprung acceleration, ")
     assert runs[2].broke_off is not None
-    assert figure.title.endswith(f". wild broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
+    assert figure.title.endswith(f". `wild` broke off at {runs[2].broke_off[1]:.3g} s (flat tyre)")
     assert "\nleaves the axis" in figure.panels[0].title
     weighed = [name for name, weight in vehicle.performance.items() if weight > 0]
     assert [panel.title.partition(",")[0] for panel in figure.panels] == [name.replace("_", " ") for name in weighed]
@@ -459,7 +459,7 @@ def test_a_picture_is_of_the_signals():
                 kept = run.physics.until(runs[2].broke_off[1])
                 outside = kept.time[(kept[name] < low) | (kept[name] > high)]
                 last = outside[0] if len(outside) else kept.time[-1]
-                assert panel.title.endswith(f"leaves the axis: wild at {last:.3g} s") == bool(len(outside))
+                assert panel.title.endswith(f"leaves the axis: `wild` at {last:.3g} s") == bool(len(outside))
                 assert max(curve.x.max() for curve in own) == last
                 continue
             assert lines["", True].x.max() <= until

@@ -1,19 +1,24 @@
 """`python -m sim.drive`: roads of every kind, metrics beside predictions, logs, and bad input."""
 
 import dataclasses
+import itertools
 import json
 
 import numpy as np
+import pandas
 import pytest
 
+from models.common.errors import InputError
 from models.common.printed import percent
+from models.common.table import TIME, find_table
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.drive import main
 from sim.runs.report import verdict_lines
-from sim.runs.run import run_controllers
+from sim.runs.run import run_controllers, sample_times
 from sim.studies.ride.metrics import metrics_of
-from tests.commands import prose
+from tests.commands import main_of, prose
+from tests.shared import designed
 
 
 def run_json(capsys, *arguments):
@@ -47,6 +52,30 @@ def test_linear_roads_are_linear(capsys):
         assert run["lift_off"] == []
         for metric in run["metrics"].values():
             assert metric["mujoco"] == pytest.approx(metric["linear"], rel=1e-4, abs=1e-9)  # RK4's 1e-6, and powers nearly cancel
+
+
+@pytest.mark.parametrize("command", ["bump", "drive"])
+def test_csv(command, tmp_path, capsys):
+    """The table has every signal in MuJoCo and the analysis, bit for bit, as the project's reader and pandas read it."""
+    path, names, road = tmp_path / "signals.csv", ("passive", "I"), ("--road", "bump") if command == "drive" else ()
+    options = (*road, "--speed", "12.5", "--duration", "0.3", "--no-logs", "--csv", str(path), "--json")
+    assert main_of(f"sim.{command}")(["--controller", "passive", "--controller", "I", *options]) == 0
+    assert json.loads(capsys.readouterr().out)["csv"] == str(path)
+    vehicle = read_vehicle("quarter_car")
+    runs = run_controllers(vehicle, [designed(vehicle, name) for name in names], Bump(), sample_times(vehicle, 0.3, 1e-3))
+    table = find_table(path.read_text(), "")
+    headings, (numbers, _) = table.headings(TIME), table.numbers()
+    assert [(one.name, one.unit) for one in headings[:2]] == [("time", "s"), ("road_displacement passive mujoco", "m")]
+    frame = pandas.read_csv(path).set_index("time [s]")
+    assert frame.shape == (301, 2 * 2 * len(vehicle.kind.signals)) == (len(numbers), len(headings) - 1)
+    for run in runs:
+        for signal, source in itertools.product(vehicle.kind.signals, ("mujoco", "sampled")):
+            response = run.physics if source == "mujoco" else run.sampled
+            heading = f"{signal.name} {run.controller.name} {source} [{signal.unit}]"
+            column = [one.text for one in headings].index(heading)
+            assert frame[heading].tolist() == numbers[:, column].tolist() == response[signal.name].tolist()
+    with pytest.raises(InputError, match="a table is written as CSV"):
+        main_of(f"sim.{command}")(["--controller", "I", "--no-logs", "--csv", str(tmp_path / "signals.txt")])
 
 
 def test_seed(capsys):

@@ -637,18 +637,17 @@ def test_csv(log, tmp_path, capsys):
     inspected(log, capsys, "--csv", str(path))
     with path.open(newline="") as file:
         head, *rows = csv.reader(file)
-    assert head[:5] == [
-        "run",
+    assert head[:4] == [
         "time [s]",
-        "road_displacement mujoco [m]",
-        "road_displacement sampled [m]",
-        "road_displacement recomputed [m]",
+        "road_displacement passive mujoco [m]",
+        "road_displacement passive sampled [m]",
+        "road_displacement passive recomputed [m]",
     ]
-    assert len(rows) == 2 * 401
-    column, parts = head.index("sprung_acceleration mujoco [m/s2]"), contents(log)
+    assert len(rows) == 401
+    column, parts = head.index("sprung_acceleration I mujoco [m/s2]"), contents(log)
     (number,) = [channel.id for channel in parts.channels if channel.topic == "/I/mujoco"]
     logged = [message.data[9 * 6 + 1 : 9 * 6 + 9] for message in parts.messages if message.channel_id == number]
-    assert [float(row[column]) for row in rows[401:]] == np.frombuffer(b"".join(logged), "<f8").tolist()
+    assert [float(row[column]) for row in rows] == np.frombuffer(b"".join(logged), "<f8").tolist()
     assert [row[column + 1] for row in rows] == [row[column + 2] for row in rows]
     assert [path.name for path in tmp_path.iterdir()] == ["signals.csv"]
     with pytest.raises(InputError, match="is an input file"):

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -68,6 +69,19 @@ def browse(page: Path, width: int, folder: Path, *options: str) -> tuple[str, st
         check=True,
     )
     return done.stdout, done.stderr
+
+
+def test_names_and_sketch(report):
+    """A page begins with a sketch of its vehicle; names of controllers are code in its sentences, plain in title and SVG."""
+    page, result = report
+    text = page.read_text(encoding="utf-8")
+    assert result["headline"].startswith("`I` rides best, ")
+    assert "<h2><code>I</code> rides best, " in text
+    assert text.index('<figure class="vehicle">') < text.index("<h2>")
+    assert "<title>quarter_car: passive, state, I and II on a quarter car" in text
+    drawn = html.unescape(unquote(html.unescape(re.sub(r"<script>.*?</script>", "", text, flags=re.S))))
+    assert "`" not in drawn
+    assert "'I' rides best" in drawn  # in the SVG that is saved
 
 
 @pytest.mark.attack

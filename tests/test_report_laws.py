@@ -53,7 +53,7 @@ def test_a_law_stands_beside_the_others(tmp_path, capsys):
     (design,) = rows_of(found, "designs")
     assert [design[key] for key in ("bound", "norm", "lower bound", "slowest pole [1/s]")] == ["-"] * 4
     assert design["certificate"] == "no linear claim: a law in Python"
-    assert any(said.startswith("Of mine there is no linear claim, as it is a law in Python") for said in found["answer"])
+    assert any(said.startswith("Of `mine` there is no linear claim, as it is a law in Python") for said in found["answer"])
     assert "What a law in Python asks for is known only of the measurements that it was called with" in page
     vehicle = read_vehicle(path)
     (run,) = run_controllers(vehicle, [vehicle.controllers["mine"].driver()], Bump(), sample_times(vehicle, 3.0, STEP))
@@ -124,8 +124,8 @@ def test_dampers_that_are_short_of_force(tmp_path, capsys):
     (run,) = run_controllers(vehicle, [Designer(vehicle).design("I")], Bump(), sample_times(vehicle, 3.0, STEP))
     (one,) = shortfalls(vehicle, run.physics).values()
     (said,) = [line for line in found["answer"] if "leave out" in line]
-    assert f"{percent(one.rms)} of I's" in said
-    assert found["answer"][0].startswith("Of skyhook there is no linear claim, as it is a semi-active law")
+    assert f"{percent(one.rms)} with `I`" in said
+    assert found["answer"][0].startswith("Of `skyhook` there is no linear claim, as it is a semi-active law")
     assert not [
         line for line in found["answer"] if "frequency response" in line and "all forces given" not in line and line != said
     ]

@@ -407,7 +407,7 @@ def test_nothing_stable(tmp_path):
     """A report of nothing but an unstable loop is written, and says so."""
     file = vehicle_file(tmp_path, '[controllers.bad]\nmeasured = ["sprung_velocity"]\ngain = [[1e5]]\n')
     read = page(tmp_path, "--vehicle", file, "--controller", "bad")
-    assert "bad's loop is UNSTABLE" in read.text
+    assert "The loop of bad is UNSTABLE" in read.text
     assert read.state == "ends"
     assert "frequency-responses" not in read.tables
 
@@ -500,6 +500,50 @@ def test_a_norm_as_built(tmp_path, plain, capsys):
     assert "norms" not in plain.tables
 
 
+def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
+    """With --class or --road the first table, the metrics and the verdict are of that road, as `sim.drive` has them."""
+    options = (
+        "--controller",
+        "passive",
+        "--controller",
+        "I",
+        "--class",
+        "B",
+        "--seed",
+        "3",
+        "--speed",
+        "15",
+        "--duration",
+        "4",
+        *STEP,
+    )
+    whole = printed(capsys, report, "--quick", "--out", str(tmp_path / "report.html"), *options)
+    found = printed(capsys, drive, "--no-logs", *options)
+    assert whole["compared"] == found["compared"]
+    rows = {(row["metric"], row["controller"]): row for row in whole["tables"]["road"]}
+    for run in found["runs"]:
+        for name, one in run["metrics"].items():
+            row = rows[name.replace("_", " "), run["controller"]["name"]]
+            assert (row["MuJoCo"], row["expected"]) == tuple(
+                "-" if value is None else f"{value:.4g}" for value in (one["mujoco"], one["expected"])
+            )
+    read = PageRead(tmp_path / "report.html")
+    assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} to 4 s" in read.lead[-1]
+    assert "Over the road MuJoCo agrees with the linear analysis throughout its 4 s for passive and I" in read.text
+    assert "MuJoCo agrees with the analysis, over the road throughout" in read.text
+    assert not any("paper's bump" in said for said in (*read.lead, *read.answer))
+
+
+def test_a_report_without_a_road_has_no_speed(tmp_path):
+    """Speed, seed and duration of a road that is not given are refused, as are two roads, before the work."""
+    for options, words in (
+        (("--speed", "9"), "--speed is of a road, and none is given"),
+        (("--class", "B", "--road", "flat"), "not both"),
+    ):
+        with pytest.raises(InputError, match=words):
+            report(["--quick", "--out", str(tmp_path / "no.html"), *options])
+
+
 def test_energy_table(plain, capsys):
     """The report's energies are those of the command, and leave over what it says, of what it allows."""
     for name in NAMES:
@@ -523,11 +567,11 @@ def test_energy_that_does_not_balance_makes_the_box_red(paper, designer):
     assert (run.passed, lost.passed, lost.agreement.agrees) == (True, False, True)
     said = over_the_bump(scope, [lost])
     assert worst(said) == "fails"
-    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for I: see the table of energy."
+    assert said[-1].text == "Over the paper's bump energy DOES NOT BALANCE for `I`: see the table of energy."
     # What half the step leaves may allow more of a run than is usual: the table says how much of which.
     kept = dataclasses.replace(lost, energy=dataclasses.replace(run.energy, residual=2e-3, allowed=3e-3))
     assert worst(over_the_bump(scope, [kept])) == "holds"
-    assert [row[-2:] for row in energy_table([run, kept]).rows] == [
+    assert [row[-2:] for row in energy_table([run, kept], scope.where).rows] == [
         (f"{one.residual:.1e}", f"{one.allowed:.1e}") for one in (run.energy, kept.energy) if one is not None
     ]
 
@@ -553,7 +597,7 @@ def test_an_unstable_controller_leaves_the_others_to_be_seen():
         bad = [curve for curve in panel.curves if "bad" in curve.label + curve.name]
         assert bad
         assert all(curve.x.max() < runs[2].broke_off[1] for curve in bad)
-    assert "leaves the axis: bad at " in figure.panels[0].title
+    assert "leaves the axis: `bad` at " in figure.panels[0].title
 
 
 def test_the_headline_says_what_holds_throughout(plain):

@@ -97,12 +97,19 @@ def test_every_picture_drawn_by_a_command_is_in_the_gallery(made):
     `test_pages.py` and `test_slow_pages.py` run the command, and hold what it draws against the picture.
     """
     drawn = generate.drawn()
-    assert {name for name, *_ in drawn} == {path.name for path in PICTURES.iterdir()}
+    assert {*(name for name, *_ in drawn), "car.svg"} == {path.name for path in PICTURES.iterdir()}
     shown = {name for each in PAGES for name in re.findall(r"!\[[^\]]*\]\([^)]*/([^/)]+)\)", page(each))}
-    assert shown == {name for name, *_ in drawn}
+    assert shown == {*(name for name, *_ in drawn), "car.svg"}
     for name, alt, line, _ in drawn:
         assert (PICTURES / name).exists()
         assert re.search(rf"!\[{re.escape(alt)}\]\([^)]*{name}\).*?{re.escape(line)}", made["gallery"], re.S)
+
+
+def test_the_home_page_begins_with_a_car_over_a_bump():
+    """The picture at the top of the home page is what `docs.generate.car` draws."""
+    first = re.findall(r"!\[.*/([^/)]+)\)", page("docs/index.md"))[0]
+    assert first == "car.svg"
+    assert (PICTURES / first).read_text(encoding="utf-8") == generate.car()
 
 
 def test_every_command_of_the_questions_is_one():

@@ -39,6 +39,11 @@ def cell(value: float | None, form: str, unit: str = "") -> str:
     return f"{value:{form}}{unit}" if value is not None and math.isfinite(value) else "-"
 
 
+def as_name(name: str) -> str:
+    """Returns a controller's name as it stands in a sentence: in backticks, of which a page makes code and a picture quotes."""
+    return f"`{name}`"
+
+
 def percent(share: float) -> str:
     """Returns a share in percent; up to 1e-9, which is rounding, it is 0."""
     if share <= 1e-9:

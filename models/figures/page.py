@@ -20,6 +20,7 @@ from models.common.printed import Column, T, cells, titles
 from models.figures.downloads import csv_link, downloads
 from models.figures.figure import Bars, Classes, Figure, Shades, Spans, rgb
 from models.figures.reading import Pivot, Reading, as_csv, notation, read
+from models.figures.sketch import Sketch, sketch_svg, symbol_html
 from models.figures.svg import DASHES, MARKERS, legend, levels, page_text, shade_colors, svg
 
 TEXT, GRAPHICS = 4.5, 3.0  # minimum contrasts, success criteria 1.4.3 and 1.4.11 of WCAG
@@ -152,6 +153,7 @@ class Page:
         lead: who is best at what, at which cost, a sentence each.
         warnings: sentences of the answer that do not hold throughout.
         verdict: the state in words; empty for those of a report on a vehicle file.
+        sketch: of the vehicle, at the top; None without one.
     """
 
     title: str
@@ -163,6 +165,7 @@ class Page:
     lead: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     verdict: str = ""
+    sketch: Sketch | None = None
 
     @property
     def parts(self) -> tuple[Section, ...]:
@@ -198,6 +201,8 @@ def render(page: Page) -> str:
         numbers=_Numbers(),
         svg=svg,
         legend=legend,
+        sketch_svg=sketch_svg,
+        symbol_html=symbol_html,
         dashes=DASHES,
         markers=MARKERS,
         downloads=downloads,
@@ -284,7 +289,9 @@ def ground_by_night(color: str) -> str:
 
 
 def _layout(figure: Figure) -> str:
-    """Returns the CSS class of a figure: a single column is wide, bars are narrow, others form a grid, many in three columns."""
+    """Returns the CSS class of a figure: one column is wide, bars are narrow, others form a grid, of two or three columns."""
     if all(isinstance(panel.ground, Bars) for panel in figure.panels):
         return "bars"
-    return "wide" if figure.columns == 1 else "three" if len(figure.panels) > MANY else ""
+    wide, high = figure.size
+    many = "" if len(figure.panels) <= MANY else "pairs" if wide > 2 * high else "three"
+    return "wide" if figure.columns == 1 else many

@@ -15,7 +15,7 @@ from models.figures.axis import Axis
 from models.figures.direct_labels import direct_labels
 from models.figures.figure import Bars, Classes, Figure, Panel, Shades, Spans
 from models.figures.reading import notation
-from models.figures.svg import Entry, legend
+from models.figures.svg import Entry, legend, quoted_code
 
 LONGEST = 24  # letters of a name in a legend
 FAR = 1e6  # end of a span with an infinite end
@@ -146,7 +146,7 @@ def _width(text: str, size: float) -> float:
 def _broken(text: str, room: float, size: float) -> str:
     """Returns a text broken at spaces into lines of at most this width [inches]."""
     lines: list[str] = []
-    for line in text.split("\n"):
+    for line in quoted_code(text).split("\n"):
         lines.append("")
         for word in line.split(" "):
             longer = f"{lines[-1]} {word}".lstrip()

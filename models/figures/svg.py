@@ -29,18 +29,26 @@ NAME = re.compile(r"[^\s!-,./:-@\[-^`{-~]+")
 
 
 def drawn_text(text: str) -> str:
-    """Returns a text for SVG and attributes, where names are isolated by characters instead of elements."""
-    return escape(NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text))
+    """Returns a text for SVG and attributes: names are isolated by characters instead of elements, and code is in quotes."""
+    return escape(quoted_code(NAME.sub(lambda name: f"{OPEN}{name[0]}{CLOSE}" if _leftward(name[0]) else name[0], text)))
+
+
+def quoted_code(text: str) -> str:
+    """Returns a text with quotes in place of backticks, where no other font can show a name."""
+    return text.replace("`", "'")
 
 
 def page_text(text: str) -> str:
-    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, within which lines may break."""
+    """Returns a text as HTML. Names from right to left, and long ones, are `bdi` elements, within which lines may break.
+
+    What is in backticks is a `code` element.
+    """
     pieces, at = [], 0
     for name in NAME.finditer(text):
         if _leftward(name[0]) or len(name[0]) > LONG:
             pieces += [escape(text[at : name.start()]), f"<bdi>{escape(name[0])}</bdi>"]
             at = name.end()
-    return "".join([*pieces, escape(text[at:])])
+    return re.sub("`([^`]+)`", r"<code>\1</code>", "".join([*pieces, escape(text[at:])]))
 
 
 def _leftward(name: str) -> bool:

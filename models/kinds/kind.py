@@ -375,11 +375,11 @@ class VehicleKind(Checked):
             if name.startswith(SUSPENSION_DEFLECTION.name):
                 ending = name.removeprefix(SUSPENSION_DEFLECTION.name)
                 force = f"{CONTROL_FORCE.name}{ending}"
-                parameters = (self._of_corner(part, ending) for part in ("suspension_stiffness", "suspension_damping"))
+                parameters = (self.of_corner(part, ending) for part in ("suspension_stiffness", "suspension_damping"))
                 suspensions.append(Suspension(name, f"suspension{ending}", force if force in names else "", *parameters))
         return tuple(suspensions)
 
-    def _of_corner(self, parameter: str, ending: str) -> str:
+    def of_corner(self, parameter: str, ending: str) -> str:
         """Returns the parameter at a corner, or of its axle, or of the whole vehicle; empty if the kind has no such parameter."""
         corners, names = ending.split("_"), {known.name for known in self.parameters}
         beginnings = ("_".join((parameter, *corners[1:count])) for count in range(len(corners), 0, -1))
@@ -397,7 +397,7 @@ class VehicleKind(Checked):
         tyres = {}
         for wheel in self.wheels if self.folder == HERE else ():
             ending = wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
-            c, k = (parameters.get(self._of_corner(part, ending), 0.0) for part in ("tyre_damping", "tyre_stiffness"))
+            c, k = (parameters.get(self.of_corner(part, ending), 0.0) for part in ("tyre_damping", "tyre_stiffness"))
             if c:
                 tyres[wheel.tyre_deflection] = DampedTyre(f"{UNSPRUNG_VELOCITY.name}{ending}", wheel.road_velocity, c / k)
         return tyres

@@ -202,21 +202,26 @@ def recorded(
 
 
 def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
-    """Draws what `--picture` asks for; returns the output that was written, by name.
+    """Writes what `--picture` and `--csv` ask for; returns the outputs that were written, by name.
 
     Args:
         where: the road in words, after "over".
     """
-    if options.picture is None:
-        return {}
-    from models.figures.picture import write_picture
-    from sim.runs.time_histories import history_figure
+    outputs: dict[str, Path | None] = {}
+    if options.picture is not None:
+        from models.figures.picture import write_picture
+        from sim.runs.time_histories import history_figure
 
-    figure = history_figure(runs, where)
-    if figure is None:
-        return {"picture": None}
-    write_picture(figure, options.picture)
-    return {"picture": options.picture}
+        figure = history_figure(runs, where)
+        outputs["picture"] = options.picture if figure is not None else None
+        if figure is not None:
+            write_picture(figure, options.picture)
+    if options.csv is not None:
+        from sim.runs.signal_table import write_runs
+
+        write_runs(options.csv, runs)
+        outputs["csv"] = options.csv
+    return outputs
 
 
 def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:

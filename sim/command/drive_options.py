@@ -45,21 +45,29 @@ def parser() -> Parser:
         EPILOG,
     )
     parser.add_controller_and_vehicle("required")
+    add_road(parser, "C")
+    add_loads(parser, "pushes the body, on a flat road where none is named")
+    parser.add_number(
+        "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
+    )
+    add_run_options(parser, 20.0)
+    return parser
+
+
+def add_road(parser: Parser, default: str) -> None:
+    """Adds `--class` with its default in words, `--seed`, `--road`, `--from` and `--speed`."""
     parser.add_argument(
-        "--class", dest="road_class", metavar="CLASS", help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: C)"
+        "--class",
+        dest="road_class",
+        metavar="CLASS",
+        help=f"random road of ISO 8608, {CLASSES[0]} to {CLASSES[-1]} (default: {default})",
     )
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
     parser.add_number(
         "--from", None, "m", "where the vehicle starts on a road from a file, in the file's distances", "its first point"
     )
-    add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
-    parser.add_number(
-        "--band", 2.0, "percent", "of --road step: half the band of settling times, of the step or of a signal's peak"
-    )
-    add_run_options(parser, 20.0)
-    return parser
 
 
 def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLog":
@@ -68,7 +76,7 @@ def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLo
     from sim.command.road_options import ExpectedLog, same_path
     from sim.runs.run import sample_times
 
-    text, added = split_off(_road_text(options))
+    text, added = split_off(road_text(options))
     loads, file = [*added, *options.loads], named_file(text)
 
     def is_it(road: Mapping[str, Any]) -> bool:
@@ -92,7 +100,7 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     from models.roads.choice import choose_road
     from models.roads.load_choice import choose_load
 
-    choice = choose_road(_road_text(options))
+    choice = choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
         raise InputError(f"--seed says which random road, and {choice.text!r} is not random; leave it out")
@@ -117,7 +125,7 @@ def end_lines(road: "Road", duration: float) -> list[str]:
     return wrapped(f"{lower}: --duration {ends:.4g} measures the road alone")
 
 
-def _road_text(options: argparse.Namespace) -> str:
+def road_text(options: argparse.Namespace) -> str:
     """Returns the text of the requested road."""
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")

@@ -72,6 +72,9 @@ def add_run_options(parser: Parser, duration: float) -> None:
         metavar="FILE",
         help="draw MuJoCo over the analysis, a panel for each weighed signal (.png or .svg)",
     )
+    parser.add_argument(
+        "--csv", type=Path, metavar="FILE", help="write every signal over time, MuJoCo's and the analysis', as a table (.csv)"
+    )
     logs = parser.add_mutually_exclusive_group()
     logs.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="folder for the log files (default: logs)")
     logs.add_argument("--no-logs", dest="logs", action="store_const", const=None, help="write no log files")

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen, run_command
 from models.common.printed import Stages, Whole, say, some_sentences
-from models.vehicle.names import without_copies
+from models.vehicle.names import PLUS, without_copies
+from sim.command.drive_options import add_road, requested_road, road_text
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ examples:
   python -m sim.report --out report.html
   python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
   python -m sim.report --quick --out quick.html
+  python -m sim.report --vehicle my_car.toml --road my_road.csv --speed 15 --duration 30
   python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
   python -m sim.report --gallery --out gallery.html
 """
@@ -44,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(arguments)
     from models.figures.outputs import check_outputs, written, written_lines
-    from models.figures.page import VERDICTS, check_page
+    from models.figures.page import check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
     from models.vehicle.vehicle import read_vehicle
@@ -85,10 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             coded = [f"the code of {options.exported} is driven and judged in the section {TITLE!r}"]
         lines = [*written_lines(outputs)[1:], *left, *left_out_lines(others), *coded, "", *compared]
         if not options.brief:
-            verdict = VERDICTS[page.state]
             # What percentages are of, the table says.
-            said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", verdict])
-            lines += ["", *said, *([""] if said else []), verdict]
+            said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", page.verdict])
+            lines += ["", *said, *([""] if said else []), page.verdict]
         say(lines)
     return 1 if undesigned else 0
 
@@ -97,15 +98,24 @@ def _reported(
     options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
+    from models.common.errors import InputError
     from sim.command.comparison import controllers_of, runnable, say_false_claims
     from sim.report.contents import report, stages
     from sim.report.loads import duration_of, loaded_road
-    from sim.report.scope import Exported, Scope, check_scope
+    from sim.report.scope import BUMP_DURATION, Exported, Scope, check_scope
     from sim.runs.run import sample_times
     from synth.controller.controller import Controller, code_of
     from synth.vehicle.designer import Designer
 
     check_scope(vehicle, options.timestep)
+    road, name, duration = None, "", BUMP_DURATION
+    if options.road is not None or options.road_class is not None:
+        duration = options.duration
+        road = requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep))
+        name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
+        name += f", seed {options.seed}" if "seed" in options.given else ""
+    elif given := [name for name in ("speed", "seed", "duration") if name in options.given]:
+        raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or leave --{given[0]} out")
     if options.front is not None:
         from sim.report.front import check_front
 
@@ -128,7 +138,8 @@ def _reported(
     say_false_claims(controllers)
     linear = tuple(one for one in controllers if isinstance(one, Controller))
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
-    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported)
+    own = {"own_road": road, "road_name": name, "duration": duration}
+    scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported, **own)
     result = report(scope, _about(vehicle.source), beside)
     stage("the page")
     _write(result.page, options.out, options.figures)
@@ -136,7 +147,9 @@ def _reported(
     return result
 
 
-OF_A_VEHICLE = ("controller", "vehicle", "quick", "front", "load", "as", "timestep")  # options without a meaning for the gallery
+OF_A_VEHICLE = (
+    *("controller", "vehicle", "quick", "front", "load", "as", "timestep", "road", "class", "seed", "speed", "duration"),
+)  # options without a meaning for the gallery
 
 
 def _gallery(options: argparse.Namespace) -> int:
@@ -150,7 +163,9 @@ def _gallery(options: argparse.Namespace) -> int:
     from sim.studies.gallery.summary import entry_object, last_lines, sources_object
 
     repeated = {
-        name for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported")) if getattr(options, of)
+        name
+        for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported"), ("class", "road_class"))
+        if getattr(options, of)
     }
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
         raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
@@ -216,7 +231,9 @@ def _parser() -> Parser:
         "MuJoCo's values at some of its designs; takes half a minute more",
     )
     add_exported(parser, "also what this folder of python -m synth --export holds, and what its code does")
-    add_loads(parser, "also what this load does on a flat road")
+    add_road(parser, "none")
+    parser.add_number("--duration", 20.0, "s", "how long to drive over the road")
+    add_loads(parser, "also what this load does on a flat road; with --road or --class it acts there, too")
     parser.add_number("--timestep", 1e-3, "s", "integration step and sample period of the controller")
     printed = parser.add_mutually_exclusive_group()
     printed.add_argument("-v", "--verbose", action="store_true", help="print every statement of the page, too")

@@ -6,18 +6,20 @@ from itertools import zip_longest
 
 import numpy as np
 
-from models.common.printed import Column
+from models.common.printed import Column, as_name
 from models.figures.figure import Curve, Figure, Panel
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
+from sim.command.drive_options import end_lines
 from sim.physics.energy import Energy
-from sim.report.scope import BUMP_DURATION, Scope, change_text, joined
+from sim.report.scope import BUMP_DURATION, Scope, change_text, names_text
 from sim.runs.force_diagram import Diagram, diagrams
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run
-from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_panels, lines_text
+from sim.runs.time_histories import OF_LINE, acceleration_peaks, history_figure, history_panels, lines_text
+from sim.studies.ride.run_metrics import METRIC, MetricComparison, RunMetrics
 from synth.controller.controller import Controller
 
 DIAGRAM_POINTS = 60  # of MuJoCo
@@ -102,10 +104,36 @@ def bump_section(scope: Scope, runs: Sequence[Run], road: Bump) -> Section:
         f"'continuous' is that of the {continuous}. Neither knows {another} end of the linear regime{unknown}, "
         f"so where that has ended before {BUMP_DURATION:g} s, MuJoCo's peaks are of something else than theirs."
     )
-    verdicts = tuple(f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run))
     diagram = suspension_figure(scope, runs, f"over the bump of {road.height:g} m")
     figures = (figure,) if diagram is None else (figure, diagram)
-    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts), (table,), figures)
+    return Section("What happens over a bump?", "the paper's bump, over time", (about, *verdicts_of(runs)), (table,), figures)
+
+
+def verdicts_of(runs: Sequence[Run]) -> tuple[str, ...]:
+    """Returns a sentence on the agreement of each run."""
+    return tuple(f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run))
+
+
+def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], start: float) -> Section:
+    """Returns the section on the road of the report: its signals over time, and its metrics, measured from a time on [s]."""
+    drawn = history_figure(runs, scope.road_name), suspension_figure(scope, runs, f"over {scope.road_name}")
+    figures = tuple(one for one in drawn if one is not None)
+    pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
+    columns: tuple[Column[tuple[Run, str, MetricComparison]], ...] = (
+        Column("metric", lambda of: of[1].replace("_", " ")),
+        METRIC[0].of(lambda of: of[2]),
+        Column("controller", lambda of: of[0].controller.name),
+        *(column.of(lambda of: of[2]) for column in METRIC[1:]),
+    )
+    caption = (
+        "Every metric in MuJoCo; below, and in the file, that of the exact sampled response and what is expected of such roads."
+    )
+    table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
+    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are measured from {start:.4g} s on."
+    about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
+    return Section(
+        "What happens over the road?", scope.road.words, (f"{about.removesuffix('.')}.", *verdicts_of(runs)), (table,), figures
+    )
 
 
 def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
@@ -116,7 +144,7 @@ def _least_peak(scope: Scope, runs: Sequence[Run]) -> str:
     least = min(peaks, key=lambda one: peaks[one])
     against = change_text(peaks[least], peaks.get(PASSIVE, math.nan))
     words, unit = name.replace("_", " "), scope.vehicle.kind.signal(name).unit
-    return f"Over the bump {least} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
+    return f"Over the bump {as_name(least)} has the lowest peak of {words}: {peaks[least]:.3g} {unit}{against}."
 
 
 def _bounded(scope: Scope, run: Run) -> bool:
@@ -152,7 +180,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         f"applies; and the power of the step with which it shrinks, from {h:g} to {h / 2:g} ms."
     ]
     if len(finer) < len(runs):
-        text.append(f"Orders are of {joined([run.controller.name for run in finer])} alone.")
+        text.append(f"Orders are of {names_text(run.controller.name for run in finer)} alone.")
     if "exact" in kinds:
         text.append(
             "MuJoCo is the exact sampled response to within its integrator's error, order 4. Below 1e-9 there is only rounding, "
@@ -166,7 +194,7 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         )
     if "geometry" in kinds:
         text.append(
-            "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the bump, and "
+            "Bodies that turn are not linear: what that makes does not shrink with the step but with the height of the road, and "
             "so it was tried, at a hundredth of it."
         )
     if scope.is_nonlinear:
@@ -194,11 +222,11 @@ def agreement_section(scope: Scope, runs: Sequence[Run], finer: Sequence[Run]) -
         "How far MuJoCo is from the sampled response, as a share of each signal's peak; below, what is allowed, and the orders."
     )
     pivot = Pivot(("signal",), "controller", ("to sampled",))
-    tables = (Table("agreement", caption, headings, tuple(rows), words=2, pivot=pivot), energy_table(runs))
+    tables = (Table("agreement", caption, headings, tuple(rows), words=2, pivot=pivot), energy_table(runs, scope.where))
     return Section("Does the physics do what the analysis says?", "agreement and its order, energy", tuple(text), tables)
 
 
-def energy_table(runs: Sequence[Run]) -> Table:
+def energy_table(runs: Sequence[Run], where: str) -> Table:
     """Returns the table of every run's energy balance."""
     columns: tuple[Column[tuple[str, Energy]], ...] = (
         Column("controller", lambda of: of[0]),
@@ -211,7 +239,7 @@ def energy_table(runs: Sequence[Run]) -> Table:
         Column("allowed", lambda of: of[1].allowed, "{:.1e}".format),
     )
     energies = [(run.controller.name, run.energy) for run in runs if run.energy is not None]
-    caption = "Where the energy of every run over the bump came from, and where it went."
+    caption = f"Where the energy of every run over {where} came from, and where it went."
     return Table.of("energy", caption, columns, energies)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from models.common.printed import as_name
 from models.figures.page import Table
 from models.figures.reading import Pivot
 from models.roads.load_choice import choose_load
@@ -13,7 +14,7 @@ from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.physics.simulate import simulate
 from sim.report.loads import loaded_road
-from sim.report.scope import LEAST, Scope, joined, percents
+from sim.report.scope import LEAST, Scope, joined, names_text, percents
 from sim.response.regime import BUMP_STOP, REGIME_ENDS, SATURATION, reached
 from sim.runs.run import Run, sample_times
 from sim.studies.ride.metrics import DEGREES, angles_of
@@ -86,17 +87,21 @@ def lead(standings: Sequence[Standing], dive: Mapping[str, float], norms: Mappin
     sentences = []
     for name, won in sorted(merits.items(), key=lambda one: (one[0] not in alone, list(VERBS).index(next(iter(one[1]))))):
         if name == PASSIVE:
-            sentences.append(f"{PASSIVE}, without any force, {joined(list(won.values()))}.")
+            sentences.append(f"{as_name(PASSIVE)}, without any force, {joined(list(won.values()))}.")
             continue
         row = rows.get(name)
         costs = [text for key in (RIDE, TRAVEL, LOAD) if row and key not in won and (text := _cost(row, passive, key))]
         if row and (force := row.values["force_peak"]):
             costs.append(f"forces of up to {digits(force)} N")
         if name in dive:
-            beside = f", passive {dive[PASSIVE]:.2g}°" if PASSIVE in dive else ""
+            beside = f", {as_name(PASSIVE)} {dive[PASSIVE]:.2g}°" if PASSIVE in dive else ""
             costs.append(f"{dive[name]:.2g}° of dive under 0.5 g{beside}")
-        sentences.append(f"{name} {joined(list(won.values()))}; with {joined(costs)}.")
-    return [*sentences, f"Percentages are against passive; ride, travel, load and force are of {where}."] if sentences else []
+        sentences.append(f"{as_name(name)} {joined(list(won.values()))}; with {joined(costs)}.")
+    return (
+        [*sentences, f"Percentages are against {as_name(PASSIVE)}; ride, travel, load and force are of {where}."]
+        if sentences
+        else []
+    )
 
 
 def _least(norms: Mapping[str, float]) -> list[str]:
@@ -119,7 +124,7 @@ def _size(rows: Mapping[str, Standing], norms: Mapping[str, float], name: str, k
 
 
 def _and(names: Sequence[str]) -> str:
-    return joined(list(names)) if len(names) <= MANY else f"{len(names)} controllers"
+    return names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
 
 
 def _share(value: float | None, passive: float | None) -> float | None:
@@ -142,14 +147,14 @@ def titled(vehicle: Vehicle, stem: str, drivers: Sequence[Driver]) -> str:
     """Returns the title of a page: vehicle file, kind, and controllers."""
     names = [one.name for one in drivers]
     kind = vehicle.kind.name.replace("_", " ")
-    which = joined(names) if len(names) <= MANY else f"{len(names)} controllers"
+    which = names_text(names) if len(names) <= MANY else f"{len(names)} controllers"
     return f"{stem}: {which} on a {kind}, from linear analysis to MuJoCo"
 
 
 def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
     """Returns the goals and limits of the vehicle file, and who keeps them; None without any.
 
-    Goals are held against what is proved, limits against the run over the bump.
+    Goals are held against what is proved, limits against the run over the road.
     """
     rows = []
     for one in scope.controllers:
@@ -158,6 +163,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
                 unit = f" {promise.unit}" if promise.unit else ""
                 what = f"{promise.what.replace('_', ' ')}, at most {promise.at_most:.6g}{unit}"
                 rows.append((what, one.name, f"{'✓' if promise.holds else '✗'} {promise.value:.4g}{unit}"))
+    road = "road" if scope.own_road is not None else "bump"
     limits = {end: end.thresholds(scope.vehicle) for end in (BUMP_STOP, SATURATION)}
     for run in runs:
         ended = reached(scope.vehicle, run.physics)
@@ -165,7 +171,7 @@ def requirements_table(scope: Scope, runs: Sequence[Run]) -> Table | None:
             if thresholds:
                 when = float(ended[REGIME_ENDS.index(end)])
                 kept = "✓ not reached" if math.isinf(when) else f"✗ at {when:.3g} s"
-                rows.append((f"{end.name}, not over the bump", run.controller.name, kept))
+                rows.append((f"{end.name}, not over the {road}", run.controller.name, kept))
     if not rows:
         return None
     caption = "What the vehicle file asks for, and who keeps it (✓) or not (✗). Goals are held against what is proved of them."

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from models.figures.page import Page, Section, Table
+from models.figures.page import VERDICTS, Page, Section, Table
 from models.roads.road import Bump
 from models.vehicle.names import PASSIVE
+from models.vehicle.sketch import vehicle_sketch
 from models.vehicle.vehicle import Vehicle
 from sim.command.comparison import passive_beside, standings_of
 from sim.linear.nonlinear_elements import at_rest
 from sim.report import headline as report_answer
-from sim.report.agreement import agreement_section, bump_section
+from sim.report.agreement import agreement_section, bump_section, road_section
 from sim.report.best import dives, headline, lead, titled
 from sim.report.designs import design_section, frequency_section, paper_section
 from sim.report.headline import Statement
@@ -27,6 +28,7 @@ from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
+from sim.studies.ride.run_metrics import RunMetrics, first_sample, measure_run
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
 from sim.studies.validity.regime_end import regime_end
 from synth.controller.law_margins import unstable_by_itself
@@ -62,20 +64,26 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         provenance: where it comes from, in words.
         beside: processes for what does not depend on anything else here.
     """
-    vehicle, road, h = scope.vehicle, Bump(), scope.timestep
+    vehicle, bump, h = scope.vehicle, Bump(), scope.timestep
     results = beside.begin(scope, pieces_of(scope))
     scope.progress(BUMP)
-    time, halves = (sample_times(vehicle, BUMP_DURATION, step) for step in (h, h / 2))
-    runs = run_controllers(vehicle, scope.driven, road, time)
-    finer = run_controllers(vehicle, scope.driven[:MOST_ORDERS], road, halves, balanced=False)
+    time, halves = (sample_times(vehicle, scope.duration, step) for step in (h, h / 2))
+    runs = run_controllers(vehicle, scope.driven, scope.road, time)
+    finer = run_controllers(vehicle, scope.driven[:MOST_ORDERS], scope.road, halves, balanced=False)
     scope.progress(REGIME)
-    ends = [(one, regime_end(ideal_measurements(vehicle), one, road, time)) for one in scope.stable]
+    short = sample_times(vehicle, BUMP_DURATION, h)
+    ends = [(one, regime_end(ideal_measurements(vehicle), one, bump, short)) for one in scope.stable]
     parts = results()
 
     frequencies: Frequencies = parts[FREQUENCIES, ""]
     rides: list[Ride]
     rides, over_roads = parts.get((RIDE, ""), ([], []))
-    compared = _compared(scope, runs, over_roads)
+    first, measured = 0, []
+    if scope.own_road is not None:
+        first = first_sample(vehicle, scope.driven, scope.own_road, scope.duration, h)
+        measured = [measure_run(run, first) for run in runs]
+        over_roads = []
+    compared = _compared(scope, runs, over_roads, first, measured)
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
@@ -83,14 +91,15 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
         *report_answer.left_short(scope, runs),
         *report_answer.left_out(scope),
         *frequencies.findings,
-        *report_answer.regime(scope, road, ends, runs),
+        *report_answer.regime(scope, bump, ends, runs),
     ]
-    sections = [trust_section(scope, runs, ends, rides), design_section(scope)]
+    sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
     if frequencies.section is not None:
         sections.append(frequencies.section)
-    sections += [bump_section(scope, runs, road), agreement_section(scope, runs, finer)]
+    driven = road_section(scope, runs, measured, float(time[first])) if measured else bump_section(scope, runs, bump)
+    sections += [driven, agreement_section(scope, runs, finer)]
     if ends:
-        sections.append(regime_section(scope, road, ends, runs))
+        sections.append(regime_section(scope, bump, ends, runs))
     if (MARGINS, "") in parts:
         maps = [parts[MAP, one.name] for one in scope.active]
         for section, findings in (parts[MARGINS, ""], validity_section(scope, maps)):
@@ -108,17 +117,19 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
     texts = tuple(one.text for one in answer)
-    where, dive = compared_on(compared, bool(rides)), dives(scope)
+    where, dive = compared_on(scope, compared, bool(rides), float(time[first])), dives(scope)
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     whole = Page(
         titled(vehicle, scope.stem, scope.driven),
         texts,
-        first_screen(scope, runs, compared, dive, bool(rides)),
+        first_screen(scope, runs, compared, dive, where),
         tuple(sections),
         report_answer.worst(answer),
         headline(compared),
         tuple(lead(compared, dive, norms, where)),
         tuple(one.text for one in answer if one.state != "holds"),
+        VERDICTS[report_answer.worst(answer)].replace("the paper's bump", scope.where),
+        sketch=vehicle_sketch(vehicle),
     )
     return Report(whole, compared, where)
 
@@ -175,7 +186,7 @@ class Frequencies:
 
 def _frequencies(scope: Scope) -> Frequencies:
     """Frequency responses and the norm, measured."""
-    vehicle, h, speed = scope.vehicle, scope.timestep, Bump().speed
+    vehicle, h, speed = scope.vehicle, scope.timestep, scope.speed
     if scope.quick:
         sweeps, lines = [], identify(at_rest(vehicle), scope.stable, AMPLITUDE, h, speed) if scope.stable else []
     else:
@@ -206,13 +217,15 @@ def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
     return [ride for one in driven for ride in one.rides()], [one.standing() for one in (*beside, *driven)]
 
 
-def _compared(scope: Scope, runs: Sequence[Run], over_roads: Sequence[Standing]) -> list[Standing]:
-    """Returns the standing of every controller over random roads or, without rides, the bump; passive first.
+def _compared(
+    scope: Scope, runs: Sequence[Run], over_roads: Sequence[Standing], first: int, measured: Sequence[RunMetrics]
+) -> list[Standing]:
+    """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
 
     Who is not driven over random roads, as an unstable loop, has no numbers there.
     """
     if not over_roads:
-        return standings_of(runs, passive_beside(runs, scope.designer.design))
+        return standings_of(runs, passive_beside(runs, scope.designer.design), first, measured)
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
     unsound = [one.name for one in scope.driven if unstable_by_itself(one)]
@@ -224,6 +237,7 @@ def _provenance(scope: Scope, provenance: dict[str, str]) -> Section:
     vehicle, how = scope.vehicle, scope.vehicle.implementation
     rows = dict(provenance)
     h = 1e3 * scope.timestep
+    rows |= {"road": scope.own_road.words, "duration": f"{scope.duration:g} s"} if scope.own_road is not None else {}
     rows["timestep"] = f"{h:g} ms, and {h / 2:g} ms for the orders of convergence"
     seeds = [f"{how.seed}, of the noise on measurements"] if any(how.noise.values()) else []
     if not scope.quick:

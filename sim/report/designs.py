@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.common.printed import Column, cells, titles
+from models.common.printed import Column, as_name, cells, titles
 from models.figures.page import Section, Table
 from models.laws.linear import gain_text, states_text
 from models.laws.semi_active import SemiActive
@@ -62,7 +62,7 @@ def design_section(scope: Scope) -> Section:
     if not scope.is_ideal:
         text = (*text, "All of this is of the ideal loop: continuous, with no limits and no computer.")
     said = [(one.name, line) for one in scope.controllers for line in judged_lines(one)]
-    text = (*text, *(f"Controller {name}: {line}." for name, line in said))
+    text = (*text, *(f"{as_name(name)}: {line}." for name, line in said))
     tables = [Table("designs", "Every controller, how good it is, and whether that is proved.", headings, tuple(rows), words=2)]
     if scope.laws:
         described = tuple(
@@ -153,12 +153,14 @@ def gain_table(vehicle: Vehicle, controller: Controller) -> Table | None:
         headings = [f"{f:g} Hz" for f in at]
         together = ", of all forces together" if len(vehicle.linear_model.inputs) > 1 else ""
         caption = (
-            f"The law of controller {controller.name}, of {states_text(law)}: the amplitude of the force that it asks for"
-            f"{together}, per unit of each signal that it measures, at some frequencies."
+            f"The law of controller {as_name(controller.name)}, of {states_text(law)}: the amplitude of the force that it asks "
+            f"for{together}, per unit of each signal that it measures, at some frequencies."
         )
     else:
         entries, headings = controller.gain, [force.replace("_", " ") for force in forces]
-        caption = f"The gain of controller {controller.name}: the force it asks for, per unit of each signal that it measures."
+        caption = (
+            f"The gain of controller {as_name(controller.name)}: the force it asks for, per unit of each signal that it measures."
+        )
     rows = tuple(
         (
             name.replace("_", " "),

@@ -3,13 +3,12 @@
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import cell
+from models.common.printed import as_name, cell
 from models.figures.page import Section, State, Table
-from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest
 from sim.report.headline import Statement
-from sim.report.scope import BUMP_DURATION, Exported, Scope
+from sim.report.scope import Exported, Scope
 from sim.runs.report import verdict
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.stability.exported_margins import find_exported_margins
@@ -29,16 +28,19 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
     assert exported is not None, "a folder was given"
     driver, vehicle = exported.driver, scope.vehicle
     code = code_of(driver)
-    time = sample_times(vehicle, BUMP_DURATION, scope.timestep)
+    time = sample_times(vehicle, scope.duration, scope.timestep)
     own = next(one for one in scope.driven if one.name == driver.name)
-    ours, run = run_controllers(vehicle, [own, driver], Bump(), time)
+    ours, run = run_controllers(vehicle, [own, driver], scope.road, time)
     said = verdict(run)
     text = [
-        f"Driven by the compiled code of this folder, in {code.law.numbers}, MuJoCo {said}, over the paper's bump. Its files are "
+        f"Driven by the compiled code of this folder, in {code.law.numbers}, MuJoCo {said}, over {scope.where}. Its files are "
         "as they were exported, each by its content. Code of another law, vehicle or sample period drives nothing.",
     ]
     findings = [
-        Statement(f"Over the paper's bump the exported code of {driver.name}, in {code.law.numbers}, {said}.", _state(run.passed))
+        Statement(
+            f"Over {scope.where} the exported code of {as_name(driver.name)}, in {code.law.numbers}, {said}.",
+            _state(run.passed),
+        )
     ]
     tables = [_facts(vehicle, exported)]
     if isinstance(driver, CompiledController) and not code.law.dampers:
@@ -46,14 +48,16 @@ def exported_section(scope: Scope) -> tuple[Section, list[Statement]]:
         if rounding is not None and not rounding.beyond:
             tables.append(_rounding(vehicle, ours, run))
         elif rounding is not None:
-            text.append(f"{rounding.beyond[0]} leaves its range on this bump and is clipped there; export it with a larger one.")
+            text.append(f"{rounding.beyond[0]} leaves its range there and is clipped there; export it with a larger one.")
         else:
             text.append(f"In double it differs from our own law by {_apart(ours, run):.0e} of a signal's peak at most.")
         table, notes, agrees = _loop(scope, driver)
         tables.append(table)
         text += notes
         if not agrees:
-            findings.append(Statement(f"Margins of {driver.name} with its exported code DO NOT AGREE in MuJoCo.", "fails"))
+            findings.append(
+                Statement(f"Margins of {as_name(driver.name)} with its exported code DO NOT AGREE in MuJoCo.", "fails")
+            )
     else:
         text.append("Linear analysis speaks of no law that sets dampers, so there is no norm or margin of its numbers.")
     return Section(TITLE, TERM, tuple(text), tuple(tables)), findings

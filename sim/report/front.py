@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.printed import cell
+from models.common.printed import as_name, cell
 from models.figures.page import Section, Table
 from models.roads.road import RoadInput
 from models.roads.sinusoids import sinusoid
@@ -62,7 +62,9 @@ def front_section(scope: Scope) -> Section:
     measured = np.array([[measure(scope, trade_off, i, axis) for axis in axes] for i in trade_off.marked])
     norms = np.array([trade_off.points[i].values for i in trade_off.marked])
     meanings = [f"{axis.name.replace('_', ' ')} is the {axis.meaning}{f' [{axis.unit}]' if axis.unit else ''}" for axis in axes]
-    text = [f"Static gains on what {name} measures; {'; '.join((*meanings, *judged_lines(trade_off.points[0].controller)))}."]
+    text = [
+        f"Static gains on what {as_name(name)} measures; {'; '.join((*meanings, *judged_lines(trade_off.points[0].controller)))}."
+    ]
     text.append(f"{'; '.join(sentences(trade_off))}.")
     with np.errstate(all="ignore"):
         shares = (measured / norms)[np.isfinite(measured) & (norms > 0)]

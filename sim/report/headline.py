@@ -4,11 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from models.common.printed import percent
+from models.common.printed import as_name, percent
 from models.figures.page import State
 from models.roads.road import Bump
 from sim.linear.dampers import is_linear
-from sim.report.scope import BUMP_DURATION, Scope, at_most, joined, percents
+from sim.report.scope import Scope, at_most, joined, names_text, percents
 from sim.response.regime import REGIME_ENDS
 from sim.runs.dampers import shortfalls
 from sim.runs.report import NO_STATE
@@ -48,25 +48,26 @@ def loops(scope: Scope) -> list[Statement]:
             )
         )
     for one in scope.controllers:
+        who = as_name(one.name)
         if not one.certificate.stable and one in scope.stable:
             text = (
-                f"{one.name} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
+                f"{who} is stable as built, and UNSTABLE as the ideal loop, without its computer: it has no ideal norm and "
                 "no margins."
             )
             statements.append(Statement(text))
         elif not one.certificate.stable:
-            statements.append(Statement(f"{one.name}'s loop is UNSTABLE, so only its bump is reported.", "ends"))
+            statements.append(Statement(f"The loop of {who} is UNSTABLE, so only its bump is reported.", "ends"))
         elif one not in scope.stable:
-            text = f"{one.name} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
+            text = f"{who} is stable ideally and UNSTABLE as built, so only its design and its bump are reported."
             statements.append(Statement(text, "ends"))
         if broken := [promise for promise in one.specifications if not promise.holds]:
             more = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
-            text = f"{one.name} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
+            text = f"{who} DOES NOT KEEP the goals that the vehicle file has for it: {broken[0].text}{more}."
             statements.append(Statement(text, "ends"))
     if scope.laws:
         statements.append(
             Statement(
-                f"Of {joined([one.name for one in scope.laws])} there is no linear claim, as "
+                f"Of {names_text(one.name for one in scope.laws)} there is no linear claim, as "
                 f"{'each' if len(scope.laws) > 1 else 'it'} is {scope.kind_of_laws}: no norm, bound or margin, and no height "
                 f"up to which analysis is true. MuJoCo drives {'them' if len(scope.laws) > 1 else 'it'} as it drives the others, "
                 f"and is held against {_held_against(scope)}."
@@ -89,21 +90,22 @@ def norms(scope: Scope) -> list[Statement]:
         return []
     least = min(values, key=lambda name: values[name])
     passive = scope.designer.design("passive").certificate.norm.value
-    each = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+    each = ", ".join(f"{as_name(name)} {value:.4g}" for name, value in values.items())
     text = f"H-infinity norms of the ideal loop{scope.loop_qualifier}: {each}."
     if ahead := [one.name for one in scope.controllers if one.preview is not None and one.name in values]:
-        text += f" That of {joined(ahead)} is of the feedback alone, without the road ahead."
+        text += f" That of {names_text(ahead)} is of the feedback alone, without the road ahead."
     if least != "passive" and math.isfinite(passive):
         share = values[least] / passive - 1
-        text += f" The least is {least}'s, {percents(share)} % {'below' if share < 0 else 'above'} the passive suspension's."
+        change = f"{percents(share)} % {'below' if share < 0 else 'above'}"
+        text += f" The least is that of {as_name(least)}, {change} the passive suspension's."
     if scope.built_norms:
-        built = ", ".join(f"{name} {value.value:.4g}" for name, value in scope.built_norms.items())
+        built = ", ".join(f"{as_name(name)} {value.value:.4g}" for name, value in scope.built_norms.items())
         text += f" As built{scope.noise_qualifier}, at a step of {1e3 * scope.timestep:g} ms: {built}."
     return [Statement(text)]
 
 
 def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
-    """Returns statements on the agreement of MuJoCo with linear analysis over the paper's bump, and its end."""
+    """Returns statements on the agreement of MuJoCo with linear analysis over the road, and its end."""
     built = "" if scope.is_ideal else " of the loop as built"
     which = f"{scope.analysis}{built}"
     throughout = [run.controller.name for run in runs if run.agreement.agrees and math.isinf(run.agreement.until)]
@@ -111,25 +113,25 @@ def over_the_bump(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if throughout:
         statements.append(
             Statement(
-                f"Over the paper's bump MuJoCo agrees with {which} throughout its {BUMP_DURATION:g} s for "
-                f"{joined(throughout)}{_how(scope, runs)}."
+                f"Over {scope.where} MuJoCo agrees with {which} throughout its {scope.duration:g} s for "
+                f"{names_text(throughout)}{_how(scope, runs)}."
             )
         )
     for run in runs:
         until = run.agreement.until
         if run.agreement.agrees and until < math.inf:
             text = (
-                f"Over the paper's bump, {run.controller.name} agrees with {which} until {until:.3g} s of "
-                f"{BUMP_DURATION:g} s: {what_ended(run)}."
+                f"Over {scope.where}, {as_name(run.controller.name)} agrees with {which} until {until:.3g} s of "
+                f"{scope.duration:g} s: {what_ended(run)}."
             )
             statements.append(Statement(text, "ends"))
     wrong = [run.controller.name for run in runs if not run.agreement.agrees]
     if wrong:
-        text = f"Over the paper's bump MuJoCo DOES NOT AGREE with {which} for {joined(wrong)}."
+        text = f"Over {scope.where} MuJoCo DOES NOT AGREE with {which} for {names_text(wrong)}."
         statements.append(Statement(text, "fails"))
     unbalanced = [run.controller.name for run in runs if run.energy is not None and not run.energy.balances]
     if unbalanced:
-        text = f"Over the paper's bump energy DOES NOT BALANCE{built} for {joined(unbalanced)}: see the table of energy."
+        text = f"Over {scope.where} energy DOES NOT BALANCE{built} for {names_text(unbalanced)}: see the table of energy."
         statements.append(Statement(text, "fails"))
     return statements
 
@@ -148,8 +150,8 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
     if not missing:
         return []
     text = (
-        f"Over the paper's bump adjustable dampers leave out, of the force that they are asked for (rms): "
-        f"{joined([f'{share} of {name}' + chr(39) + 's' for name, share in missing.items()])}. Norms, frequency responses and "
+        f"Over {scope.where} adjustable dampers leave out, of the force that they are asked for (rms): "
+        f"{joined([f'{share} with {as_name(name)}' for name, share in missing.items()])}. Norms, frequency responses and "
         "margins are of the loop whose every force is given, and say nothing of these rides."
     )
     return [Statement(text, "ends" if most > HALF else "holds")]
@@ -158,7 +160,7 @@ def left_short(scope: Scope, runs: Sequence[Run]) -> list[Statement]:
 def left_out(scope: Scope) -> list[Statement]:
     """Returns a statement on the controllers of the vehicle file that are not on the page."""
     names = [name for name in scope.vehicle.controller_names if name not in {one.name for one in scope.driven}]
-    return [Statement(f"Not on this page, though in the vehicle file: {joined(names)}.")] if names else []
+    return [Statement(f"Not on this page, though in the vehicle file: {names_text(names)}.")] if names else []
 
 
 def _how(scope: Scope, runs: Sequence[Run]) -> str:
@@ -199,9 +201,11 @@ def responses(scope: Scope, lines: Sequence[Lines], sweeps: Sequence[Sweep]) -> 
     ]
     for one in sweeps:
         if not one.ended:
-            statements += [Statement(f"A claim fails. {one.lines.controller.name}: {text}.", "fails") for text in failures(one)]
+            statements += [
+                Statement(f"A claim fails. {as_name(one.lines.controller.name)}: {text}.", "fails") for text in failures(one)
+            ]
         else:
-            text = f"{one.lines.controller.name}'s sweep left the linear regime: {joined(list(one.ended))}."
+            text = f"The sweep of {as_name(one.lines.controller.name)} left the linear regime: {joined(list(one.ended))}."
             statements.append(Statement(text, "ends"))
     return statements
 
@@ -212,14 +216,14 @@ def unclaimed(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequenc
     return [one.name for one, _ in ends if one.name in wrong]
 
 
-def unclaimed_words(ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
+def unclaimed_words(scope: Scope, ends: Sequence[tuple[Controller, RegimeEnd | None]], runs: Sequence[Run]) -> str:
     """Describes the controllers without a claimed height; empty if there are none of them."""
     names = unclaimed(ends, runs)
     if not names:
         return ""
     return (
-        f"For {joined(names)} no height is claimed below which the analysis is true: over the paper's bump MuJoCo does not "
-        "agree with it."
+        f"For {names_text(names)} no height is claimed below which the analysis is true: over {scope.where} MuJoCo "
+        "does not agree with it."
     )
 
 
@@ -227,23 +231,23 @@ def regime(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, RegimeEnd 
     """Up to which height of a bump the linear regime holds, as MuJoCo has it on both sides, where it holds over the paper's."""
     if not ends:
         return []
-    wrong, none = unclaimed(ends, runs), unclaimed_words(ends, runs)
+    wrong, none = unclaimed(ends, runs), unclaimed_words(scope, ends, runs)
     ends = [(one, end) for one, end in ends if one.name not in wrong]
     heights: list[str] = []
     statements = [Statement(none, "fails")] if none else []
     for one, end in ends:
         if end is None:
-            heights.append(f"{one.name} at no height")
+            heights.append(f"{as_name(one.name)} at no height")
         elif not end.confirmed:
             text = (
-                f"MuJoCo DOES NOT end {one.name}'s linear regime as predicted, by {end.predicted_end} at {end.predicted:.4g} m: "
-                f"see the table."
+                f"MuJoCo DOES NOT end the linear regime of {as_name(one.name)} as predicted, by {end.predicted_end} "
+                f"at {end.predicted:.4g} m: see the table."
             )
             statements.append(Statement(text, "fails"))
         else:
             height = (end.stays + end.leaves) / 2
             predicted = f", predicted {end.predicted:.3g}" if f"{end.predicted:.3g}" != f"{height:.3g}" else ""
-            heights.append(f"{one.name} {height:.3g} m ({end.end}{predicted})")
+            heights.append(f"{as_name(one.name)} {height:.3g} m ({end.end}{predicted})")
     comma = "," if scope.blurred else ""
     errors = [end.error for _, end in ends if end is not None and end.confirmed]
     which = scope.analysis if scope.vehicle.dampers else "the linear regime"

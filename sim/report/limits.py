@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import Column, cell, cells, percent, titles
+from models.common.printed import Column, as_name, cell, cells, percent, titles
 from models.figures.figure import Figure
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
@@ -60,13 +60,15 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         agrees = loop.agrees and fragile.agrees
         verdict = "agrees" if agrees else "DOES NOT AGREE"
         if not agrees:
-            statements.append(Statement(f"MuJoCo DOES NOT AGREE with {one.name}'s predicted margins: see the table.", "fails"))
+            statements.append(
+                Statement(f"MuJoCo DOES NOT AGREE with the predicted margins of {as_name(one.name)}: see the table.", "fails")
+            )
         others = ("-", "-", "-", "-")
         if box is not None:
             at = ", ".join(f"{key.replace('_', ' ')} {value:.4g}" for key, value in box.at.items())
             others = (cell(box.norm, ".5g"), f"{box.computed}", at, "same" if box.holds else "NOT THE SAME")
             if not box.holds:
-                text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {one.name}: see the table of margins."
+                text = f"MuJoCo and analysis DO NOT AGREE on other vehicles with {as_name(one.name)}: see the table of margins."
                 statements.append(Statement(text, "fails"))
         robust.append((one.name, f"{one.certificate.norm.value:.5g}", *others, verdict))
         figures.append(replace(margins_figure(vehicle, one, loop, fragile, box, timestep), name=f"margins-{one.name}"))
@@ -95,7 +97,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
         "each force bears any complex factor f with |f - 1| / |f + 1| below half of it. Other vehicles, with the ideal loop: "
         f"{varied_text(vehicle.kind)}.",
     )
-    text = (*text, *(f"{one.name}: {promise.text}." for one in scope.active for promise in one.robustness))
+    text = (*text, *(f"{as_name(one.name)}: {promise.text}." for one in scope.active for promise in one.robustness))
     if not scope.is_ideal:
         about = f"without [implementation]{scope.lag}: what is asked is how much of a delay or sample period it would bear"
         about += f", and its {scope.vehicle.implementation.noise_text} is not tried" if scope.blurred else ""
@@ -127,7 +129,7 @@ def regime_section(scope: Scope, bump: Bump, ends: Sequence[tuple[Controller, Re
         f"{scope.noise_qualifier}: up to which height nothing breaks, from one linear run of the loop as it "
         "runs, and the two nearest heights in MuJoCo, of which the first breaks nothing and the second does.",
     )
-    if none := unclaimed_words(ends, runs):
+    if none := unclaimed_words(scope, ends, runs):
         text = (*text, f"{none} What stands here of it is only when something breaks.")
     caption = "Up to which height of a bump nothing breaks: predicted, and the two runs of MuJoCo that enclose it."
     table = Table("regime", caption, ("controller", *titles(REGIME)), tuple(rows), words=2)
@@ -157,7 +159,7 @@ def map_of(scope: Scope, number: int) -> Map:
         f"{100 * cells.agreement:.2f} %",
         f"{cells.unexplained}",
     )
-    text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of {one.name}'s map."
+    text = f"MuJoCo DOES NOT break as predicted in {percent(1 - cells.agreement)} of the map of {as_name(one.name)}."
     findings = () if cells.as_predicted else (Statement(text, "fails"),)
     named = replace(figure, name=f"map-{one.name}", title=f"{figure.title}{scope.noise_qualifier}")
     return Map(named, row, findings)

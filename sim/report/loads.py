@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.common.printed import Column, cell, cells, titles
+from models.common.printed import Column, as_name, cell, cells, titles
 from models.figures.figure import Curve, Figure, Panel, thinned
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
@@ -17,7 +17,7 @@ from models.vehicle.names import PLUS
 from models.vehicle.vehicle import Vehicle
 from sim.linear.nonlinear_elements import at_rest_words
 from sim.report.headline import Statement
-from sim.report.scope import Scope, joined
+from sim.report.scope import Scope, names_text
 from sim.runs.forces import pushed
 from sim.runs.report import verdict_lines
 from sim.runs.run import Run, run_controllers, sample_times
@@ -71,14 +71,17 @@ def loads_section(scope: Scope) -> tuple[Section, list[Statement]]:
         f"body's weight at the height of its centre of mass; {_carried(vehicle)}Dive is nose down, squat nose up; of the loads "
         "controllers know what they measure."
     ]
-    text += [f"{run.controller.name}: {line}." for run in runs for line in verdict_lines(run)]
+    text += [f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run)]
     wrong = [run.controller.name for run in runs if not run.passed]
     findings = (
-        [Statement(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {joined(wrong)}.", "fails")] if wrong else []
+        [Statement(f"Under the loads MuJoCo DOES NOT AGREE with {scope.analysis} for {names_text(wrong)}.", "fails")]
+        if wrong
+        else []
     )
     if not wrong:
-        agreed = joined([run.controller.name for run in runs])
-        findings = [Statement(f"Under {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
+        under = "Under" if scope.own_road is None else "On a flat road, under"
+        agreed = names_text(run.controller.name for run in runs)
+        findings = [Statement(f"{under} {names} MuJoCo agrees with {scope.analysis} for {agreed}: {_leaning(rows)}.")]
     pivot = Pivot(("metric", "unit"), "controller", ("MuJoCo",))
     table = Table("loads", caption, headings, tuple(rows), words=3, pivot=pivot)
     figure = Figure("loads", _title(names), tuple(_panels(scope, road, runs)), columns=2)
@@ -105,7 +108,7 @@ def _leaning(rows: Sequence[Sequence[str]]) -> str:
     kinds = kinds or list(dict.fromkeys(row[1] for row in rows))
     said = []
     for kind in kinds:
-        values = [f"{row[0]} {row[3]}" for row in rows if row[1] == kind]
+        values = [f"{as_name(row[0])} {row[3]}" for row in rows if row[1] == kind]
         if any(float(row[3]) > 1e-6 for row in rows if row[1] == kind and row[3] != "-"):
             unit = next(row[2] for row in rows if row[1] == kind)
             said.append(f"{kind} [{unit}] {', '.join(values)}")

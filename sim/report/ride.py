@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.common.printed import Column
+from models.common.printed import Column, as_name
 from models.figures.figure import Curve, Figure, Panel, Style
 from models.figures.page import Section, Table
 from models.figures.reading import Pivot
@@ -134,7 +134,7 @@ def _best_ride(rides: Sequence[Ride]) -> str:
     least = min(some, key=lambda one: one.measured)
     passive = next((one.measured for one in some if one.controller == PASSIVE), math.nan)
     size = f"{least.measured:.3g} {least.unit}{change_text(least.measured, passive)}"
-    return f"{least.controller} rides best over roads of class {AVERAGE}: {size}."
+    return f"{as_name(least.controller)} rides best over roads of class {AVERAGE}: {size}."
 
 
 def ride_text(vehicle: Vehicle) -> str:

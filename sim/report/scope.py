@@ -1,15 +1,17 @@
 """Data shared by the sections of a report: its subject, its loops, common results, and the format of numbers."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from models.common.printed import Column
+from models.common.printed import Column, as_name
 from models.figures.figure import Style, styles
 from models.roads.load import Load
+from models.roads.road import Bump, Road
 from models.vehicle.limits_and_implementation import Limits, steps_per_sample
+from models.vehicle.names import PASSIVE
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import sample_times
 from sim.studies.frequency.identification import check
@@ -56,6 +58,9 @@ class Scope:
         front: the axes of a trade-off, as `--front` has them; None without one.
         loads: that are put on the body on a flat road.
         exported: the folder of exported code that is reported; None without one.
+        own_road: the road that all is driven over in place of the paper's bump; None for that.
+        road_name: its name, as it was given.
+        duration: of the runs over either [s].
     """
 
     vehicle: Vehicle
@@ -68,6 +73,24 @@ class Scope:
     front: str | None = None
     loads: tuple[Load, ...] = ()
     exported: Exported | None = None
+    own_road: Road | None = None
+    road_name: str = ""
+    duration: float = BUMP_DURATION
+
+    @property
+    def road(self) -> Road:
+        """Returns the road that all is driven over."""
+        return self.own_road or Bump()
+
+    @property
+    def where(self) -> str:
+        """Returns that road in a few words."""
+        return "the road" if self.own_road is not None else "the paper's bump"
+
+    @property
+    def speed(self) -> float:
+        """Returns the speed that sinusoids are driven at [m/s]: on a rig, where the vehicle stands, that of the paper's bump."""
+        return self.road.speed or Bump().speed
 
     @property
     def stem(self) -> str:
@@ -238,7 +261,12 @@ def change_text(value: float, passive: float) -> str:
     if not (math.isfinite(value) and math.isfinite(passive) and passive > 0):
         return ""
     share = value / passive - 1
-    return f", {percents(share)} % {'above' if share > 0 else 'below'} passive" if abs(share) >= LEAST else ""
+    return f", {percents(share)} % {'above' if share > 0 else 'below'} {as_name(PASSIVE)}" if abs(share) >= LEAST else ""
+
+
+def names_text(names: Iterable[str]) -> str:
+    """Returns names of controllers in a sentence: `a`, `b` and `c`."""
+    return joined([as_name(name) for name in names])
 
 
 def joined(words: list[str]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.common.printed import Column, cell
+from models.common.printed import Column, as_name, cell
 from models.figures.figure import Bars, Figure, Panel, styles
 from models.figures.page import Section, Table
 from models.vehicle.names import PASSIVE
@@ -27,21 +27,21 @@ PANELS = {  # of the first figure, by measure
 
 
 def first_screen(
-    scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], rides: bool
+    scope: Scope, runs: Sequence[Run], compared: Sequence[Standing], dive: Mapping[str, float], where: str
 ) -> Section:
     """Returns what is seen first: requirements where there are some, who is best at what, and the same as bars.
 
     Args:
-        compared: the controllers' standings, over random roads or, without rides, over the bump.
+        compared: the controllers' standings, over the roads of `compared_on`.
         dive: of every controller under braking [deg]; empty for a vehicle that cannot pitch.
-        rides: True if they are over random roads.
+        where: on which roads, in words.
     """
     wanted = requirements_table(scope, runs)
-    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, rides))
-    return Section("", "", (), tables, (compared_figure(scope, compared, dive, rides),))
+    tables = (*((wanted,) if wanted is not None else ()), compared_table(compared, dive, where))
+    return Section("", "", (), tables, (compared_figure(scope, compared, dive, where),))
 
 
-def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[str, float], rides: bool) -> Figure:
+def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[str, float], where: str) -> Figure:
     """Returns bars of ride, travel, tyre load, force and dive of every controller in MuJoCo."""
     names = tuple(one.controller for one in compared)
     look = {**styles((PASSIVE,)), **scope.styles}
@@ -65,7 +65,7 @@ def compared_figure(scope: Scope, compared: Sequence[Standing], dive: Mapping[st
         values = np.array([dive.get(name, math.nan) for name in names])
         words = tuple(f"{value:.2g}°" if math.isfinite(value) else "-" for value in values.tolist())
         panels.append(Panel("Dive under 0.5 g of braking", "largest dive [deg]", "", (), Bars(names, values, words, colors)))
-    title = f"Shorter bars are better, ★ is the best. {compared_on(compared, rides)}. Percentages are against passive."
+    title = f"Shorter bars are better, ★ is the best. {where}. Percentages are against {as_name(PASSIVE)}."
     return Figure("summary", title, tuple(panels), columns=min(len(panels), 4), size=(3.4, 2.0), finding=f"{headline(compared)}.")
 
 
@@ -87,21 +87,23 @@ def trust_section(
         Column(f"{label} [{unit}], predicted", lambda run: roughness.get(run.controller.name, neither)[0], ".3g"),
         Column("in MuJoCo", lambda run: roughness.get(run.controller.name, neither)[1], ".3g"),
         Column(f"analysis true up to{scope.noise_qualifier}", lambda run: stated.get(run.controller.name, "-")),
-        Column("over the paper's bump", lambda run: _verdict(scope, run)),
+        Column(f"over {scope.where}", lambda run: _verdict(scope, run)),
     )
     caption = "What is claimed of each controller, what MuJoCo says, and up to which height of the bump the analysis is true."
     table = Table.of("summary", caption, columns, runs)
     return Section("Can these numbers be trusted?", "norm, prediction, physics", (), (table,))
 
 
-def compared_on(compared: Sequence[Standing], rides: bool) -> str:
-    """Describes the roads that controllers are compared on: random ones or, without rides, the bump."""
+def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, start: float) -> str:
+    """Describes the roads that controllers are compared on: the report's own from a time on [s], random ones, or the bump."""
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
+    if scope.own_road is not None:
+        where = f"{scope.road_name}, from {start:.4g} to {scope.duration:g} s"
     absent = "; -: unstable, or a run broke off" if any(not any(one.values.values()) for one in compared) else ""
     return f"MuJoCo, {where}{absent}"
 
 
-def compared_table(compared: Sequence[Standing], dive: Mapping[str, float], rides: bool) -> Table:
+def compared_table(compared: Sequence[Standing], dive: Mapping[str, float], where: str) -> Table:
     """Returns the table of who is best at what, with the dive [deg] where there is one."""
     columns, legend = compared_columns(compared)
     cells: dict[str, Sequence[str]] = {"controller": [one.controller for one in compared]}
@@ -111,7 +113,7 @@ def compared_table(compared: Sequence[Standing], dive: Mapping[str, float], ride
             cells[f"{column.measure.title}, %"] = [change or "-" for change in column.changes]
     if dive:
         cells[DIVE] = [cell(dive.get(one.controller), ".2g") for one in compared]
-    caption = f"Who is best at what, at the vehicle's worst point. {legend}{compared_on(compared, rides)}."
+    caption = f"Who is best at what, at the vehicle's worst point. {legend}{where}."
     return Table("compared", caption, tuple(cells), tuple(zip(*cells.values(), strict=True)))
 
 

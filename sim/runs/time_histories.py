@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import as_name
 from models.figures.axis import Axis, axis_of
 from models.figures.figure import Curve, Figure, Panel, Style, styles, thinned
 from sim.response.response import Response
@@ -136,7 +137,7 @@ def history_panels(
         title = f"{words}, {signal.symbol}"
         title += f", from {start:.4g} to {end:.4g} s" if during else ""
         gone = sorted((at, trace.run.controller.name) for trace, at in zip(traces, left, strict=True) if at < math.inf)
-        named = ", ".join(f"{who} at {at:.3g} s" for at, who in gone[:NAMED])
+        named = ", ".join(f"{as_name(who)} at {at:.3g} s" for at, who in gone[:NAMED])
         more = f" and {len(gone) - NAMED} more" if len(gone) > NAMED else ""
         title += f"\nleaves the axis: {named}{more}" if gone and not during else ""
         panels.append(
@@ -211,9 +212,11 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     if (during := _hardest_stretch(runs)) is not None:
         near = history_panels(runs, looks, _bounded, continuous=False, during=during)
         panels, columns, size = [panel for pair in zip(panels, near, strict=True) for panel in pair], 2, (6.5, 2.6)
-        note = f". Right: {during[0]:.4g} to {during[1]:.4g} s"
+        note = f". Each signal over all of the run, then from {during[0]:.4g} to {during[1]:.4g} s"
     broken = [
-        f"{run.controller.name} broke off at {off[1]:.3g} s ({off[0]})" for run in runs if (off := run.broke_off) is not None
+        f"{as_name(run.controller.name)} broke off at {off[1]:.3g} s ({off[0]})"
+        for run in runs
+        if (off := run.broke_off) is not None
     ]
     note += f". {', '.join(broken)}" if broken else ""
     kind = runs[0].vehicle.kind.name.replace("_", " ")
@@ -262,7 +265,7 @@ def _least(runs: Sequence[Run]) -> str:
         return ""
     least, most = min(peaks, key=lambda one: peaks[one]), max(peaks, key=lambda one: peaks[one])
     words, unit = name.replace("_", " "), runs[0].vehicle.kind.signal(name).unit.replace("s2", "s²")
-    return f"{least} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {most} has {peaks[most]:.3g}"
+    return f"{as_name(least)} has the lowest peak of {words}, {peaks[least]:.3g} {unit}; {as_name(most)} has {peaks[most]:.3g}."
 
 
 def _seen(traces: Sequence[_Trace]) -> list[Array]:

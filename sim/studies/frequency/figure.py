@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import as_name
 from models.figures.figure import Curve, Figure, Panel, Style
 from models.roads.spectrum import as_met
 from models.vehicle.names import PASSIVE
@@ -111,8 +112,10 @@ def _lowest_peak(curves: Sequence[Curve], signal: str, unit: str) -> str:
     least = min(peaks, key=lambda name: peaks[name])
     peak, at = peaks[least]
     share = 1 - peak / peaks[PASSIVE][0] if PASSIVE in peaks else 0.0
-    against = f", {100 * share:.0f} % below passive" if share >= 0.005 else ""
-    return f"{least} has the lowest peak of {signal.replace('_', ' ')}: {peak:.3g} {unit} per m/s at {at:.3g} Hz{against}."
+    against = f", {100 * share:.0f} % below {as_name(PASSIVE)}" if share >= 0.005 else ""
+    return (
+        f"{as_name(least)} has the lowest peak of {signal.replace('_', ' ')}: {peak:.3g} {unit} per m/s at {at:.3g} Hz{against}."
+    )
 
 
 def drawn_line(vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[Array, Array]:

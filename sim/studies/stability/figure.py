@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.common.arrays import Array
+from models.common.printed import as_name
 from models.figures.figure import BLUE, GREEN, PURPLE, VERMILLION, Curve, Figure, Marker, Panel, Shades
 from models.vehicle.limits_and_implementation import Implementation
 from models.vehicle.vehicle import Vehicle
@@ -85,7 +86,7 @@ def margins_figure(
     bears.append(f"a sample period of {1e3 * period:.3g} ms" if math.isfinite(period) else "any sample period that is tried")
     if math.isfinite(lead):
         bears.append(f"a phase of {min(lag, lead):.3g} rad" + (" (a lead)" if lead < lag else " (a lag)"))
-    finding = f"{controller.name} bears {', or '.join(bears)}, before its loop is unstable."
+    finding = f"{as_name(controller.name)} bears {', or '.join(bears)}, before its loop is unstable."
     return Figure("margins", title, tuple(panels), finding=finding)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.printed import finite, percent
+from models.common.printed import as_name, finite, percent
 from models.figures.figure import GREEN, VERMILLION, Classes, Curve, Figure, Marker, Panel, level
 from models.roads.load import Load
 from models.suspension import LEAVES
@@ -197,7 +197,7 @@ def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) ->
 
 def _figure(controller: Controller, cells: Cells, title: str, panel: Panel, threshold: float) -> Figure:
     holds = float(np.mean(cells.error[cells.done] <= threshold)) if cells.done.any() else 0.0
-    finding = f"With {controller.name} linear analysis holds for {percent(holds)} of these bumps."
+    finding = f"With {as_name(controller.name)} linear analysis holds for {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 

@@ -1,0 +1,200 @@
+"""Sketches of vehicles as SVG: a body on springs, dampers and forces over wheels, tyres and a road, with a text alternative.
+
+Lines and letters have the colour of the text around them, so that a sketch is legible on light and dark pages.
+"""
+
+import itertools
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from html import escape
+
+from models.figures.svg import drawn_text
+
+Part = tuple[str, str]  # "spring", "damper", "adjustable damper" or "force", and its symbol, as in "k_s"
+GREEK = {"phi": "φ", "theta": "θ"}
+SYMBOL = re.compile(r"([A-Za-z])(?:_(\w+))?")
+ARM, GAP, SIDE, COMPUTER = 44, 30, 46, 112  # between parts of a strut, between struts, beside them, and for the computer
+AHEAD = 120  # more of a road that is not flat
+BODY, HUB, GROUND, BELOW = (34, 78), (148, 174), 228, 60  # levels, downwards
+
+
+@dataclass(frozen=True)
+class Strut:
+    """A wheel with its suspension and its tyre.
+
+    Attributes:
+        place: along the view [m].
+        name: of the wheel; empty if there is one alone.
+        parts: between body and wheel, or road.
+        mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` stand on the road.
+        tyre: parts between wheel and road.
+        stopped: True with bump stops.
+    """
+
+    place: float
+    name: str
+    parts: tuple[Part, ...]
+    mass: str = ""
+    tyre: tuple[Part, ...] = ()
+    stopped: bool = False
+
+    @property
+    def half(self) -> float:
+        """Half of its width in the drawing."""
+        return ARM * max(len(self.parts), 1) / 2 + 8
+
+
+@dataclass(frozen=True)
+class View:
+    """A side of a vehicle.
+
+    Attributes:
+        struts: from left to right.
+        body: symbols in the body, as in "m_s, I_y".
+        spans: distances below the road: both ends [m], and a symbol.
+        bar: symbol of an anti-roll bar; empty without one.
+        computer: lines in the box of the computer; empty without one.
+    """
+
+    struts: tuple[Strut, ...]
+    body: str
+    spans: tuple[tuple[float, float, str], ...] = ()
+    bar: str = ""
+    computer: tuple[str, ...] = ()
+
+    @property
+    def middles(self) -> list[float]:
+        """Where the struts are drawn: in proportion to their places, and not into each other."""
+        pairs = list(itertools.pairwise(self.struts))
+        scale = max(((one.half + other.half + GAP) / (other.place - one.place) for one, other in pairs), default=0.0)
+        first = self.struts[0]
+        return [SIDE + first.half + scale * (strut.place - first.place) for strut in self.struts]
+
+    @property
+    def width(self) -> float:
+        """Of the drawing."""
+        return self.middles[-1] + self.struts[-1].half + (COMPUTER + 24) * bool(self.computer) + SIDE
+
+
+@dataclass(frozen=True)
+class Sketch:
+    """A vehicle as it is drawn.
+
+    Attributes:
+        title: what it is.
+        views: from above to below.
+        rows: symbol, meaning and value of everything that it shows or has; a symbol may be empty.
+    """
+
+    title: str
+    views: tuple[View, ...]
+    rows: tuple[tuple[str, str, str], ...]
+
+    @property
+    def single(self) -> "tuple[Sketch, ...]":
+        """Every view as a sketch of its own, to stand beside the others where there is room."""
+        return tuple(replace(self, views=(view,)) for view in self.views)
+
+
+def symbol_html(symbol: str) -> str:
+    """Returns symbols with their subscripts as HTML."""
+    return SYMBOL.sub(lambda one: f"<i>{one[1]}</i>{f'<sub>{GREEK.get(one[2], one[2])}</sub>' if one[2] else ''}", escape(symbol))
+
+
+def sketch_svg(sketch: Sketch, road: Callable[[float], float] | None = None, alone: bool = False) -> str:
+    """Returns a sketch as an SVG element, with its rows as text alternative.
+
+    Args:
+        road: place along the view [m] -> height of the road in the drawing, upwards; None for a flat one.
+        alone: True for a file of its own, in dark ink on white.
+    """
+    width, high = max(view.width for view in sketch.views) + AHEAD * (road is not None), GROUND + BELOW
+    parts = [f'<g transform="translate(0 {k * high})">{"".join(_view(view, road))}</g>' for k, view in enumerate(sketch.views)]
+    text = "; ".join(f"{meaning}{f' {symbol}' if symbol else ''}: {value}" for symbol, meaning, value in sketch.rows)
+    own = ' xmlns="http://www.w3.org/2000/svg" color="#1c1c1c" style="background:#ffffff"' if alone else ""
+    return (
+        f'<svg{own} role="img" viewBox="0 0 {width:g} {high * len(parts)}" width="{width:g}" height="{high * len(parts)}" '
+        'fill="none" stroke="currentColor" stroke-width="1.4" font-family="sans-serif" font-size="14">'
+        f"<title>{drawn_text(sketch.title)}</title><desc>{drawn_text(text)}</desc>{''.join(parts)}</svg>"
+    )
+
+
+def _view(view: View, road: Callable[[float], float] | None) -> Iterator[str]:
+    middles, first, last = view.middles, view.struts[0], view.struts[-1]
+    scale = (middles[-1] - middles[0]) / (last.place - first.place) if len(middles) > 1 else 1.0
+
+    def lift(x: float) -> float:
+        return road(first.place + (x - middles[0]) / scale) if road is not None else 0.0
+
+    left, right = middles[0] - first.half, middles[-1] + last.half
+    ends = range(int(left) - 38, int(right) + 39 + AHEAD * (road is not None), 4)
+    yield f'<path d="M{" L".join(f"{x} {GROUND - lift(x):.4g}" for x in ends)}" stroke-width="2.2"/>'
+    yield f'<path d="{"".join(f"M{x} {GROUND - lift(x):.4g}l-7 8" for x in ends[2::4])}" opacity=".5"/>'
+    yield from _box((left, right), BODY, view.body)
+    if view.bar:
+        middle = (left + right) / 2
+        yield f'<path d="M{left + 6:g} {BODY[1]}v9H{right - 6:g}v-9" stroke-width="3"/>{_letters(middle, 104, view.bar)}'
+    for strut, x in zip(view.struts, middles, strict=True):
+        yield from _strut(strut, x, lift(x))
+    for symbol, level in (("z_s", BODY[1]), ("z_u", HUB[1] - lift(middles[0])), ("z_r", GROUND - lift(middles[0]))):
+        if first.mass or symbol != "z_u":
+            yield f'<path d="M{left - 4:g} {level:.4g}h-18m9 0v-22m-4 7l4-7l4 7"/>{_letters(left - 32, level - 8, symbol)}'
+    for ends_of, symbol in ((span[:2], span[2]) for span in view.spans):
+        low, high = (middles[0] + scale * (place - first.place) for place in ends_of)
+        yield f'<path d="M{low:.4g} 258v12m0 -6H{high:.4g}m0 -6v12"/>{_letters((low + high) / 2, 280, symbol)}'
+    if view.computer:
+        box, low = (right + 24, right + 24 + COMPUTER), 106 + 17 * len(view.computer)
+        yield from _box(box, (92, low), *view.computer)
+        middle = sum(box) / 2
+        yield f'<path d="M{right:g} 56H{middle:g}V92M{box[0]:g} 113H{right + 2:g}" stroke-dasharray="5 3"/>'
+        yield f'<path d="M{middle - 4:g} 84l4 8l4-8M{right + 10:g} 109l-8 4l8 4"/>{_letters(middle - 12, 78, "y")}'
+
+
+def _strut(strut: Strut, x: float, lift: float) -> Iterator[str]:
+    """Yields a suspension with its wheel, which the road has lifted."""
+    top, low, road = HUB[0] - lift, HUB[1] - lift, GROUND - lift
+    for parts, ends, right in ((strut.parts, (BODY[1], top if strut.mass else road), 6), (strut.tyre, (low, road), 0)):
+        for k, (kind, symbol) in enumerate(parts):
+            yield from _part(kind, symbol, x + ARM * (k - (len(parts) - 1) / 2) - right, *ends)
+    if strut.stopped:
+        yield f'<path d="M{x - strut.half + 5:g} {BODY[1]}h10l-2 12h-6z" fill="currentColor"/>'
+    if strut.mass:
+        yield from _box((x - strut.half + 6, x + strut.half - 6), (top, low), strut.mass)
+    yield f'<circle cx="{x:.4g}" cy="{road:.4g}" r="3" fill="currentColor"/>{_letters(x, GROUND + 25, strut.name, plain=True)}'
+
+
+def _part(kind: str, symbol: str, x: float, top: float, low: float) -> Iterator[str]:
+    """Yields a spring, a damper or a force between two levels."""
+    middle, reach = (top + low) / 2, (low - top) / 2 - 6
+    if kind == "spring":
+        path = f"v6{''.join(f'l{d} {reach / 4:.4g}' for d in (-7, *(14, -14) * 3, 7))}V{low:.4g}"
+    elif kind == "force":
+        path = (
+            f"V{middle - 10:.4g}m0 20V{low:.4g}M{x - 10:g} {middle:.4g}a10 10 0 1 0 20 0a10 10 0 1 0 -20 0m10 6v-12m-3 4l3-4l3 4"
+        )
+    else:
+        path = f"V{middle:.4g}m-6 0h12m-14 -9v18h16v-18m-8 18V{low:.4g}"
+        path += f"M{x - 13:g} {middle + 12:.4g}l26 -24m-7 1l7 -1l-1 7" * (kind != "damper")
+    yield f'<path d="M{x:g} {top:.4g}{path}"/>{_letters(x + 19, middle + 4, symbol)}'
+
+
+def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) -> Iterator[str]:
+    width, height = across[1] - across[0], down[1] - down[0]
+    yield f'<rect x="{across[0]:.4g}" y="{down[0]:.4g}" width="{width:.4g}" height="{height:.4g}" rx="3"/>'
+    for k, line in enumerate(lines):
+        yield _letters(sum(across) / 2, sum(down) / 2 + 5 + 17 * (k - (len(lines) - 1) / 2), line)
+
+
+def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
+    """Returns a text around x; of symbols what follows _ is a subscript."""
+    if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
+        text = SYMBOL.sub(_subscripted, text)
+    else:
+        text = drawn_text(text)
+    return f'<text x="{x:.4g}" y="{y:.4g}" text-anchor="middle" fill="currentColor" stroke="none">{text}</text>' if text else ""
+
+
+def _subscripted(one: re.Match[str]) -> str:
+    low = f'<tspan dy="3" font-size="72%">{GREEK.get(one[2], one[2])}</tspan><tspan dy="-3">\u200b</tspan>' if one[2] else ""
+    return f'<tspan font-style="italic">{one[1]}</tspan>{low}'

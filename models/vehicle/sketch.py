@@ -1,0 +1,113 @@
+"""A vehicle file as a sketch: what its kind, its parameters, its limits and its computer are, drawn and in words."""
+
+import re
+from collections.abc import Iterator
+
+from models.figures.sketch import Sketch, Strut, View
+from models.kinds.kind import Wheel
+from models.kinds.signals import TYRE_DEFLECTION
+from models.vehicle.limits_and_implementation import Implementation
+from models.vehicle.vehicle import Vehicle
+
+AXLES = ("_front", "_rear")
+FIRST_WORD = re.compile(r"[A-Za-z]_\w+|[a-z](?=,)")  # of a parameter's meaning, if that is a symbol
+
+
+def vehicle_sketch(vehicle: Vehicle, computer: bool = True) -> Sketch:
+    """Returns the sketch of a vehicle of any kind: from the side and, if it has two tracks, from behind.
+
+    Kinds without the usual names of parameters are drawn by their wheels and suspensions, with the symbols k, c and m.
+
+    Args:
+        vehicle: the vehicle.
+        computer: False leaves out sensors and computer.
+    """
+    kind, given = vehicle.kind, vehicle.parameters
+    symbols = {one.name: word[0] for one in kind.parameters if (word := FIRST_WORD.match(one.meaning)) is not None}
+    axles = {-wheel.behind(given): wheel for wheel in reversed(kind.wheels)}  # the first wheel of each
+    mass = next((symbols.setdefault(name, "m") for name in ("sprung_mass", "mass") if name in given), "")
+    front, rear = (given.get(f"axle_distance{axle}", 0.0) for axle in AXLES)
+    letters = [symbols.get(f"axle_distance{axle}", "") for axle in AXLES]
+    spans = ((-front - rear, -front, letters[1]), (-front, 0.0, letters[0])) if front else ()
+    struts = [_strut(vehicle, wheel, place, _axle(wheel), symbols) for place, wheel in sorted(axles.items())]
+    body, box = [mass, *filter(None, [symbols.get("pitch_inertia")])], _box(vehicle.implementation) if computer else ()
+    views = [View(tuple(struts), ", ".join(body), spans, computer=box)]
+    across = {-wheel.lateral(given): wheel for wheel in kind.wheels if wheel.side and -wheel.behind(given) == min(axles)}
+    if len(across) > 1:
+        struts = [_strut(vehicle, wheel, place, wheel.side, symbols) for place, wheel in sorted(across.items())]
+        body, bar = [mass, *filter(None, [symbols.get("roll_inertia")])], "anti_roll_stiffness_rear"
+        span = (min(across), max(across), symbols.get("track", ""))
+        views.append(View(tuple(struts), ", ".join(body), (span,), symbols.get(bar, "") if given.get(bar) else ""))
+    title = f"{kind.name.replace('_', ' ')}{', from the side and from behind' * (len(views) > 1)}"
+    return Sketch(title, tuple(views), (*_parameters(vehicle, symbols), *_hardware(vehicle, computer)))
+
+
+def _axle(wheel: Wheel) -> str:
+    return wheel.road_body.removeprefix("road").removesuffix(wheel.side).replace("_", " ").strip()
+
+
+def _strut(vehicle: Vehicle, wheel: Wheel, place: float, name: str, symbols: dict[str, str]) -> Strut:
+    """Returns a wheel and its suspension; gives symbols to parameters that have none."""
+    kind, ending = vehicle.kind, wheel.tyre_deflection.removeprefix(TYRE_DEFLECTION.name)
+    one = next((one for one in kind.suspensions if one.ending == ending or one.deflection == wheel.tyre_deflection), None)
+    stands = one is not None and one.deflection == wheel.tyre_deflection  # the suspension itself is on the road
+
+    def symbol(letter: str, *names: str, ending: str = ending) -> str:
+        parameter = next(filter(None, (kind.of_corner(name, ending) for name in names)), "")
+        there = vehicle.parameters.get(parameter) or parameter in vehicle.curves
+        return symbols.setdefault(parameter, letter) if there else ""
+
+    tyre = [("spring", symbol("k", "tyre_stiffness", "stiffness") or "k"), ("damper", symbol("c", "tyre_damping"))]
+    if one is None:
+        return Strut(place, name, tuple(tyre[:1]))
+    parts = [
+        ("spring", symbol("k", one.stiffness, "stiffness", ending=one.ending)),
+        ("damper", symbol("c", one.damping, "damping", ending=one.ending)),
+        ("adjustable damper" if one.force in vehicle.dampers else "force", "u" if one.force else ""),
+    ]
+    return Strut(
+        place,
+        name,
+        tuple(part for part in parts if part[1]),
+        "" if stands else symbol("m", "unsprung_mass") or "m",
+        () if stands else tuple(part for part in tyre if part[1]),
+        vehicle.limits.stops_at(one.corner) is not None,
+    )
+
+
+def _box(how: Implementation) -> tuple[str, ...]:
+    """Returns the computer in a few letters."""
+    period, late, noise = how.sample_period, how.delay, how.noise_text
+    lines = [f"every {1e3 * period:g} ms"] if period is not None else []
+    lines += [f"{1e3 * late * period:g} ms late" if period is not None else f"{late:g} steps late"] if late else []
+    return ("computer", *lines, *([noise.replace(" and ", ", ")] if noise else [] if lines else ["ideal"]))
+
+
+def _parameters(vehicle: Vehicle, symbols: dict[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yields a row for each parameter, of both axles together."""
+    known, groups = {one.name: one for one in vehicle.kind.parameters}, dict[str, dict[str, str]]()
+    for name, value in vehicle.parameters.items():
+        if value or known[name].usual != 0:
+            axle = next((axle for axle in AXLES if name.endswith(axle)), "")
+            unit = known[name].unit.replace("m2", "m²").replace(" ", "·").removesuffix("1")
+            text = f"{value:g} {unit}".rstrip() + " with a curve" * (name in vehicle.curves)
+            groups.setdefault(name.removesuffix(axle), {})[axle] = text
+    for stem, texts in groups.items():
+        symbol = next((symbols[f"{stem}{axle}"] for axle in texts if f"{stem}{axle}" in symbols), "")
+        alike = len({*texts.values()}) == 1
+        value = (
+            next(iter(texts.values())) if alike else ", ".join(f"{text}{axle.replace('_', ' ')}" for axle, text in texts.items())
+        )
+        yield symbol, stem.replace("_", " "), value
+
+
+def _hardware(vehicle: Vehicle, computer: bool) -> Iterator[tuple[str, str, str]]:
+    """Yields rows on adjustable dampers, strokes and other limits, sensors and the computer."""
+    if vehicle.dampers:
+        yield "u", "force", "; ".join(dict.fromkeys(damper.words for damper in vehicle.dampers.values()))
+    yield "", "strokes and limits", ", ".join(vehicle.limits.phrases(vehicle.kind.suspensions)) or "none"
+    if computer:
+        measured = dict.fromkeys(name.replace("_", " ") for entry in vehicle.controllers.values() for name in entry.measured)
+        yield "y", "sensors", ", ".join(measured) or "none"
+        ideal = "ideal: a force at every step at once, from exact signals"
+        yield "", "computer", ", ".join(vehicle.implementation.phrases).replace("_", " ") or ideal
