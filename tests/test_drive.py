@@ -10,7 +10,8 @@ import pytest
 
 from models.common.errors import InputError
 from models.common.printed import percent
-from models.common.table import TIME, find_table
+from models.common.table import find_table
+from models.common.units import TIME
 from models.roads.road import Bump
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.drive import main

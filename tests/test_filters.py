@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from models.common.errors import InputError
-from models.vehicle.filter import WEIGHTINGS, Filter
+from models.laws.filter import WEIGHTINGS, Filter
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.bump import main as bump
 from sim.inspect.__main__ import main as inspect

@@ -8,8 +8,8 @@ from scipy import linalg
 
 from models.common.errors import InputError
 from models.kinds.kind import HERE
+from models.laws.filter import Filter
 from models.roads.choice import choose_road
-from models.vehicle.filter import Filter
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.runs.run import run_controllers, sample_times
 from synth.controller.problem import generalized_plant, plant_states

@@ -10,8 +10,8 @@ import pytest
 import sim.studies.frequency.sweep
 import sim.studies.frequency.worst_case_gain
 from models.common.errors import InputError
+from models.laws.filter import Filter
 from models.roads.road import Bump, under_wheels
-from models.vehicle.filter import Filter
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.frequency.identification import l2_gain

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.common.errors import InputError, listing, quoted
-from models.kinds.kind import VehicleKind, is_number
+from models.common.errors import InputError, listing, number_range, quoted
+from models.kinds.kind import LARGEST, SMALLEST, VehicleKind, is_number, is_within
+from models.kinds.signals import HEAVE_LOAD
 from models.laws import GOAL_KEYS
 
 if TYPE_CHECKING:
+    from models.laws.filter import Filter
     from models.laws.goals import Goals
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
-    from models.vehicle.filter import Filter
     from models.vehicle.limits_and_implementation import Limits
     from models.vehicle.weighted_errors import WeightedErrors
 
@@ -132,7 +133,7 @@ def check_weight(where: str, weight: Any) -> None:
 
 
 def _filter(where: str, given: Mapping[str, Any], integrates: bool) -> "Filter":
-    from models.vehicle.filter import KEYS, read_filter
+    from models.laws.filter import KEYS, read_filter
 
     for key in given:
         if key not in KEYS:
@@ -257,12 +258,25 @@ def weighted_errors_of(
 
 
 def loads_of(where: str, entry: Mapping[str, Any], loads: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Returns the weighted loads of a controller's section, empty by default; arguments and errors as for `weighed_loads`."""
+    """Returns the size of each weighted load [N, N m] of a controller's section that counts as much as 1 m/s of road, by name.
+
+    It is empty for a section without `loads`.
+
+    Raises:
+        InputError: a load is unknown, or a value is not allowed.
+    """
     if "loads" not in entry:
         return ()
-    from models.vehicle.weighted_loads import weighed_loads
-
-    return weighed_loads(where, entry, loads)
+    given = entry["loads"]
+    if not isinstance(given, Mapping) or not given:
+        raise InputError(f"{where} loads = {quoted(given)} is no table; give {{ load = so much as counts as 1 m/s of road }}")
+    for name, value in given.items():
+        if name not in loads:
+            raise InputError(f"{where} loads: unknown load {name!r}; this vehicle has {listing(loads)}")
+        if not (is_within(value, LARGEST) and value >= SMALLEST):
+            allowed = number_range(SMALLEST, LARGEST, "N" if name.startswith(HEAVE_LOAD.name) else "N m")
+            raise InputError(f"{where} loads: {name} = {quoted(value)} is not allowed; give {allowed}")
+    return tuple((name, float(value)) for name, value in given.items())
 
 
 def read_sampled(where: str, value: Any, period: Any) -> bool:

@@ -31,11 +31,11 @@ from models.vehicle.sections import (
 )
 
 if TYPE_CHECKING:
+    from models.laws.filter import Filter
     from models.suspension.adjustable_dampers import Adjustable
     from models.suspension.curve import ForceCurve
     from models.suspension.damper import Damper
     from models.suspension.fitted_curves import SuspensionCurve
-    from models.vehicle.filter import Filter
 
 
 def kinds(folder: Path = HERE) -> list[str]:

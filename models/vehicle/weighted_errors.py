@@ -9,8 +9,8 @@ from typing import Any
 
 from models.common.errors import InputError, listing, number_range, quoted
 from models.kinds.kind import is_number
+from models.laws.filter import POLYNOMIALS, Filter, read_filter
 from models.laws.goals import FORCE
-from models.vehicle.filter import POLYNOMIALS, Filter, read_filter
 
 SMALLEST, LARGEST = 1e-6, 1e6  # of a weight that is the same at all frequencies
 

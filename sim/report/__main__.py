@@ -114,7 +114,7 @@ def _reported(
         road = requested_road(vehicle, options, sample_times(vehicle, duration, options.timestep))
         name = PLUS.join([road_text(options), *options.loads]) + (f" at {road.speed:g} m/s" if road.laid else "")
         name += f", seed {options.seed}" if "seed" in options.given else ""
-    elif given := [name for name in ("speed", "seed", "duration") if name in options.given]:
+    elif given := [name for name in ("speed", "seed", "duration", "from") if name in options.given]:
         raise InputError(f"--{given[0]} is of a road, and none is given; give --road or --class, or leave --{given[0]} out")
     if options.front is not None:
         from sim.report.front import check_front

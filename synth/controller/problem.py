@@ -23,7 +23,7 @@ from synth.plant.augmented import System, append, gain, on_larger_plant, with_we
 from synth.plant.generalized import Feedback, GeneralizedPlant
 
 if TYPE_CHECKING:
-    from models.vehicle.filter import Filter
+    from models.laws.filter import Filter
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,10 +18,10 @@ from models.common.arrays import Array
 from models.common.quadrature import sample_band
 from models.common.threads import one_thread
 from models.kinds.signals import UNSPRUNG_ACCELERATION
+from models.laws.filter import WEIGHTINGS, Filter
 from models.roads.iso8608 import Iso8608
 from models.roads.road import track_width
 from models.roads.spectrum import longest_panel, sources
-from models.vehicle.filter import WEIGHTINGS, Filter
 from models.vehicle.vehicle import Vehicle
 from synth.controller.controller import Controller
 from synth.controller.open_loop import continuous, readings_of_road

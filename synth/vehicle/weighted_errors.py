@@ -14,9 +14,9 @@ import numpy as np
 from models.common.arrays import Array
 from models.kinds.linear_model import LinearModel
 from models.laws.combinations import FULL
+from models.laws.filter import Filter
 from models.laws.linear import LinearLaw
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.filter import Filter
 from models.vehicle.vehicle import Vehicle
 from models.vehicle.weighted_errors import WeightedErrors
 from synth.analysis.bounding import certify_tightly

@@ -21,11 +21,11 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.common.checks import AT_LEAST_ONE, Positive
 from models.common.errors import InputError
+from models.laws.filter import Filter
 from models.laws.linear import LinearLaw
 from models.roads.road import RoadInput
 from models.roads.sinusoids import chirp
 from models.roads.spectrum import as_met
-from models.vehicle.filter import Filter
 from models.vehicle.limits_and_implementation import Implementation, steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import continuous_frequency_response, sampled_frequency_response

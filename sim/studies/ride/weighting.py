@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.arrays import Array
-from models.vehicle.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
+from models.laws.filter import F1, F2, F3, F4, F5, F6, Q1, Q2, Q4, Q5, Q6
 
 FEW = 4  # signals, up to which plain numbers are faster than scipy, whose import takes half a second
 ORDER = 2
