@@ -94,6 +94,11 @@ class Limits:
         """The keys that limit actuators."""
         return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
 
+    @property
+    def without_actuators(self) -> "Limits":
+        """The limits of the suspensions alone."""
+        return replace(self, actuator_force=None, actuator_bandwidth=None)
+
     def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []

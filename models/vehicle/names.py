@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable
 
 from models.common.errors import InputError
 
+WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that runs can leave out
 PASSIVE = "passive"  # the controller without force, of every vehicle
 COPY = "_printed"  # ends the name of a controller that repeats another one with the numbers of a paper
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name

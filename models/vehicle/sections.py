@@ -193,8 +193,10 @@ def dampers_of(
         return {}, ()
     from models.suspension.adjustable_dampers import adjustable
     from models.suspension.damper import read_actuators
+    from models.vehicle.controllers import is_forced
 
-    dampers = read_actuators(data["actuators"], kind.corners, limits.of_actuators)
+    forced = any(is_forced(section) for section in data.get("controllers", {}).values())
+    dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
 
 

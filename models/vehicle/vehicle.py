@@ -88,6 +88,7 @@ class Vehicle(ShownVehicle):
         curves: of dampers and springs, by the parameter that each replaces.
         dampers: adjustable dampers in place of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
+        force_limits: limits with those of actuators that push, for the controllers that drive these in place of the dampers.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -108,6 +109,7 @@ class Vehicle(ShownVehicle):
     curves: Mapping[str, "ForceCurve"] = field(default_factory=dict)
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
     sums: tuple[WeightedSum, ...] = ()
+    force_limits: Limits | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -215,6 +217,32 @@ class Vehicle(ShownVehicle):
         damping = {suspension.force: suspension.damping for suspension in self.kind.suspensions}
         curves = {damping[damper.force]: damper.standing for damper in self.adjustable if damper.standing is not None}
         return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
+
+    @cached_property
+    def with_force_actuators(self) -> "Vehicle":
+        """The vehicle with the actuators of controllers with `actuators = "force"`, which push within `[limits]`."""
+        return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
+
+    def driven_by(self, name: str) -> "Vehicle":
+        """Returns the vehicle with the actuators that a controller drives: adjustable dampers, or those that push."""
+        forced = bool(self.dampers) and name in self.controllers and self.controllers[name].forced
+        return self.with_force_actuators if forced else self
+
+    def for_all(self, names: Sequence[str]) -> "Vehicle":
+        """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
+
+        Raises:
+            InputError: some drive dampers, others actuators that push.
+        """
+        named = [name for name in names if name in self.controllers]
+        pushing = [name for name in named if self.driven_by(name) is not self]
+        others = [name for name in named if name not in pushing]
+        if pushing and others:
+            raise InputError(
+                f"{listing(pushing)} drive actuators that push, and {listing(others)} adjustable dampers; this command takes "
+                "one sort: name the controllers of one with --controller"
+            )
+        return self.with_force_actuators if pushing else self
 
     @property
     def filtered(self) -> bool:
@@ -364,7 +392,7 @@ class Vehicle(ShownVehicle):
             from models.vehicle.integrals import check_integrals
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
-        if self.dampers:
+        if self.dampers and not entry.forced:
             from models.suspension.adjustable_dampers import check_measured
 
             check_measured(entry.name, entry.measured, self.dampers)
@@ -478,7 +506,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         controllers=controllers,
         text=text,
         source=source,
-        limits=limits,
+        limits=limits.without_actuators if dampers else limits,
+        force_limits=limits if dampers else None,
         implementation=implementation,
         filters=filters,
         road_filter=road_filter,

@@ -304,8 +304,17 @@ def shared_lines(said: Iterable[tuple[str, str]]) -> list[str]:
         for times in zip(*(times for _, times in some), strict=True):
             first, last = min(times, key=float), max(times, key=float)
             words = words.replace("... s", f"{first} s" if first == last else f"{first} to {last} s", 1)
-        lines += wrapped(f"{', '.join(name for name, _ in some)}: {words}", hang=4)
+        lines += wrapped(f"{joined_names([name for name, _ in some])}: {words}", hang=4)
     return lines
+
+
+def joined_names(names: Sequence[str]) -> str:
+    """Returns the names of runs on a line; those of several vehicles, `VEHICLE:CONTROLLER`, by vehicle."""
+    by_vehicle: dict[str, list[str]] = {}
+    for name in names:
+        vehicle, _, controller = name.rpartition(":")
+        by_vehicle.setdefault(vehicle, []).append(controller.replace(", no", " without"))
+    return "; ".join(f"{f'{vehicle}: ' if vehicle else ''}{', '.join(some)}" for vehicle, some in by_vehicle.items())
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:
