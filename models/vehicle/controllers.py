@@ -31,7 +31,7 @@ from models.laws.python_law import Programmed, PythonLaw, checked_preview, read_
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import goals_of, loads_of, read_sampled, weighted_errors_of, without_weighted_errors
+from models.vehicle.sections import PUSHING, goals_of, loads_of, read_sampled, weighted_errors_of, without_weighted_errors
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
@@ -45,7 +45,6 @@ CONTROLLER_KEYS = (
     "anti_windup",
     *("order", "stable", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
-PUSHING = "force"  # value of `actuators`
 RESERVED = ("passive", "state")  # these two always exist: u = 0, and full state feedback
 FASTEST_TRACKING = 1e6  # 1/s, of anti-windup
 SHORTEST, LONGEST = 1e-6, LONGEST_PERIOD  # s, of a discrete controller's sample period
@@ -202,11 +201,6 @@ def read_controllers(
         for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)
     return controllers
-
-
-def is_forced(section: Any) -> bool:
-    """Returns True if a controller's section says that it drives actuators that push."""
-    return isinstance(section, Mapping) and section.get("actuators") == PUSHING
 
 
 def _forced(where: str, section: Any) -> tuple[bool, Any]:

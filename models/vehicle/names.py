@@ -79,6 +79,27 @@ def is_load_file(text: str) -> bool:
     return text.strip().lower().endswith(".csv")
 
 
+def run_without(names: Iterable[str], part: str) -> list[str]:
+    """Returns the controllers, out of some, whose runs without a part differ: only limits matter to the passive vehicle."""
+    return [name for name in names if name != PASSIVE or part == "limits"]
+
+
+def variant_name(controller: str, part: str) -> str:
+    """Returns the name of a controller's run without a part in tables; the controller's own if it is as built."""
+    return f"{controller}, no {part}" if part else controller
+
+
+def logged_name(controller: str, part: str) -> str:
+    """Returns the name of such a run in a log."""
+    return f"{controller}-no_{part}" if part else controller
+
+
+def logged_part(name: str, controller: str) -> str:
+    """Returns the part that a logged run leaves out, from its name; empty for a run as built."""
+    part = name.removeprefix(f"{controller}-no_") if name != controller else ""
+    return part if part in WITHOUT else ""
+
+
 def without_copies(names: Iterable[str]) -> list[str]:
     """Returns names of controllers without printed copies of others, as `I_printed` is of `I`."""
     every = list(names)

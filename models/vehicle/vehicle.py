@@ -18,6 +18,7 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
+from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
     curves_and_parameters,
@@ -27,6 +28,7 @@ from models.vehicle.sections import (
     read_sums,
     road_files,
     whole_text,
+    with_payload,
 )
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     return read_kind(folder, name)
 
 
-SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators")
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators", "payload")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -243,6 +245,26 @@ class Vehicle(ShownVehicle):
                 "one sort: name the controllers of one with --controller"
             )
         return self.with_force_actuators if pushing else self
+
+    def without(self, part: str) -> "Vehicle":
+        """Returns the vehicle without a part of its limits or implementation; itself if its file has no such part.
+
+        Args:
+            part: `noise` is noise and quantisation, `delay` that of the forces, `limits` the largest force and the bump stops, and
+                `lag` that of actuators or valves.
+
+        Raises:
+            InputError: the part is another one.
+        """
+        if part not in WITHOUT:
+            raise InputError(f"without {part!r} is not known; known: {listing(WITHOUT)}")
+        how, dampers = self.implementation, self.dampers
+        how = how.without_noise if part == "noise" else replace(how, delay=0) if part == "delay" else how
+        if part == "lag":
+            dampers = {force: replace(damper, bandwidth=None) for force, damper in dampers.items()}
+        pushing = self.force_limits and self.force_limits.without(part)
+        parts = {"limits": self.limits.without(part), "force_limits": pushing, "implementation": how, "dampers": dampers}
+        return self if all(getattr(self, name) == one for name, one in parts.items()) else replace(self, **parts)
 
     @property
     def filtered(self) -> bool:
@@ -484,8 +506,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
 
     vehicle_kind = kind(data["type"], folder)
     curves, parameters = curves_and_parameters(data, vehicle_kind)
-    model = vehicle_kind.whole_model(parameters)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
+    parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
+    model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
     sampled = read_sampled("[implementation]", data.get("implementation", {}).get("sampled", False), implementation.sample_period)
     section = data.get("controllers", {})

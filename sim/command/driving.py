@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.figures.outputs import check_outputs, written, written_lines
 from models.roads.road import Road
-from models.vehicle.variants import has_part, logged_name, run_without, variant_name, without
+from models.vehicle.names import logged_name, run_without, variant_name
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines
@@ -90,7 +90,8 @@ class Driven:
 def _named(run: Run, name: str) -> Run:
     if run.controller.name == name:
         return run
-    return replace(run, prediction=replace(run.prediction, controller=replace(run.controller, name=name)))
+    controller: Any = run.controller  # each kind of driver is a dataclass with a name
+    return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Measured:
 
 
 def drive(
-    options: Namespace, road_of: Callable[[Vehicle, Namespace, Array], Road], where: Callable[[Road], str], rides: bool = False
+    options: Namespace, road_of: Callable[[Vehicle, Namespace, Array], Road], where: Callable[[Any], str], rides: bool = False
 ) -> int:
     """Runs the command; returns its exit code.
 
@@ -224,7 +225,7 @@ def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None
     for part in options.without:
         if options.without.count(part) > 1:
             raise InputError(f"--without {part} is given twice; give it once")
-        if not any(has_part(vehicle, part) for vehicle in vehicles.values()):
+        if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
             raise InputError(
                 f"--without {part}: no vehicle file has that in [limits], [implementation] or [actuators]; leave it out"
             )
@@ -240,8 +241,9 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
     runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
     drivers, parts = {run.controller.name: run.controller for run in runs}, [""] * len(runs)
     for part in options.without:
-        if has_part(vehicle, part) and (some := run_without(list(drivers), part)):
-            runs += run_controllers(without(vehicle, part), [drivers[name] for name in some], road, time)
+        own, some = vehicle.without(part), run_without(drivers, part)
+        if own is not vehicle and some:
+            runs += run_controllers(own, [drivers[name] for name in some], road, time)
             parts += [part] * len(some)
     return Driven(vehicle, title, names, runs, parts, design)
 

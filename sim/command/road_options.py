@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser, chosen_of
-from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file
+from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file, logged_name, run_without
 
 if TYPE_CHECKING:
     from models.vehicle.limits_and_implementation import Implementation
@@ -54,16 +54,14 @@ def add_vehicles(parser: Parser) -> None:
 
 def driven_names(vehicle: "Vehicle", options: argparse.Namespace) -> "tuple[list[str], Callable[[str, Implementation], bool]]":
     """Returns the controllers of a log's runs in their order, and the check of a run's name and implementation."""
-    from models.vehicle.variants import has_part, logged_name, run_without, without
-
     names = chosen_of({"": vehicle.controller_names}, options.controller, partly=len(options.vehicles) > 1)[""]
     runs = {name: vehicle.implementation for name in names}
     every = list(names)
     for part in options.without:
-        if has_part(vehicle, part):
+        if (own := vehicle.without(part)) is not vehicle:
             some = run_without(names, part)
             every += some
-            runs |= {logged_name(name, part): without(vehicle, part).implementation for name in some}
+            runs |= {logged_name(name, part): own.implementation for name in some}
     return every, lambda name, how: runs.get(name) == how
 
 

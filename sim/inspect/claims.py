@@ -13,7 +13,7 @@ from models.common.printed import finite
 from models.kinds.signals import is_kept
 from models.laws.combinations import PREVIEW, QUADRATIC
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.variants import logged_name
+from models.vehicle.names import logged_name
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
     FAILS,

@@ -23,7 +23,7 @@ from models.roads.description import described_road
 from models.roads.road import Road, RoadInput
 from models.vehicle.controllers import LARGEST, ControllerEntry
 from models.vehicle.limits_and_implementation import read_implementation, read_limits
-from models.vehicle.variants import logged_part, without
+from models.vehicle.names import logged_part
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from models.vehicle.vehicle import kinds as kind_names
 from sim.inspect.log import RESPONSES, Recorded, RecordedRun
@@ -81,7 +81,7 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     """
     name = run.claims.get("name", "")
     if part := logged_part(run.name, name):
-        vehicle = without(vehicle, part)
+        vehicle = vehicle.without(part)
     vehicle = vehicle.driven_by(name)
     limits = read_limits(_given(run.claim("limits"), "limits"), vehicle.kind.suspensions)
     if limits != vehicle.limits:

@@ -13,8 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import GAP, finite, table, wrapped
 from models.suspension.bump_stops import SIDES
-from models.vehicle.names import PASSIVE
-from models.vehicle.variants import variant_name
+from models.vehicle.names import PASSIVE, variant_name
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from sim.studies.ride.metrics import dynamic_load, off_ground, points
@@ -64,7 +63,7 @@ class Standing:
         values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: the part of the vehicle that this run leaves out, see `models.vehicle.variants`; empty as built.
+        without: the part of the vehicle that this run leaves out, see `Vehicle.without`; empty as built.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
             A side without a stop is left out; empty without strokes or a run.
     """
