@@ -35,7 +35,8 @@ def laden(
     several = bool(section) and all(isinstance(one, Mapping) for one in section.values())
     named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
     model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
-    heavier, shift = dict(parameters), dict.fromkeys(PLACE, 0.0)
+    heavier = dict(parameters)
+    shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
     if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:
         raise InputError("[payload]: this vehicle has no sprung_mass that goes up and down; leave it out")
     springs = [part.stiffness for part in kind.suspensions if part.stiffness in curves]

@@ -250,7 +250,7 @@ class Vehicle(ShownVehicle):
         """Returns the vehicle without a part of its limits or implementation; itself if its file has no such part.
 
         Args:
-            part: `noise` is noise and quantisation, `delay` that of the forces, `limits` the largest force and the bump stops, and
+            part: `noise` is noise and quantisation, `delay` that of the forces, `limits` the largest force and the bump stops,
                 `lag` that of actuators or valves.
 
         Raises:

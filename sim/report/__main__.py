@@ -5,12 +5,13 @@ import datetime
 import json
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from models.common.command import Parser, chosen, run_command
+from models.common.command import Parser, chosen_of, run_command
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import without_copies
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
@@ -31,6 +32,7 @@ examples:
   python -m sim.report --out report.html
   python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
   python -m sim.report --quick --out quick.html
+  python -m sim.report --quick --vehicle my_car.toml --vehicle van.toml
   python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
   python -m sim.report --gallery --out gallery.html
 """
@@ -47,15 +49,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.page import VERDICTS, check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
-    from models.vehicle.vehicle import read_vehicle
     from sim.report.worker_processes import Beside, processes
     from sim.studies.ride.standing import standing_lines
 
     check_page()
     if options.gallery:
         return _gallery(options)
-    vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle.controller_names, options.controller, without_copies(vehicle.controller_names))
+    subjects = _subjects(options)
+    if len(subjects) > 1:
+        return _several(options, subjects)
+    ((vehicle, names),) = subjects.values()
     others = omitted_controllers(vehicle, options.controller, names)
     if options.out is None:
         from sim.report.scope import file_stem
@@ -90,6 +93,62 @@ def main(arguments: Sequence[str] | None = None) -> int:
             said = page.answer if options.verbose else some_sentences(page.lead[:-1], [*lines, "", "", verdict])
             lines += ["", *said, *([""] if said else []), verdict]
         say(lines)
+    return 1 if undesigned else 0
+
+
+def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str]]]":
+    """Returns the vehicles of the pages with their controllers, by title. Controllers that push have a page beside dampers."""
+    from sim.command.driving import read_vehicles
+
+    vehicles = read_vehicles(options)
+    known = {title: vehicle.controller_names for title, vehicle in vehicles.items()}
+    usual = without_copies(dict.fromkeys(name for names in known.values() for name in names))
+    subjects = {}
+    for title, names in chosen_of(known, options.controller, usual).items():
+        vehicle = vehicles[title]
+        pushing = [name for name in names if vehicle.driven_by(name) is not vehicle]
+        others = [name for name in names if name not in pushing]
+        if pushing and any(name in vehicle.controllers for name in others):
+            subjects[title or Path(vehicle.source).stem] = (vehicle, others)
+            subjects[f"{title or Path(vehicle.source).stem}-force"] = (vehicle.with_force_actuators, pushing)
+        else:
+            subjects[title] = (vehicle.for_all(names), names)
+    return subjects
+
+
+def _several(options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]") -> int:
+    """Writes a page for every vehicle, and prints one table; returns the exit code."""
+    from models.common.errors import InputError
+    from models.figures.outputs import check_outputs, written, written_lines
+    from models.figures.picture import check_drawing
+    from models.roads.load_choice import choose_load
+    from sim.report.contents import report_object
+    from sim.report.worker_processes import Beside, processes
+    from sim.studies.ride.standing import standing_lines, standings_object
+
+    if options.exported is not None:
+        raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
+    first = options.out or Path("report.html")
+    pages = {title: first.with_name(f"{first.stem}-{title}{first.suffix}") for title in subjects}
+    folders = {title: None if options.figures is None else options.figures / title for title in subjects}
+    if options.figures is not None:
+        check_drawing()
+    loads, results, compared, undesigned = tuple(map(choose_load, options.loads)), {}, [], []
+    for title, (vehicle, _) in subjects.items():
+        check_outputs({"report": pages[title], "figures": folders[title]}, vehicle.files, options.json)
+    for title, (vehicle, names) in subjects.items():
+        own = argparse.Namespace(**{**vars(options), "out": pages[title], "figures": folders[title]})
+        with Beside(processes(vehicle, options.quick)) as beside:
+            result = results[title] = _reported(own, vehicle, names, loads, beside)
+        compared += [replace(one, vehicle=title) for one in result.compared]
+        undesigned += sorted({*names} - {one.controller for one in result.compared})
+    outputs = {title: {"report": pages[title], "figures": folders[title]} for title in subjects}
+    if options.json:
+        whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
+        print(json.dumps({"reports": whole, "compared": standings_object(compared), "left_out": undesigned}, allow_nan=False))
+    else:
+        lines = [line for each in outputs.values() for line in written_lines(each)[1:]]
+        say([*lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
     return 1 if undesigned else 0
 
 
@@ -151,7 +210,7 @@ def _gallery(options: argparse.Namespace) -> int:
 
     repeated = {
         name for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported")) if getattr(options, of)
-    }
+    } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
         raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
@@ -204,7 +263,9 @@ def _write(page: "Page", out: Path, figures: Path | None) -> None:
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle("default: all but printed copies of others, as I_printed is of I")
+    parser.add_controller_and_vehicle(
+        "default: all but printed copies of others, as I_printed is of I", "a page for each, one table"
+    )
     parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")
