@@ -89,7 +89,7 @@ class ControllerEntry:
         structure: of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
-        forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers.
+        forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
     name: str

@@ -147,8 +147,8 @@ def _several(options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle,
         whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
         print(json.dumps({"reports": whole, "compared": standings_object(compared), "left_out": undesigned}, allow_nan=False))
     else:
-        lines = [line for each in outputs.values() for line in written_lines(each)[1:]]
-        say([*lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
+        lines = [line for page in pages.values() for line in written_lines({"report": page})[2:]]
+        say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
     return 1 if undesigned else 0
 
 
@@ -264,7 +264,7 @@ def _write(page: "Page", out: Path, figures: Path | None) -> None:
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
     parser.add_controller_and_vehicle(
-        "default: all but printed copies of others, as I_printed is of I", "a page for each, one table"
+        "default: all but printed copies of others, as I_printed is of I", several="a page for each, and one table"
     )
     parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
