@@ -114,7 +114,7 @@ def test_json_has_this_shape(everything):
     assert everything["logs"] == {"mcap": None, "layout": None, "rerun": None}
     assert [run["controller"]["name"] for run in everything["runs"]] == CONTROLLERS
     for run in everything["runs"]:
-        assert set(run) == {"controller", "signals", "until", "lift_off", "agrees", "steps", "energy", "half_step"}
+        assert set(run) == {"controller", "signals", "until", "lift_off", "agrees", "steps", "energy", "half_step", "margins"}
         assert run["until"] is None  # nothing ends the comparison
         assert run["half_step"] is None  # no tyre lifts
         assert set(run["controller"]) == {"name", "measured", "gain", "bound", "norm", "peak_frequency", "stability"}

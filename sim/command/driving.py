@@ -184,7 +184,7 @@ def drive(
     else:
         kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
         on = f"a road: {where(road)}" if rides else where(road)
-        sources = ", ".join(vehicle.source for vehicle in vehicles.values())
+        sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
         lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
         lines += _above(options, driven, passive, measured, road, time)
         lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
