@@ -199,7 +199,7 @@ def test_force_actuators_beside_dampers():
     assert both.for_all(["passive", "sky"]) is both
     with refused("leaky drive actuators that push", "sky adjustable dampers"):
         both.for_all(["leaky", "sky"])
-    with refused('actuators = "valve" is not allowed'):
+    with refused("actuators = 'valve' is not allowed"):
         parse_vehicle(BOTH.replace('"force"', '"valve"', 1))
     with refused("[limits] actuator_force is of actuators that push"):
         parse_vehicle(CORNER + DAMPERS)
@@ -234,7 +234,9 @@ def test_a_payload_has_inertia():
     assert run(laden, "passive", Bump(height=0.05), duration=0.5)[0].passed
     corner = parse_vehicle(CORNER + "[payload]\nmass = 60.0\n")
     assert corner.parameters["sprung_mass"] == 440.0
-    assert corner.limits.stops_at("").bump.stroke == pytest.approx(0.07 - 60 * GRAVITY / 22000, rel=1e-12)  # rounding
+    assert corner.limits.stops(corner.kind.suspensions)["suspension_deflection"].bump.stroke == pytest.approx(
+        0.07 - 60 * GRAVITY / 22000, rel=1e-12
+    )  # rounding
 
 
 @pytest.mark.parametrize(

@@ -84,14 +84,14 @@ def run_without(names: Iterable[str], part: str) -> list[str]:
     return [name for name in names if name != PASSIVE or part == "limits"]
 
 
-def variant_name(controller: str, part: str) -> str:
-    """Returns the name of a controller's run without a part in tables; the controller's own if it is as built."""
-    return f"{controller}, no {part}" if part else controller
+def variant(part: str) -> str:
+    """Returns the end of the name, in tables, of a controller's run without a part; empty for a run as built."""
+    return f", no {part}" if part else ""
 
 
-def logged_name(controller: str, part: str) -> str:
-    """Returns the name of such a run in a log."""
-    return f"{controller}-no_{part}" if part else controller
+def logged_variant(part: str) -> str:
+    """Returns the same in a log."""
+    return f"-no_{part}" if part else ""
 
 
 def logged_part(name: str, controller: str) -> str:

@@ -14,7 +14,7 @@ from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.figures.outputs import check_outputs, written, written_lines
 from models.roads.road import Road
-from models.vehicle.names import logged_name, run_without, variant_name
+from models.vehicle.names import logged_variant, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
 from sim.command.drive_options import end_lines
@@ -57,9 +57,7 @@ class Driven:
     @cached_property
     def shown(self) -> list[Run]:
         """The runs with the names that they have in the answer."""
-        return [
-            _named(run, f"{self.title}:{variant_name(run.controller.name, part)}".removeprefix(":")) for run, part in self._pairs
-        ]
+        return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in self._pairs]
 
     @property
     def variants(self) -> list[str]:
@@ -69,7 +67,7 @@ class Driven:
     @property
     def logged(self) -> dict[str, Run]:
         """The runs by their names in a log."""
-        return {logged_name(run.controller.name, part): run for run, part in self._pairs}
+        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in self._pairs}
 
     @property
     def objects(self) -> list[dict[str, Any]]:

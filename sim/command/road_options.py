@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
 from models.common.command import ALL, Parser, chosen_of
-from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file, logged_name, run_without
+from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file, logged_variant, run_without
 
 if TYPE_CHECKING:
     from models.vehicle.limits_and_implementation import Implementation
@@ -61,7 +61,7 @@ def driven_names(vehicle: "Vehicle", options: argparse.Namespace) -> "tuple[list
         if (own := vehicle.without(part)) is not vehicle:
             some = run_without(names, part)
             every += some
-            runs |= {logged_name(name, part): own.implementation for name in some}
+            runs |= {f"{name}{logged_variant(part)}": own.implementation for name in some}
     return every, lambda name, how: runs.get(name) == how
 
 

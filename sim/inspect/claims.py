@@ -13,7 +13,7 @@ from models.common.printed import finite
 from models.kinds.signals import is_kept
 from models.laws.combinations import PREVIEW, QUADRATIC
 from models.vehicle.controllers import ControllerEntry
-from models.vehicle.names import logged_name
+from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
     FAILS,
@@ -319,4 +319,4 @@ def logged_as(one: Mapping[str, Any]) -> str | None:
     """Returns the name in the log of a run of the result; None of a run without a controller's name."""
     controller = one.get("controller")
     name = controller.get("name") if isinstance(controller, dict) else None
-    return logged_name(name, str(one.get("without", ""))) if isinstance(name, str) else None
+    return f"{name}{logged_variant(str(one.get('without', '')))}" if isinstance(name, str) else None

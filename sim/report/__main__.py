@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import json
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from models.common.command import Parser, chosen_of, run_command
+from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import without_copies
 from sim.command.road_options import add_exported, add_loads, left_out_lines, omitted_controllers
@@ -56,22 +58,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.gallery:
         return _gallery(options)
     subjects = _subjects(options)
-    if len(subjects) > 1:
-        return _several(options, subjects)
-    ((vehicle, names),) = subjects.values()
-    others = omitted_controllers(vehicle, options.controller, names)
-    if options.out is None:
-        from sim.report.scope import file_stem
-
-        options.out = Path(f"report-{file_stem(vehicle)}.html")
-    outputs = {"report": options.out, "figures": options.figures}
-    check_outputs(outputs, vehicle.files, options.json)
+    if len(subjects) > 1 and options.exported is not None:
+        raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
+    outputs = _outputs(options, subjects)
+    for title, (vehicle, _) in subjects.items():
+        check_outputs(outputs[title], vehicle.files, options.json)
     if options.figures is not None:
         check_drawing()
-    loads = tuple(choose_load(text) for text in options.loads)
-    with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
-        result = _reported(options, vehicle, names, loads, beside)
-    undesigned = sorted({*names} - {one.controller for one in result.compared})
+    loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
+    for title, (vehicle, names) in subjects.items():
+        with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
+            results[title] = _reported(options, vehicle, names, loads, beside, outputs[title])
+        undesigned += sorted({*names} - {one.controller for one in results[title].compared})
+    if len(subjects) > 1:
+        return _several(options, outputs, results, undesigned)
+    ((vehicle, names),), (result,), (outputs,) = subjects.values(), results.values(), outputs.values()
+    others = omitted_controllers(vehicle, options.controller, names)
     older = _others(result.page, options.figures) if options.figures is not None else []
     if options.json:
         from sim.report.contents import report_object
@@ -116,44 +118,51 @@ def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str
     return subjects
 
 
-def _several(options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]") -> int:
-    """Writes a page for every vehicle, and prints one table; returns the exit code."""
-    from models.common.errors import InputError
-    from models.figures.outputs import check_outputs, written, written_lines
-    from models.figures.picture import check_drawing
-    from models.roads.load_choice import choose_load
+def _outputs(
+    options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]"
+) -> "dict[str, dict[str, Path | None]]":
+    """Returns page and folder of figures of every vehicle, by title."""
+    from sim.report.scope import file_stem
+
+    if len(subjects) == 1:
+        ((title, (vehicle, _)),) = subjects.items()
+        return {title: {"report": options.out or Path(f"report-{file_stem(vehicle)}.html"), "figures": options.figures}}
+    page, folder = options.out or Path("report.html"), options.figures
+    return {
+        title: {"report": page.with_name(f"{page.stem}-{name}{page.suffix}"), "figures": folder and folder / name}
+        for title, name in ((title, re.sub(r"[^\w-]+", "_", title)) for title in subjects)
+    }
+
+
+def _several(
+    options: argparse.Namespace,
+    outputs: "Mapping[str, Mapping[str, Path | None]]",
+    results: "Mapping[str, Report]",
+    undesigned: Sequence[str],
+) -> int:
+    """Prints one table of several vehicles; returns the exit code."""
+    from models.figures.outputs import written, written_lines
     from sim.report.contents import report_object
-    from sim.report.worker_processes import Beside, processes
     from sim.studies.ride.standing import standing_lines, standings_object
 
-    if options.exported is not None:
-        raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
-    first = options.out or Path("report.html")
-    pages = {title: first.with_name(f"{first.stem}-{title}{first.suffix}") for title in subjects}
-    folders = {title: None if options.figures is None else options.figures / title for title in subjects}
-    if options.figures is not None:
-        check_drawing()
-    loads, results, compared, undesigned = tuple(map(choose_load, options.loads)), {}, [], []
-    for title, (vehicle, _) in subjects.items():
-        check_outputs({"report": pages[title], "figures": folders[title]}, vehicle.files, options.json)
-    for title, (vehicle, names) in subjects.items():
-        own = argparse.Namespace(**{**vars(options), "out": pages[title], "figures": folders[title]})
-        with Beside(processes(vehicle, options.quick)) as beside:
-            result = results[title] = _reported(own, vehicle, names, loads, beside)
-        compared += [replace(one, vehicle=title) for one in result.compared]
-        undesigned += sorted({*names} - {one.controller for one in result.compared})
-    outputs = {title: {"report": pages[title], "figures": folders[title]} for title in subjects}
+    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
     if options.json:
         whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
-        print(json.dumps({"reports": whole, "compared": standings_object(compared), "left_out": undesigned}, allow_nan=False))
+        left = {"left_out": list(undesigned)}
+        print(json.dumps({"reports": whole, "compared": standings_object(compared), **left}, allow_nan=False))
     else:
-        lines = [line for page in pages.values() for line in written_lines({"report": page})[2:]]
+        lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
         say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
     return 1 if undesigned else 0
 
 
 def _reported(
-    options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
+    options: argparse.Namespace,
+    vehicle: "Vehicle",
+    names: Sequence[str],
+    loads: "tuple[Load, ...]",
+    beside: "Beside",
+    outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
     from sim.command.comparison import controllers_of, runnable, say_false_claims
@@ -190,7 +199,7 @@ def _reported(
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported)
     result = report(scope, _about(vehicle.source), beside)
     stage("the page")
-    _write(result.page, options.out, options.figures)
+    _write(result.page, outputs)
     stage.end()
     return result
 
@@ -200,7 +209,6 @@ OF_A_VEHICLE = ("controller", "vehicle", "quick", "front", "load", "as", "timest
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
-    from models.common.errors import InputError
     from models.figures.outputs import check_outputs, written, written_lines
     from models.figures.picture import check_drawing
     from sim.report.gallery import gallery_page
@@ -224,7 +232,7 @@ def _gallery(options: argparse.Namespace) -> int:
         results.append((entry, compared(entry)))
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))
-    _write(page, outputs["report"], options.figures)
+    _write(page, outputs)
     stage.end()
     if options.json:
         entries = [entry_object(*each) for each in results]
@@ -247,11 +255,13 @@ def _about(source: str) -> dict[str, str]:
     }
 
 
-def _write(page: "Page", out: Path, figures: Path | None) -> None:
+def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
     """Writes a page, with its figures where they are asked for: all of it, or nothing."""
     from models.common.files import made_folder, together
     from models.figures.page import write_page
 
+    out, figures = outputs["report"], outputs["figures"]
+    assert out is not None, "every page has a file"
     with ExitStack() as stack:
         if figures is not None:
             stack.enter_context(made_folder(figures, "figures"))

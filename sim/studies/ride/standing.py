@@ -13,7 +13,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.printed import GAP, finite, table, wrapped
 from models.suspension.bump_stops import SIDES
-from models.vehicle.names import PASSIVE, variant_name
+from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
 from sim.response.response import Response
 from sim.studies.ride.metrics import dynamic_load, off_ground, points
@@ -78,7 +78,7 @@ class Standing:
     @property
     def name(self) -> str:
         """The controller, and what its run leaves out."""
-        return variant_name(self.controller, self.without)
+        return f"{self.controller}{variant(self.without)}"
 
     @property
     def label(self) -> str:
