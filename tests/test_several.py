@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -74,7 +75,10 @@ def test_several_vehicles_share_a_table(files, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 24
     assert all(len(line) <= 80 or "/" in line for line in lines)
-    assert [line.strip() for line in lines].index("corner") < [line.strip() for line in lines].index("van")
+    vans = lines[[line.strip() for line in lines].index("van") + 1 :][:3]
+    changed = [re.search(r"[+-]\d", line) is not None for line in vans]  # against passive of its own vehicle
+    assert [line.split()[0] for line in vans] == ["passive", "leaky", "firm"]
+    assert changed == [False, True, True]
     assert inspect([str(path) for path in sorted((tmp_path / "logs").glob("*.mcap"))]) == 0
     capsys.readouterr()
     assert bump.main([*pair, *some, *options[2:], "--no-logs", "--json"]) == 0
@@ -127,17 +131,17 @@ def test_without_a_part(part, lines):
 def test_what_a_part_costs_is_in_the_table(files, tmp_path, capsys):
     """`--without` adds a row below that as built, passive has none, and the log of all runs proves them."""
     options = ["--vehicle", files["corner"], "--controller", "passive", "--controller", "leaky", "--road", "bump:height=0.05"]
-    options += ["--without", "noise", "--without", "delay", "--duration", "0.6", "--logs", str(tmp_path / "logs")]
+    options += ["--without", "noise", "--without", "lag", "--duration", "0.6", "--logs", str(tmp_path / "logs")]
     assert drive.main([*options, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     rows = [(one["controller"], one.get("without")) for one in result["compared"]["controllers"]]
-    assert rows == [("passive", None), ("leaky", None), ("leaky", "noise"), ("leaky", "delay")]
-    assert [one.get("without") for one in result["runs"]] == [None, None, "noise", "delay"]
+    assert rows == [("passive", None), ("leaky", None), ("leaky", "noise"), ("leaky", "lag")]
+    assert [one.get("without") for one in result["runs"]] == [None, None, "noise", "lag"]
     assert inspect([result["logs"]["mcap"]]) == 0
     capsys.readouterr()
     assert drive.main(options) == 0
     printed = capsys.readouterr().out
-    assert all(f"\n  {name} " in printed for name in ("leaky, no noise", "leaky, no delay"))
+    assert all(f"\n  {name} " in printed for name in ("leaky, no noise", "leaky, no lag"))
     assert "passive, no" not in printed
     with refused("no vehicle file has that"):
         drive.main(["--controller", "I", "--without", "noise"])
