@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.printed import wrapped
+from models.common.printed import Whole, pasted_path, wrapped
 from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
@@ -222,11 +222,12 @@ def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str
 
 
 def all_log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool, runs: Sequence[Run]) -> list[str]:
-    """Returns the lines of `log_lines` for one log, and of several a line on how to open each."""
+    """Returns the lines of `log_lines` for one log, and a single line on several."""
     each = [log_lines(one, brief, runs) for one in logs]
     if len(each) == 1 or brief or not any(each):
         return [line for lines in each for line in lines]
-    return ["", *(lines[-2] for lines in each)]
+    folder = next(Path(path).parent for one in logs for path in one.values() if path)
+    return [Whole(f"  a log for each vehicle: {pasted_path(folder)}")]
 
 
 def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:

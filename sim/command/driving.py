@@ -190,11 +190,12 @@ def drive(
             lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
         settled = ", when all have settled" if measured and road.spectrum and measured.start < options.duration / 2 else ""
         about = f"{measured.words}{settled}" if measured else "MuJoCo, all of the run"
-        lines += ["", *standing_lines(standings, comparison.table_note(shown, options, about))]
+        several = len(driven) > 1
+        lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
         part = measured is not None and (measured.start > 0 or measured.samples[1] is not None)
-        lines += comparison.stop_lines(shown, options.verbose, part)
+        lines += comparison.stop_lines(shown, options.verbose or several, part)  # several have their travel in per cent
         lines += [*written_lines(outputs), *comparison.all_log_lines(logs, options.brief, shown)]
-        say([*lines, "", *summary_lines(shown)])
+        say([*lines, "", *summary_lines(shown, several)])
     for one in logs:
         comparison.view(options, one)
     done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)

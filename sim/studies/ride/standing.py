@@ -212,7 +212,6 @@ def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn
     star = f"the best without {unsound}" if unsound else "the best"
     legend = f"*: {star}; " if any(marked[column.measure.key] for column in columns) else ""
     legend += "%: against passive; " if any(column.changes is not None for column in columns) else ""
-    legend += "travel: bump/rebound; " if travel is not None else ""
     return columns, legend
 
 
@@ -245,7 +244,7 @@ def _travel(standings: Sequence[Standing]) -> tuple[Measure, list[str]] | None:
     strokes = {tuple(one.strokes[side][1] if side in one.strokes else None for side in SIDES) for one in whole}
     alike = len(strokes) == 1
     of = "/".join("-" if stroke is None else f"{1e3 * stroke:.4g}" for stroke in next(iter(strokes)))
-    what, unit = (f"of {of} mm", f"of {of}") if alike else ("% of stroke", "of stroke")
+    what = f"of {of} mm" if alike else "% of stroke"
     cells = [
         "/".join(
             f"{1e3 * one.strokes[side][0] if alike else 100 * one.strokes[side][0] / one.strokes[side][1]:.0f}"
@@ -256,7 +255,7 @@ def _travel(standings: Sequence[Standing]) -> tuple[Measure, list[str]] | None:
         for one in standings
     ]
     heading = f"travel in bump/rebound, {what}"
-    return replace(usual, title="travel mm" if alike else "travel, %", unit=unit, heading=heading), cells
+    return replace(usual, title=what, unit="bump/reb.", heading=heading), cells
 
 
 def _is_there(one: Measure, value: float | None) -> bool:
