@@ -49,10 +49,8 @@ D = [[0.0]]
 measured = ["sprung_velocity"]
 gain = [[-800.0]]
 """
-DAMPERS = '[actuators]\nkind = "damper"\nc_min = 400.0\nc_max = 4000.0\n'
-SKY = '[controllers.sky]\nsemi_active = "skyhook"\n'
-ACTING = "suspension_stroke = { bump = 0.07, rebound = 0.08 }\nstop_stiffness = [1e5, 0, 4e8]\nactuator_force = 400.0\n"
-BOTH = CORNER.replace("measured", 'actuators = "force"\nmeasured') + DAMPERS + SKY
+DAMPERS = '[actuators]\nkind = "damper"\nc_min = 400.0\nc_max = 4000.0\n[controllers.sky]\nsemi_active = "skyhook"\n'
+BOTH = CORNER.replace("measured", 'actuators = "force"\nmeasured') + DAMPERS
 
 
 @pytest.fixture
@@ -102,9 +100,8 @@ def test_each_vehicle_has_the_controllers_of_its_file(files, capsys):
     for names, words in ((["sky"], "corner has none of the controllers"), (["firm", "--vehicle", files["both"]], "given twice")):
         with refused(words):
             bump.main([*pair, *options, *names])
-    for more in (["--without", "noise", "--without", "noise"], ["--serve"], ["--as", "folder"]):
-        with refused("leave" if more[0] == "--as" else "give"):
-            bump.main([*pair, *more, *[part for part in options if more[0] != "--serve" or part != "--no-logs"], "firm"])
+    with refused("--as drives one vehicle"):
+        bump.main([*pair, "--as", "folder", *options, "firm"])
 
 
 @pytest.mark.parametrize(
@@ -112,7 +109,7 @@ def test_each_vehicle_has_the_controllers_of_its_file(files, capsys):
     [
         ("noise", ["noise = { sprung_acceleration = 0.05 }"]),
         ("delay", ["delay = 1"]),
-        ("limits", ACTING.splitlines()),
+        ("limits", CORNER.splitlines()[12:15]),
         ("lag", ["actuator_bandwidth = 50.0"]),
     ],
 )
@@ -153,10 +150,8 @@ def test_strokes_used(files, capsys):
     assert bump.main([*options, "--json"]) == 0
     strokes = json.loads(capsys.readouterr().out)["compared"]["controllers"][1]["strokes"]
     deflection = run(parse_vehicle(CORNER), "leaky", Bump(height=0.1), duration=1.5)[0].physics["suspension_deflection"]
-    assert strokes == {
-        "bump": {"used": -deflection.min(), "of": 0.07},
-        "rebound": {"used": deflection.max(), "of": 0.08},
-    }
+    assert strokes["bump"] == {"used": -deflection.min(), "of": 0.07}
+    assert strokes["rebound"] == {"used": deflection.max(), "of": 0.08}
     assert bump.main(options) == 0
     printed = capsys.readouterr().out
     assert f"{-1e3 * deflection.min():.0f}/{1e3 * deflection.max():.0f}" in printed
@@ -190,7 +185,7 @@ def test_force_actuators_beside_dampers():
     both, road = parse_vehicle(BOTH), Bump(height=0.08)
     runs = {one.controller.name: one for one in run(both, ["sky", "leaky", "passive"], road, duration=0.5)}
     limits = CORNER[CORNER.index("actuator_force") : CORNER.index("[implementation]")]
-    dampers = CORNER[: CORNER.index("[controllers")].replace(limits, "") + DAMPERS + SKY
+    dampers = CORNER[: CORNER.index("[controllers")].replace(limits, "") + DAMPERS
     for name, text in (("leaky", CORNER), ("sky", dampers)):
         (alone,) = run(parse_vehicle(text), name, road, duration=0.5)
         assert runs[name].passed
@@ -200,7 +195,6 @@ def test_force_actuators_beside_dampers():
         == Designer(parse_vehicle(CORNER)).design("firm").certificate.norm.value
     )
     assert both.for_all(["passive", "leaky"]).dampers == {}
-    assert both.for_all(["passive", "sky"]) is both
     with refused("leaky drive actuators that push", "sky adjustable dampers"):
         both.for_all(["leaky", "sky"])
     with refused("actuators = 'valve' is not allowed"):
@@ -237,7 +231,6 @@ def test_a_payload_has_inertia():
         assert (stop.bump.stroke, stop.rebound.stroke) == pytest.approx((0.1 + sunk, 0.1 - sunk), abs=-0.01 * sunk)
     assert run(laden, "passive", Bump(height=0.05), duration=0.5)[0].passed
     corner = parse_vehicle(CORNER + "[payload]\nmass = 60.0\n")
-    assert corner.parameters["sprung_mass"] == 440.0
     assert corner.limits.stops(corner.kind.suspensions)["suspension_deflection"].bump.stroke == pytest.approx(
         0.07 - 60 * GRAVITY / 22000, rel=1e-12
     )  # rounding
@@ -247,10 +240,8 @@ def test_a_payload_has_inertia():
     ("payload", "words"),
     [
         ("x = 0.0", "mass is missing"),
-        ("mass = -5.0", "mass = -5.0 is not allowed"),
         ("mass = 60.0\nx = 0.5", "does not pitch"),
         ("mass = 60.0\ny = 0.5", "--load payload:y="),
-        ("mass = 60.0\nheight = 0.5", "unknown key 'height'"),
         ("mass = 200.0", "beyond the bump stroke"),
     ],
 )
