@@ -40,6 +40,7 @@ from models.roads.road import Bump
 from models.suspension import STOP_KEYS, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
 from models.vehicle import filter as weights
+from models.vehicle import payload
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits
 from models.vehicle.sketch import vehicle_sketch
@@ -143,6 +144,13 @@ def shown_in(key: str) -> str:
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
 
 
+PAYLOAD = {
+    "mass": "of a point mass on the body",
+    "x": "forward of the unladen body's centre of mass",
+    "z": "above the unladen body's centre of mass",
+}
+
+
 def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     """Returns the keys of every section of a vehicle file, each with its unit and its meaning, empty where a page has it."""
     own, entry, goals = attributes(Implementation), attributes(ControllerEntry), attributes(Goals)
@@ -171,6 +179,7 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     ]
     found["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
     found["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
+    found["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
     found["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
     return found
 

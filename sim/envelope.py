@@ -40,8 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
 
-    vehicle = read_vehicle(options.vehicle)
-    name = one_chosen(vehicle.controller_names, options.controller)
+    given = read_vehicle(options.vehicle)
+    name = one_chosen(given.controller_names, options.controller)
+    vehicle = given.driven_by(name)
     axes = read_axes(options.vary or [])
     for axis in axes:
         if axis.name in options.given:
@@ -76,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     result = envelope_object(cells, axes, name, options.threshold) | {"edges": edges_object(along, found)}
     result |= loads_object(options.loads) | written(outputs)
     nearest = functools.partial(_nearest_runs, vehicle, controller, cells, time, loads)
-    logs = recorded(options, vehicle, [controller.name], nearest, result)
+    logs = recorded(options, given, [controller.name], nearest, result)
     stage.end()
     if options.json:
         print(json.dumps({**result, "logs": logs}, allow_nan=False))

@@ -43,9 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from synth.vehicle.designer import Designer
 
     # What is asked is how much the loop bears beyond an ideal implementation.
-    as_built = read_vehicle(options.vehicle)
+    given = read_vehicle(options.vehicle)
+    name = one_chosen(given.controller_names, options.controller)
+    as_built = given.driven_by(name)
     vehicle = replace(at_rest(as_built), implementation=Implementation())
-    name = one_chosen(vehicle.controller_names, options.controller)
     variations = read_variations(vehicle, options.vary)
     outputs = {"picture": options.picture}
     check_outputs(outputs | {"logs": options.logs}, vehicle.files)
@@ -85,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     built = replace(as_built, implementation=Implementation())
     delayed = functools.partial(_delayed_runs, built, controller, margins[""], options.timestep)
-    logs = recorded(options, built, [controller.name], delayed, result)
+    of_file = replace(given, implementation=Implementation())
+    logs = recorded(options, of_file, [controller.name], delayed, result)
     stage.end()
     if options.json:
         code = {"exported": exported.record} if exported is not None else {}

@@ -44,8 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from synth.controller.controller import Controller
     from synth.vehicle.designer import Designer
 
-    vehicle = read_vehicle(options.vehicle)
-    names = requested_names(vehicle, options)
+    given = read_vehicle(options.vehicle)
+    names = requested_names(given, options)
+    vehicle = given.for_all(names)
     if not 1e-3 <= options.speed <= 1e3:
         raise InputError(f"speed = {options.speed:g} m/s is not allowed; give a number from 0.001 to 1000 m/s")
     if "speed" in options.given and not any(wheel.behind(vehicle.parameters) for wheel in vehicle.kind.wheels):
@@ -85,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "speed": options.speed,
         **left_out_object(names, driven),
     }
-    logs = recorded(options, vehicle, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
+    logs = recorded(options, given, driven, lambda: _worst_runs(vehicle, sweeps, options), result)
     stage.end()
     if options.json:
         print(json.dumps({**result, **written(outputs), "logs": logs}, allow_nan=False))

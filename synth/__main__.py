@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from models.common.command import ALL, chosen, complain, run_command
@@ -42,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return front(vehicle, options)
     names = [] if options.check else _names(vehicle, options)
+    with suppress(InputError):  # some drive dampers, others actuators that push: of the file, then
+        vehicle = vehicle.for_all(names)
     if options.rates:
         from synth.command.sample_rate import answer as rates
 

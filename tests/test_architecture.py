@@ -60,11 +60,11 @@ ROOMS = {
     "synth.controller synth.design synth.plant synth.vehicle sim.linear sim.physics sim.response sim.runs",
     "sim.command": "models models.figures models.roads models.vehicle synth.controller synth.vehicle sim.recording "
     "sim.response sim.runs sim.studies",
-    "sim.bump": "models.figures models.roads models.vehicle synth.vehicle sim.command sim.runs sim.studies",
+    "sim.bump": "sim.command",
     "sim.campaign": "models.figures models.kinds models.laws models.roads models.suspension models.vehicle "
     "synth.controller synth.plant synth.vehicle sim.command sim.linear sim.physics sim.response sim.runs "
     "sim.studies",
-    "sim.drive": "models.figures models.vehicle synth.vehicle sim.command sim.runs sim.studies",
+    "sim.drive": "sim.command",
     "sim.envelope": "models.figures models.roads models.vehicle synth.controller synth.vehicle sim.command sim.response "
     "sim.runs sim.studies",
     "sim.gallery": "sim.studies",

@@ -28,7 +28,7 @@ CHANGES = [
         "unknown section",
         "[performance]",
         "[comfort]",
-        ["'comfort'", "controllers, curves, implementation, limits, parameters, performance, type"],
+        ["'comfort'", "controllers, curves, implementation, limits, parameters, payload, performance, type"],
     ),
     ("a key beside the sections", "type = ", 'colour = "red"\ntype = ', ["unknown key 'colour'", "actuators, controllers"]),
     ("no type", 'type = "quarter_car"', "", ["'type'", "missing"]),

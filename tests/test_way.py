@@ -15,8 +15,8 @@ from tests.commands import ROOT
 from tests.conftest import recorded_runs
 
 NAME = "mine"
-# Names from the options, a controller of a name, its run, and that of all that were asked for: each of its own room.
-UP = ["chosen", "design", "run_controllers", "run_named"]
+# Names from the options, by vehicle, a controller of a name, and its run: each of its own room.
+UP = ["chosen_of", "design", "run_controllers"]
 
 
 def named(value: Any) -> bool:
@@ -24,7 +24,7 @@ def named(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
         return any(map(named, value))
     if isinstance(value, dict):
-        return any(isinstance(one, Run) and named(one) for one in value.values())
+        return any(isinstance(one, Run | list) and named(one) for one in value.values())
     if isinstance(value, Prediction | Run):
         return value.controller.name == NAME
     return value == NAME if isinstance(value, str) else isinstance(value, Controller | RunLog) and value.name == NAME
@@ -46,7 +46,7 @@ def is_property(frame: FrameType) -> bool:
 
 
 def test_the_way_of_a_name(tmp_path):
-    """On its way from `sim.bump` to the log a controller's name comes back up to another room four times, and no more."""
+    """On its way from `sim.bump` to the log a controller's name comes back up to another room three times, and no more."""
     vehicle = tmp_path / "mine.toml"
     gain = f'\n[controllers.{NAME}]\nmeasured = ["sprung_velocity"]\ngain = [[-5000.0]]\n'
     vehicle.write_text((ROOT / "models" / "quarter_car.toml").read_text() + gain)

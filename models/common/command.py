@@ -11,7 +11,7 @@ import shlex
 import sys
 import threading
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, TextIO
@@ -94,8 +94,13 @@ class Parser(argparse.ArgumentParser):
         """Raises bad options as one line; exit code 2."""
         raise InputError(f"{message}; see {self.prog} --help")
 
-    def add_controller_and_vehicle(self, default: str) -> None:
-        """Adds the options `--controller`, which may be repeated, and `--vehicle`."""
+    def add_controller_and_vehicle(self, default: str, several: str = "") -> None:
+        """Adds the options `--controller`, which may be repeated, and `--vehicle`.
+
+        Args:
+            default: the controllers without `--controller`.
+            several: what several `--vehicle` are for, which are `vehicles` then; empty for commands that take one.
+        """
         self.add_argument(
             "--controller",
             action="append",
@@ -103,7 +108,17 @@ class Parser(argparse.ArgumentParser):
             metavar="NAME",
             help=f"passive, state, one of the vehicle file's, or all; may be repeated ({default})",
         )
-        self._add_vehicle()
+        if several:
+            self.add_argument(
+                "--vehicle",
+                dest="vehicles",
+                action=_Vehicles,
+                default=("quarter_car",),
+                metavar="FILE",
+                help=f"vehicle file, or one that ships; may be repeated: {several} (default: quarter_car)",
+            )
+        else:
+            self._add_vehicle()
 
     def add_one(self, which: str) -> None:
         """Adds the options `--controller`, required and not repeatable, and `--vehicle`."""
@@ -185,6 +200,30 @@ def chosen(names: Sequence[str], given: Sequence[str] | None, usual: Sequence[st
     return list(given or usual)
 
 
+def chosen_of(
+    vehicles: Mapping[str, Sequence[str]], given: Sequence[str] | None, usual: Sequence[str] = (), partly: bool = False
+) -> dict[str, list[str]]:
+    """Returns the controllers that `--controller` selects of several vehicles; each has those of its own.
+
+    Args:
+        vehicles: all controllers of each vehicle, by a key of the vehicle.
+        given, usual: as for `chosen`.
+        partly: True if further vehicles, which are not known, may have the other controllers.
+
+    Raises:
+        InputError: as for `chosen`, or a vehicle has none of the controllers.
+    """
+    known = list(dict.fromkeys(name for names in vehicles.values() for name in names))
+    if partly and given is not None:
+        given = [name for name in given if name in (ALL, *known)]
+    every = chosen(known, given, usual)
+    selected = {key: [name for name in every if name in names] for key, names in vehicles.items()}
+    for key, names in vehicles.items():
+        if not selected[key]:
+            raise InputError(f"--vehicle {key} has none of the controllers {listing(every)}; it has {listing(names)}")
+    return selected
+
+
 def one_chosen(names: Sequence[str], given: str | None) -> str:
     """Returns the controller that a single `--controller` selects.
 
@@ -213,6 +252,15 @@ class _Once(argparse.Action):
             raise argparse.ArgumentError(self, "is given twice; give it once")
         namespace.given.add(self.dest)
         setattr(namespace, self.dest, values)
+
+
+class _Vehicles(argparse.Action):
+    """Option that may be given several times; its values replace the default."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        before = getattr(namespace, self.dest) if self.dest in namespace.given else ()
+        namespace.given.add(self.dest)
+        setattr(namespace, self.dest, (*before, values))
 
 
 class _Flag(argparse.Action):

@@ -182,7 +182,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     if dampers and limited:
         raise InputError(
             f"[limits] {limited[0]} is of actuators that push, and [actuators] has adjustable dampers, which c_min, c_max and "
-            "bandwidth limit; leave it out"
+            'bandwidth limit; leave it out, or give controllers that push actuators = "force"'
         )
     return dampers
 

@@ -31,7 +31,7 @@ from models.laws.python_law import Programmed, PythonLaw, checked_preview, read_
 from models.laws.semi_active import SemiActive, SemiActiveLaw, read_semi_active
 from models.vehicle.limits_and_implementation import LONGEST_PERIOD, Implementation, Limits
 from models.vehicle.names import check_name
-from models.vehicle.sections import goals_of, loads_of, read_sampled, weighted_errors_of, without_weighted_errors
+from models.vehicle.sections import PUSHING, goals_of, loads_of, read_sampled, weighted_errors_of, without_weighted_errors
 
 if TYPE_CHECKING:
     from models.laws.goals import Goals
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 CONTROLLER_KEYS = (
     *("measured", "gain", *MATRICES, "sample_period", "pid", "file", "semi_active", "certificate"),  # the law
     *("law", "preview", "fmu"),  # what is run as it is
+    "actuators",
     "anti_windup",
     *("order", "stable", "fastest_pole", "design", "noise", "lag", "sampled", "loads", *GOAL_KEYS),  # the design
 )
@@ -92,6 +93,7 @@ class ControllerEntry:
         structure: of the law that is designed; None for no restriction, or for a static gain.
         errors: errors of its readings and forces that are weighted by frequency; None without any.
         preview: how far ahead its design `PREVIEW` knows the road [s]; 0 for all others.
+        forced: True if it drives actuators that push, also in a vehicle file with adjustable dampers (`actuators = "force"`).
     """
 
     given_as = "an entry of vehicle.controllers"
@@ -112,6 +114,7 @@ class ControllerEntry:
     structure: "LawStructure | None" = None
     errors: "WeightedErrors | None" = None
     preview: float = 0.0
+    forced: bool = False
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -191,8 +194,11 @@ def read_controllers(
         if name in controllers:
             raise InputError(f"[controllers.{name}] is there twice, in two spellings that look alike; rename one")
         check_name(f"[controllers.{name}]", name, RESERVED)
-        entry, weights = without_weighted_errors(given)
-        controller = _controller(name, entry, model, limits, implementation, folder, dampers or {}, kind.corners)
+        forced, entry = _forced(f"[controllers.{name}]", given)
+        entry, weights = without_weighted_errors(entry)
+        own, pushing = ({}, limits) if forced or not dampers else (dampers, limits.without_actuators)
+        controller = _controller(name, entry, model, pushing, implementation, folder, own, kind.corners)
+        controller = replace(controller, forced=forced)
         asked = entry if controller.structure is None else {key: entry[key] for key in entry if key != "structure"}
         controller = replace(controller, goals=goals_of(f"[controllers.{name}]", asked, controller.measured, model.outputs, kind))
         others = entry.get("tolerance", ())
@@ -202,6 +208,18 @@ def read_controllers(
         for_samples = read_sampled(f"[controllers.{name}]", entry.get("sampled", usual), implementation.sample_period)
         controllers[name] = replace(controller, sampled=for_samples)
     return controllers
+
+
+def _forced(where: str, section: Any) -> tuple[bool, Any]:
+    """Returns whether a controller drives actuators that push, and its section without that key."""
+    if not isinstance(section, Mapping) or "actuators" not in section:
+        return False, section
+    if section["actuators"] != PUSHING:
+        raise InputError(
+            f'{where} actuators = {quoted(section["actuators"])} is not allowed; give "{PUSHING}" for actuators that push, or '
+            "leave it out for those of [actuators]"
+        )
+    return True, {key: value for key, value in section.items() if key != "actuators"}
 
 
 def _controller(

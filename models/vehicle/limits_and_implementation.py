@@ -96,6 +96,17 @@ class Limits:
         """The keys that limit actuators."""
         return tuple(name for name in ("actuator_force", "actuator_bandwidth") if getattr(self, name) is not None)
 
+    @property
+    def without_actuators(self) -> "Limits":
+        """The limits of the suspensions alone."""
+        return replace(self, actuator_force=None, actuator_bandwidth=None)
+
+    def without(self, part: str) -> "Limits":
+        """Returns the limits without a part; see `Vehicle.without`."""
+        if part == "limits":
+            return Limits(actuator_bandwidth=self.actuator_bandwidth)
+        return replace(self, actuator_bandwidth=None) if part == "lag" else self
+
     def phrases(self, suspensions: "Sequence[Suspension]") -> tuple[str, ...]:
         """Describes the limits on a vehicle with these suspensions, one phrase each."""
         phrases = []

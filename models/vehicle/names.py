@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable
 
 from models.common.errors import InputError
 
+WITHOUT = ("noise", "delay", "limits", "lag")  # parts of a vehicle that runs can leave out
 PASSIVE = "passive"  # the controller without force, of every vehicle
 COPY = "_printed"  # ends the name of a controller that repeats another one with the numbers of a paper
 LONGEST_NAME = 60  # bytes; the names of three controllers go into a file name
@@ -76,6 +77,27 @@ def split_off(text: str) -> tuple[str, list[str]]:
 def is_load_file(text: str) -> bool:
     """Returns True if a load's text names a file."""
     return text.strip().lower().endswith(".csv")
+
+
+def run_without(names: Iterable[str], part: str) -> list[str]:
+    """Returns the controllers, out of some, whose runs without a part differ: only limits matter to the passive vehicle."""
+    return [name for name in names if name != PASSIVE or part == "limits"]
+
+
+def variant(part: str) -> str:
+    """Returns the end of the name, in tables, of a controller's run without a part; empty for a run as built."""
+    return f", no {part}" if part else ""
+
+
+def logged_variant(part: str) -> str:
+    """Returns the same in a log."""
+    return f"-no_{part}" if part else ""
+
+
+def logged_part(name: str, controller: str) -> str:
+    """Returns the part that a logged run leaves out, from its name; empty for a run as built."""
+    part = name.removeprefix(f"{controller}-no_") if name != controller else ""
+    return part if part in WITHOUT else ""
 
 
 def without_copies(names: Iterable[str]) -> list[str]:

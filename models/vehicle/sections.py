@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from models.vehicle.weighted_errors import WeightedErrors
 
 
+PUSHING = "force"  # value of `actuators` in a controller's section
 ROAD = "road"  # the filter from the disturbance w to the road's velocity
 SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e12  # relative to one another; beyond these rounding decides
 
@@ -206,8 +207,32 @@ def dampers_of(
     from models.suspension.adjustable_dampers import adjustable
     from models.suspension.damper import read_actuators
 
-    dampers = read_actuators(data["actuators"], kind.corners, limits.of_actuators)
+    sections = data.get("controllers", {}).values()
+    forced = any(isinstance(one, Mapping) and one.get("actuators") == PUSHING for one in sections)
+    dampers = read_actuators(data["actuators"], kind.corners, () if forced else limits.of_actuators)
     return dampers, adjustable(dampers, kind.suspensions, parameters, curves)
+
+
+def with_payload(
+    section: Mapping[str, Any],
+    kind: VehicleKind,
+    parameters: dict[str, float],
+    limits: "Limits",
+    curves: Mapping[str, "ForceCurve"],
+) -> "tuple[dict[str, float], Limits]":
+    """Reads `[payload]`, or its sections of several: returns parameters and limits of the vehicle with these point masses.
+
+    The body has their mass and inertia, its centre of mass moves, and the springs sink, which is taken from the bump strokes and
+    added to the rebound strokes.
+
+    Raises:
+        InputError: a key or value is not allowed, or the vehicle cannot carry it so.
+    """
+    if not section:
+        return parameters, limits
+    from models.vehicle.payload import laden
+
+    return laden(section, kind, parameters, limits, curves)
 
 
 def goals_of(

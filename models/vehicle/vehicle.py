@@ -18,6 +18,7 @@ from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
 from models.vehicle.controllers import NOMINAL, RESERVED, ControllerEntry, DesignConditions, read_controllers
 from models.vehicle.limits_and_implementation import Implementation, Limits, check_period, read_implementation, read_limits
+from models.vehicle.names import WITHOUT
 from models.vehicle.sections import (
     WeightedSum,
     curves_and_parameters,
@@ -28,6 +29,7 @@ from models.vehicle.sections import (
     read_sums,
     road_files,
     whole_text,
+    with_payload,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ def kind(name: str, folder: Path | None = None) -> VehicleKind:
     return read_kind(folder, name)
 
 
-SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators")
+SECTIONS = ("type", "parameters", "performance", "controllers", "limits", "implementation", "curves", "actuators", "payload")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,6 +91,7 @@ class Vehicle(ShownVehicle):
         curves: of dampers and springs, by the parameter that each replaces.
         dampers: adjustable dampers in place of actuators, by force.
         sums: weighted sums of signals in z (34), after the signals.
+        force_limits: limits with those of actuators that push, for the controllers that drive these in place of the dampers.
 
     Raises:
         InputError: a parameter is missing, unknown or not allowed, a weight is, or a field is of another type.
@@ -109,6 +112,7 @@ class Vehicle(ShownVehicle):
     curves: Mapping[str, "ForceCurve"] = field(default_factory=dict)
     dampers: Mapping[str, "Damper"] = field(default_factory=dict)
     sums: tuple[WeightedSum, ...] = ()
+    force_limits: Limits | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -216,6 +220,52 @@ class Vehicle(ShownVehicle):
         damping = {suspension.force: suspension.damping for suspension in self.kind.suspensions}
         curves = {damping[damper.force]: damper.standing for damper in self.adjustable if damper.standing is not None}
         return replace(self, dampers={}, kind=replace(self.kind, signals=signals), curves={**self.curves, **curves})
+
+    @cached_property
+    def with_force_actuators(self) -> "Vehicle":
+        """The vehicle with the actuators of controllers with `actuators = "force"`, which push within `[limits]`."""
+        return replace(self.with_ideal_actuators, limits=self.force_limits or self.limits, force_limits=None)
+
+    def driven_by(self, name: str) -> "Vehicle":
+        """Returns the vehicle with the actuators that a controller drives: adjustable dampers, or those that push."""
+        forced = bool(self.dampers) and name in self.controllers and self.controllers[name].forced
+        return self.with_force_actuators if forced else self
+
+    def for_all(self, names: Sequence[str]) -> "Vehicle":
+        """Returns the vehicle with the actuators that all of some controllers drive. `passive` and `state` drive any.
+
+        Raises:
+            InputError: some drive dampers, others actuators that push.
+        """
+        named = [name for name in names if name in self.controllers]
+        pushing = [name for name in named if self.driven_by(name) is not self]
+        others = [name for name in named if name not in pushing]
+        if pushing and others:
+            raise InputError(
+                f"{listing(pushing)} drive actuators that push, and {listing(others)} adjustable dampers; this command takes "
+                "one sort: name the controllers of one with --controller"
+            )
+        return self.with_force_actuators if pushing else self
+
+    def without(self, part: str) -> "Vehicle":
+        """Returns the vehicle without a part of its limits or implementation; itself if its file has no such part.
+
+        Args:
+            part: `noise` is noise and quantisation, `delay` that of the forces, `limits` the largest force and the bump stops,
+                `lag` that of actuators or valves.
+
+        Raises:
+            InputError: the part is another one.
+        """
+        if part not in WITHOUT:
+            raise InputError(f"without {part!r} is not known; known: {listing(WITHOUT)}")
+        how, dampers = self.implementation, self.dampers
+        how = how.without_noise if part == "noise" else replace(how, delay=0) if part == "delay" else how
+        if part == "lag":
+            dampers = {force: replace(damper, bandwidth=None) for force, damper in dampers.items()}
+        pushing = self.force_limits and self.force_limits.without(part)
+        parts = {"limits": self.limits.without(part), "force_limits": pushing, "implementation": how, "dampers": dampers}
+        return self if all(getattr(self, name) == one for name, one in parts.items()) else replace(self, **parts)
 
     @property
     def filtered(self) -> bool:
@@ -365,7 +415,7 @@ class Vehicle(ShownVehicle):
             from models.vehicle.integrals import check_integrals
 
             check_integrals(entry, self.integrals, self.implementation.noise, self.sampled)
-        if self.dampers:
+        if self.dampers and not entry.forced:
             from models.suspension.adjustable_dampers import check_measured
 
             check_measured(entry.name, entry.measured, self.dampers)
@@ -458,8 +508,9 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
     vehicle_kind = kind(data["type"], folder)
     data = in_si_units(text, data, vehicle_kind)
     curves, parameters = curves_and_parameters(data, vehicle_kind)
-    model = vehicle_kind.whole_model(parameters)
     limits = read_limits(data.get("limits", {}), vehicle_kind.suspensions)
+    parameters, limits = with_payload(data.get("payload", {}), vehicle_kind, parameters, limits, curves)
+    model = vehicle_kind.whole_model(parameters)
     implementation = read_implementation(data.get("implementation", {}), model.measurable)
     sampled = read_sampled("[implementation]", data.get("implementation", {}).get("sampled", False), implementation.sample_period)
     section = data.get("controllers", {})
@@ -480,7 +531,8 @@ def parse_vehicle(text: str, source: str = "", folder: Path | None = None) -> Ve
         controllers=controllers,
         text=text,
         source=source,
-        limits=limits,
+        limits=limits.without_actuators if dampers else limits,
+        force_limits=limits if dampers else None,
         implementation=implementation,
         filters=filters,
         road_filter=road_filter,

@@ -114,6 +114,7 @@ def _parse(text: str, folder: Path, own_kinds: bool) -> Campaign:
         for controller in controllers:
             if controller not in vehicle.controller_names:
                 raise InputError(f"vehicle {name!r} has no controller {controller!r}; it has {listing(vehicle.controller_names)}")
+    vehicles = {name: vehicle.for_all(controllers) for name, vehicle in vehicles.items()}
     roads = tuple(choose_road(road, folder) for road in _texts(data, "roads", "iso8608:class=C"))
     a_vehicle = next(iter(vehicles.values()))
     _check_once("roads", [road.text for road in roads], [_what_it_is(road, a_vehicle) for road in roads])

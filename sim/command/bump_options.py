@@ -3,11 +3,12 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from models.common.command import Parser, chosen
+from models.common.command import Parser
 from models.vehicle.names import BUMP_HEIGHT, BUMP_LENGTH, BUMP_SPEED
-from sim.command.road_options import add_run_options
+from sim.command.road_options import add_run_options, add_vehicles, driven_names
 
 if TYPE_CHECKING:
+    from models.common.arrays import Array
     from models.roads.road import Bump
     from models.vehicle.vehicle import Vehicle
     from sim.command.road_options import ExpectedLog
@@ -21,6 +22,7 @@ examples:
   python -m sim.bump --controller I --controller II --height 0.05
   python -m sim.bump --controller all --serve
   python -m sim.bump --controller mine --vehicle my_car.toml --json
+  python -m sim.bump --controller mine --vehicle my_car.toml --vehicle van.toml --without noise
 """
 
 
@@ -29,7 +31,7 @@ def parser() -> Parser:
     parser = Parser(
         "sim.bump", "Drives controllers over a bump, in MuJoCo and in linear analysis, compares and logs them.", EPILOG
     )
-    parser.add_controller_and_vehicle("required")
+    add_vehicles(parser)
     parser.add_number("--height", BUMP_HEIGHT, "m", "bump height")
     parser.add_number("--length", BUMP_LENGTH, "m", "bump length")
     parser.add_number("--speed", BUMP_SPEED, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
@@ -45,15 +47,9 @@ def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLo
     from sim.command.road_options import ExpectedLog
     from sim.runs.run import sample_times
 
-    names = chosen(vehicle.controller_names, options.controller)
+    names, run = driven_names(vehicle, options)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return ExpectedLog(
-        names,
-        samples,
-        options.timestep,
-        lambda road: road == requested_road(options).describe(),
-        lambda name, how: name in names and how == vehicle.implementation,
-    )
+    return ExpectedLog(names, samples, options.timestep, lambda road: road == requested_road(options).describe(), run)
 
 
 def requested_road(options: argparse.Namespace) -> "Bump":
@@ -61,3 +57,16 @@ def requested_road(options: argparse.Namespace) -> "Bump":
     from models.roads.road import Bump
 
     return Bump(options.height, options.length, options.speed, options.track)
+
+
+def checked_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Bump":
+    """Returns the requested bump, if a vehicle can be driven over it at these sample times [s]."""
+    road = requested_road(options)
+    road.check(vehicle, time)
+    return road
+
+
+def words(road: "Bump") -> str:
+    """Returns a bump in words."""
+    wheels = "" if road.track == "both" else f", {road.track} wheels only"
+    return f"a bump {road.height:g} m high and {road.length:g} m long at {road.speed:g} m/s{wheels}"

@@ -3,7 +3,8 @@
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from models.common.arrays import Array
 from models.common.command import complain
 from models.common.errors import InputError
-from models.common.printed import wrapped
+from models.common.printed import Whole, pasted_path, wrapped
 from models.roads.road import Road
 from models.vehicle.limits_and_implementation import unit_doubts
 from models.vehicle.names import PASSIVE
@@ -23,6 +24,7 @@ from sim.runs.report import (
     code_line,
     controller_lines,
     energy_lines,
+    joined_names,
     run_lines,
     verdict_lines,
 )
@@ -224,6 +226,15 @@ def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str
     return outputs
 
 
+def all_log_lines(logs: Sequence[Mapping[str, str | None]], brief: bool, runs: Sequence[Run]) -> list[str]:
+    """Returns the lines of `log_lines` for one log, and a single line on several."""
+    each = [log_lines(one, brief, runs) for one in logs]
+    if len(each) == 1 or brief or not any(each):
+        return [line for lines in each for line in lines]
+    folder = next(Path(path).parent for one in logs for path in one.values() if path)
+    return [Whole(f"  a log for each vehicle: {pasted_path(folder)}")]
+
+
 def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequence[Run] = ()) -> list[str]:
     """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
 
@@ -306,18 +317,21 @@ def compared_lines(runs: Sequence[Run], passive: Run | Reference) -> list[list[s
     return [_compared_lines(run, None if run is passive else passive) for run in runs]
 
 
-def short_lines(runs: Sequence[Run]) -> list[str]:
+def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str]:
     """Returns a line on each controller's claims, warnings, and the sentences on a run that fails, or is unstable and alone.
 
     Claims of more than `FEW` controllers are left to `-v`.
+
+    Args:
+        variants: names of the runs that leave a part of the vehicle out, of whose controllers other runs have the warnings.
     """
     without, few = dict[str, list[str]](), len(runs) <= FEW
-    linear = {run.controller.name: run.controller for run in runs if isinstance(run.controller, Controller)}
-    margins = {name: law_margins(runs[0].vehicle, one) for name, one in linear.items()}
+    linear = {run.controller.name: (run.vehicle, run.controller) for run in runs if isinstance(run.controller, Controller)}
+    margins = {name: law_margins(*one) for name, one in linear.items() if name not in variants}
     lines = [] if few else names_of_warnings(margins)
     for run in runs:
         claim = claims(run.controller) if few else ""
-        if not few:
+        if not few or run.controller.name in variants:
             pass
         elif not isinstance(run.controller, Controller):
             without.setdefault(claim, []).append(run.controller.name)
@@ -331,7 +345,7 @@ def short_lines(runs: Sequence[Run]) -> list[str]:
             lines += [f"{run.controller.name}:"] * (len(runs) > 1)
             said = [*verdict_lines(run), *energy_lines(run)]
             lines += [f"  {line}" for line in said if not run.physics.ran_away or line.startswith(LAW_OVERFLOW)]
-    lines += [line for why, names in without.items() if names for line in wrapped(f"{', '.join(names)}: {why}", hang=4)]
+    lines += [line for why, names in without.items() if names for line in wrapped(f"{joined_names(names)}: {why}", hang=4)]
     lines += ["-v adds gains, every signal and how the verdict is reached"] if few else []
     return ["", *lines] if lines else []
 
@@ -343,7 +357,7 @@ def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str
         full: True with `-v`.
         later: True if the table above begins later than the runs.
     """
-    if full or not runs[0].vehicle.limits.stopped:
+    if full or not any(run.vehicle.limits.stopped for run in runs):
         return []
     from sim.runs import stops
 
@@ -357,29 +371,43 @@ def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> 
 
 
 def standings_of(
-    runs: Sequence[Run], passive: Run | Reference, first: int = 0, measured: "Sequence[RunMetrics]" = ()
+    runs: Sequence[Run],
+    passive: Run | Reference,
+    samples: tuple[int, int | None] = (0, None),
+    measured: "Sequence[RunMetrics]" = (),
+    without: Sequence[str] = (),
+    title: str = "",
 ) -> "list[Standing]":
-    """Returns the standing of every controller, the passive vehicle first.
+    """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
 
     Args:
-        first: index of the sample with which measuring begins.
-        measured: metrics of the runs from there on, where they are known.
+        samples: the first one that is measured, and the one after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, where they are known.
+        without: the part of the vehicle that each run leaves out; empty if all are as built.
+        title: of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
-    from sim.studies.ride.standing import standing, without_unsound
+    from sim.studies.ride.standing import TRAVEL, standing, strokes_used, without_unsound
 
-    vehicle, road = runs[0].vehicle, runs[0].road
-    known: dict[str, Mapping[str, float | None]] = {
-        run.controller.name: {name: one.mujoco for name, one in of_run.metrics.items()}
+    road, (first, end) = runs[0].road, samples
+    known: dict[int, Mapping[str, float | None]] = {
+        id(run.physics): {name: one.mujoco for name, one in of_run.metrics.items()}
         for run, of_run in zip(runs, measured, strict=False)
     }
-    others = {run.controller.name: run.physics for run in runs if run is not passive}
-    standings = []
-    for name, response in {PASSIVE: passive.physics, **others}.items():
-        if name not in known:
+    rows = [(PASSIVE, "", runs[0].vehicle, passive.physics)]
+    parts = without or [""] * len(runs)
+    rows += [
+        (run.controller.name, part, run.vehicle, run.physics) for run, part in zip(runs, parts, strict=True) if run is not passive
+    ]
+    order, standings = [name for name, *_ in rows], []
+    for name, part, vehicle, response in sorted(rows, key=lambda row: order.index(row[0])):
+        values = known.get(id(response))
+        if values is None:
             broken = math.isfinite(response.diverged) or math.isfinite(reached(vehicle, response)[REGIME_ENDS.index(FLAT)])
-            known[name] = {} if broken else measure(vehicle, response, first, road.loaded)
-        standings.append(standing(vehicle, name, known[name]))
+            values = {} if broken else measure(vehicle, response, first, road.loaded, end)
+        one = standing(vehicle, name, values)
+        strokes = {} if one.values[TRAVEL] is None else strokes_used(runs[0].vehicle, response, first, end)
+        standings.append(replace(one, vehicle=title, without=part, strokes=strokes))
     return without_unsound(standings, [run.controller.name for run in runs if unstable_by_itself(run.controller)])
 
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from models.common.command import Parser, chosen
+from models.common.command import Parser
 from models.common.errors import InputError
 from models.common.printed import percent, wrapped
 from models.vehicle.names import CLASSES, PLUS, ROAD_SYNTAX, named_file, split_off
-from sim.command.road_options import add_loads, add_run_options, without_loads
+from sim.command.road_options import add_loads, add_run_options, add_vehicles, driven_names, without_loads
 
 if TYPE_CHECKING:
     from models.common.arrays import Array
@@ -32,6 +32,8 @@ examples:
   python -m sim.drive --controller I --road measured.csv --speed 15 --json
   python -m sim.drive --controller I --road survey.txt:separator=semicolon:columns=1,3:height_unit=mm --speed 15
   python -m sim.drive --vehicle full_car --controller I --class B --seed 7
+  python -m sim.drive --vehicle my_car.toml --vehicle van.toml --controller all --class C --speed 25
+  python -m sim.drive --vehicle my_car.toml --controller mine --road bump --without noise --without delay
   python -m sim.drive --vehicle full_car --controller I --road rig:file=drive.csv --duration 30
   python -m sim.drive --vehicle full_car --controller I --load brake:g=0.5 --load corner:g=0.3
 """
@@ -44,7 +46,7 @@ def parser() -> Parser:
         "Drives controllers over a road, in MuJoCo and in linear analysis; compares, measures and logs them.",
         EPILOG,
     )
-    parser.add_controller_and_vehicle("required")
+    add_vehicles(parser)
     add_road(parser, "C")
     add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number(
@@ -90,9 +92,9 @@ def expected_log(vehicle: "Vehicle", options: argparse.Namespace) -> "ExpectedLo
             return same and same_path(str(road.get("source")), path) and (road.get("type"), road.get("speed")) == (kind, speed)
         return alone == _built(vehicle, options, choose_road(text)).describe()
 
-    names = chosen(vehicle.controller_names, options.controller)
+    names, run = driven_names(vehicle, options)
     samples = len(sample_times(vehicle, options.duration, options.timestep))
-    return ExpectedLog(names, samples, options.timestep, is_it, lambda name, how: name in names and how == vehicle.implementation)
+    return ExpectedLog(names, samples, options.timestep, is_it, run)
 
 
 def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array") -> "Road":

@@ -1,13 +1,14 @@
 """Options of commands that drive over one road, and the log that options lead to."""
 
+import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from models import USUAL_TIMESTEP
-from models.common.command import ALL, Parser
-from models.vehicle.names import LOAD_SYNTAX, PLUS, is_load_file
+from models.common.command import ALL, Parser, chosen_of
+from models.vehicle.names import LOAD_SYNTAX, PLUS, WITHOUT, is_load_file, logged_variant, run_without
 
 if TYPE_CHECKING:
     from models.vehicle.limits_and_implementation import Implementation
@@ -36,6 +37,32 @@ class ExpectedLog:
     road: Callable[[Road], bool]
     run: "Callable[[str, Implementation], bool]"
     result: Mapping[str, Any] = field(default_factory=dict)
+
+
+def add_vehicles(parser: Parser) -> None:
+    """Adds `--controller`, `--vehicle`, of which several may be given, and `--without`."""
+    parser.add_controller_and_vehicle("required", several="compare several vehicles in one table")
+    parser.add_argument(
+        "--without",
+        action="append",
+        choices=WITHOUT,
+        default=[],
+        help="also run every controller without this part of the vehicle file, to see what it costs: noise (and quantisation), "
+        "delay of the forces, limits (largest force and bump stops), lag of the actuators; may be repeated",
+    )
+
+
+def driven_names(vehicle: "Vehicle", options: argparse.Namespace) -> "tuple[list[str], Callable[[str, Implementation], bool]]":
+    """Returns the controllers of a log's runs in their order, and the check of a run's name and implementation."""
+    names = chosen_of({"": vehicle.controller_names}, options.controller, partly=len(options.vehicles) > 1)[""]
+    runs = {name: vehicle.implementation for name in names}
+    every = list(names)
+    for part in options.without:
+        if (own := vehicle.without(part)) is not vehicle:
+            some = run_without(names, part)
+            every += some
+            runs |= {f"{name}{logged_variant(part)}": own.implementation for name in some}
+    return every, lambda name, how: runs.get(name) == how
 
 
 def same_path(first: str, second: str) -> bool:

@@ -13,6 +13,7 @@ from models.common.printed import finite
 from models.kinds.signals import is_kept
 from models.laws.combinations import PREVIEW, QUADRATIC
 from models.vehicle.controllers import ControllerEntry
+from models.vehicle.names import logged_variant
 from models.vehicle.vehicle import Vehicle
 from sim.inspect.findings import (
     FAILS,
@@ -267,20 +268,21 @@ def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) 
     if not isinstance(runs, list):
         yield Finding("result", MISSING, "the runs of result.json are no list")
         return
-    mine = [one for one in runs if isinstance(one, dict) and _controller_name(one) == recorded.name]
+    mine = [one for one in runs if isinstance(one, dict) and logged_as(one) == recorded.name]
     if len(mine) != 1:
         yield Finding("result", FAILS, "result.json does not have this run once")
         return
     logged = {one.name for one in log.runs}
-    if any(not isinstance(one, dict) or _controller_name(one) not in logged for one in runs):
+    if any(not isinstance(one, dict) or logged_as(one) not in logged for one in runs):
         yield Finding("result", MISSING, "result.json has runs that the log does not hold")
         return
     now: dict[str, Any] = json.loads(json.dumps(run_object(run) | {"half_step": half_step_object(run)}))
     now["road"], now["timestep"] = recorded.claim("road"), run.prediction.timestep
-    said = {**mine[0], "road": result.get("road"), "timestep": result.get("timestep")}
+    said = {key: value for key, value in mine[0].items() if key not in ("vehicle", "without")}
+    said |= {"road": result.get("road"), "timestep": result.get("timestep")}
     measured = "metrics" in said or (current and command == "drive")
     if measured and result.get("definitions") == DEFINITIONS:
-        now |= json.loads(json.dumps(_metrics(run, result.get("measured_from"))))
+        now |= json.loads(json.dumps(_metrics(run, result.get("measured_from"), result.get("measured_until"))))
     elif measured:
         text = "its metrics are of other definitions than this version's; the version that wrote the log computes them again"
         yield Finding("result", MISSING, text)
@@ -292,13 +294,18 @@ def check_result(log: Recorded, recorded: RecordedRun, run: Run, current: bool) 
         yield Finding("result", HOLDS, f"result.json: {count(now)} numbers as computed again")
 
 
-def _metrics(run: Run, start: Any) -> dict[str, Any]:
-    """Ride metrics, and what they rest on, from the sample at which the log says that measuring began."""
+def _metrics(run: Run, start: Any, end: Any) -> dict[str, Any]:
+    """Ride metrics, and what they rest on, between the samples at which the log says that measuring began and ended."""
     from sim.studies.ride.run_metrics import measure_run, metrics_object
 
-    if isinstance(start, bool) or not isinstance(start, (int, float)) or not 0 <= start <= run.physics.time[-2]:
-        raise InputError("result.json does not say from when its metrics were measured")
-    return metrics_object(run, measure_run(run, round(start / run.prediction.timestep)))
+    last, h = float(run.physics.time[-1]), run.prediction.timestep
+    until = last if end is None else end
+    if (
+        any(isinstance(one, bool) or not isinstance(one, (int, float)) for one in (start, until))
+        or not 0 <= start < until <= last
+    ):
+        raise InputError("result.json does not say from when, or until when, its metrics were measured")
+    return metrics_object(run, measure_run(run, round(start / h), None if end is None else round(end / h) + 1))
 
 
 def _matrix(value: Any, shape: tuple[int, int]) -> Array:
@@ -308,6 +315,8 @@ def _matrix(value: Any, shape: tuple[int, int]) -> Array:
         raise InputError(f"not {shape[0]} x {shape[1]} numbers") from None
 
 
-def _controller_name(one: Mapping[str, Any]) -> Any:
+def logged_as(one: Mapping[str, Any]) -> str | None:
+    """Returns the name in the log of a run of the result; None of a run without a controller's name."""
     controller = one.get("controller")
-    return controller.get("name") if isinstance(controller, dict) else None
+    name = controller.get("name") if isinstance(controller, dict) else None
+    return f"{name}{logged_variant(str(one.get('without', '')))}" if isinstance(name, str) else None

@@ -53,9 +53,10 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
     expected: ExpectedLog = COMMANDS[command].expected_log(vehicle, options)
     wrong = list(_wrong(log, expected, timestep, runs))
     source = log.metadata.get("vehicle", "")
-    ships = options.vehicle in shipped() and re.split(r"[\\/]", source)[-1] == f"{options.vehicle}.toml"
-    if not ships and not same_path(source, options.vehicle):
-        wrong.append(f"the vehicle file {options.vehicle} is not the one that the log names")
+    given = getattr(options, "vehicles", None) or (options.vehicle,)
+    ships = next((one for one in given if one in shipped() and re.split(r"[\\/]", source)[-1] == f"{one}.toml"), "")
+    if not ships and not any(same_path(source, one) for one in given):
+        wrong.append(f"the vehicle file {', '.join(given)} is not the one that the log names")
     if options.logs is None:
         wrong.append("its line asks for no log")
     yield from (Finding("command", FAILS, text) for text in wrong)
@@ -63,8 +64,8 @@ def check_command(log: Recorded, vehicle: Vehicle, timestep: float, runs: Sequen
         return
     compared = "controllers, roads, samples and timestep" if expected.samples is not None else "controllers, roads and timestep"
     yield Finding("command", HOLDS, f"its line asks for the {compared} that were logged")
-    if ships and (HERE / f"{options.vehicle}.toml").read_text(encoding="utf-8") != vehicle.text:
-        yield Finding("command", NOTE, f"vehicle.toml is not the {options.vehicle} that ships with this version")
+    if ships and (HERE / f"{ships}.toml").read_text(encoding="utf-8") != vehicle.text:
+        yield Finding("command", NOTE, f"vehicle.toml is not the {ships} that ships with this version")
 
 
 def _wrong(log: Recorded, expected: ExpectedLog, timestep: float, runs: Sequence[LoggedRun]) -> Iterator[str]:

@@ -10,6 +10,7 @@ from typing import Any
 from models.common.command import versions
 from models.common.errors import InputError
 from models.vehicle.vehicle import Vehicle
+from sim.inspect.claims import logged_as
 from sim.inspect.findings import FAILS, HOLDS, MISSING, NOTE, Finding, different, merge_repeats
 from sim.inspect.log import Recorded, read_json
 from sim.inspect.mcap_contents import Logged
@@ -18,7 +19,7 @@ from sim.recording.run_log import DAMPERS, LOADS, WHOLE, RunLog, check_keys
 from sim.recording.run_records import attachments, common_metadata
 from sim.runs.prediction import Prediction
 from sim.studies.ride.metrics import DEFINITIONS
-from sim.studies.ride.run_metrics import driven_roughness, first_sample, roughness_object
+from sim.studies.ride.run_metrics import driven_roughness, measured_samples, roughness_object
 
 ELSEWHERE = (  # claims of a run that other checks hold, with a tolerance and words of their own
     "certificate",
@@ -84,15 +85,18 @@ def check_whole_result(log: Recorded, again: Sequence[Prediction]) -> Iterator[F
         return
     if command not in WHOLE:
         return
-    names = [one.get("controller", {}).get("name") for one in result["runs"]] if _objects(result["runs"]) else None
+    names = [logged_as(one) for one in result["runs"]] if _objects(result["runs"]) else None
     if names != [run.name for run in log.runs]:
         yield Finding("result", FAILS, "the runs of result.json are not those of the log, in their order")
     if command == "drive":
         first, samples = again[0], len(again[0].time)
         duration = (samples - 1) * first.timestep
-        start = first_sample(first.vehicle, [one.controller for one in again], first.road, duration, first.timestep)
-        if result["measured_from"] != float(first.time[start]):
-            yield Finding("result", FAILS, "measured_from is not when measuring of such runs begins")
+        start, end = measured_samples([(one.vehicle, one.controller) for one in again], first.road, duration, first.timestep)
+        due = [float(first.time[start]), *([] if end is None else [float(first.time[end - 1])])]
+        said = [result[key] for key in ("measured_from", "measured_until") if key in result]
+        several = any("vehicle" in one for one in result["runs"])  # of the other vehicles the log says nothing
+        if said != due and not (several and len(said) <= len(due) and all(a >= b for a, b in zip(said, due, strict=False))):
+            yield Finding("result", FAILS, "measured_from or measured_until is not when measuring of such runs begins or ends")
         if result["definitions"] != DEFINITIONS:
             yield Finding("result", MISSING, "the definitions of its metrics are not this version's")
         roughness = roughness_object(driven_roughness(first.vehicle, first.road, first.time))

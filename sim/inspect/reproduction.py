@@ -21,8 +21,9 @@ from models.laws.python_law import MOST_TEXT, Programmed, PythonLaw
 from models.laws.semi_active import SemiActive
 from models.roads.description import described_road
 from models.roads.road import Road, RoadInput
-from models.vehicle.controllers import LARGEST, ControllerEntry
+from models.vehicle.controllers import LARGEST, RESERVED, ControllerEntry
 from models.vehicle.limits_and_implementation import read_implementation, read_limits
+from models.vehicle.names import logged_part
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from models.vehicle.vehicle import kinds as kind_names
 from sim.inspect.log import RESPONSES, Recorded, RecordedRun
@@ -78,7 +79,12 @@ def implemented(vehicle: Vehicle, run: RecordedRun) -> Vehicle:
     Raises:
         InputError: the logged implementation is invalid, or its limits are not those of the vehicle file.
     """
+    name = run.claims.get("name", "")
+    if part := logged_part(run.name, name):
+        vehicle = vehicle.without(part)
     limits = read_limits(_given(run.claim("limits"), "limits"), vehicle.kind.suspensions)
+    beside_forces = name in RESERVED and limits != vehicle.limits  # passive and state, with controllers that push
+    vehicle = vehicle.with_force_actuators if vehicle.dampers and beside_forces else vehicle.driven_by(name)
     if limits != vehicle.limits:
         raise InputError("its [limits] are not those of vehicle.toml")
     measurable = vehicle.linear_model.measurable

@@ -31,7 +31,7 @@ LOADS, DAMPERS = "loads", "dampers"  # topics of other forces; older logs of thi
 SINCE = ("half_step",)  # claims of a run that logs without a format number lack
 RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
     "bump": ("runs", "road", "timestep"),
-    "drive": ("runs", "road", "timestep", "measured_from", "definitions", "iri"),
+    "drive": ("runs", "road", "timestep", "measured_from", "measured_until", "definitions", "iri"),
     "sweep": ("sweeps", "amplitude", "timestep", "speed"),
     "margins": ("controller", "gain", "phase", "disk", "delay", "sample_period", "loops", "robustness", "loop", "fragility"),
     "envelope": (
@@ -49,7 +49,7 @@ RESULTS: Mapping[str, tuple[str, ...]] = {  # keys of result.json, by command
         "picture",
     ),
 }
-LATER = ("fragility", "disk", "iri", "loads", "edges")  # keys that older logs of this format lack
+LATER = ("fragility", "disk", "iri", "loads", "edges", "measured_until")  # keys that older logs, or some results, lack
 WHOLE = ("bump", "drive")  # commands whose logs have every run of the result, so that all of it can be recomputed
 
 

@@ -3,14 +3,17 @@
 import argparse
 import datetime
 import json
+import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from models.common.command import Parser, chosen, run_command
+from models.common.command import Parser, chosen_of, run_command
+from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import PLUS, without_copies
 from sim.command.drive_options import add_road, requested_road, road_text
@@ -33,6 +36,7 @@ examples:
   python -m sim.report --vehicle my_car.toml --controller passive --controller mine --out mine.html --figures figures
   python -m sim.report --quick --out quick.html
   python -m sim.report --vehicle my_car.toml --road my_road.csv --speed 15 --duration 30
+  python -m sim.report --quick --vehicle my_car.toml --vehicle van.toml
   python -m sim.report --vehicle full_car --load brake:g=0.5 --load corner:g=0.3 --out full_car.html
   python -m sim.report --gallery --out gallery.html
 """
@@ -49,28 +53,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.page import check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
-    from models.vehicle.vehicle import read_vehicle
     from sim.report.worker_processes import Beside, processes
     from sim.studies.ride.standing import standing_lines
 
     check_page()
     if options.gallery:
         return _gallery(options)
-    vehicle = read_vehicle(options.vehicle)
-    names = chosen(vehicle.controller_names, options.controller, without_copies(vehicle.controller_names))
-    others = omitted_controllers(vehicle, options.controller, names)
-    if options.out is None:
-        from sim.report.scope import file_stem
-
-        options.out = Path(f"report-{file_stem(vehicle)}.html")
-    outputs = {"report": options.out, "figures": options.figures}
-    check_outputs(outputs, vehicle.files, options.json)
+    subjects = _subjects(options)
+    if len(subjects) > 1 and options.exported is not None:
+        raise InputError("--as is of one vehicle, and this report of several; give one --vehicle")
+    outputs = _outputs(options, subjects)
+    for title, (vehicle, _) in subjects.items():
+        check_outputs(outputs[title], vehicle.files, options.json)
     if options.figures is not None:
         check_drawing()
-    loads = tuple(choose_load(text) for text in options.loads)
-    with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
-        result = _reported(options, vehicle, names, loads, beside)
-    undesigned = sorted({*names} - {one.controller for one in result.compared})
+    loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
+    for title, (vehicle, names) in subjects.items():
+        with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
+            results[title] = _reported(options, vehicle, names, loads, beside, outputs[title])
+        undesigned += sorted({*names} - {one.controller for one in results[title].compared})
+    if len(subjects) > 1:
+        return _several(options, outputs, results, undesigned)
+    ((vehicle, names),), (result,), (outputs,) = subjects.values(), results.values(), outputs.values()
+    others = omitted_controllers(vehicle, options.controller, names)
     older = _others(result.page, options.figures) if options.figures is not None else []
     if options.json:
         from sim.report.contents import report_object
@@ -94,8 +99,71 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if undesigned else 0
 
 
+def _subjects(options: argparse.Namespace) -> "dict[str, tuple[Vehicle, list[str]]]":
+    """Returns the vehicles of the pages with their controllers, by title. Controllers that push have a page beside dampers."""
+    from sim.command.driving import read_vehicles
+
+    vehicles = read_vehicles(options)
+    known = {title: vehicle.controller_names for title, vehicle in vehicles.items()}
+    usual = without_copies(dict.fromkeys(name for names in known.values() for name in names))
+    subjects = {}
+    for title, names in chosen_of(known, options.controller, usual).items():
+        vehicle = vehicles[title]
+        pushing = [name for name in names if vehicle.driven_by(name) is not vehicle]
+        others = [name for name in names if name not in pushing]
+        if pushing and any(name in vehicle.controllers for name in others):
+            subjects[title or Path(vehicle.source).stem] = (vehicle, others)
+            subjects[f"{title or Path(vehicle.source).stem}-force"] = (vehicle.with_force_actuators, pushing)
+        else:
+            subjects[title] = (vehicle.for_all(names), names)
+    return subjects
+
+
+def _outputs(
+    options: argparse.Namespace, subjects: "Mapping[str, tuple[Vehicle, list[str]]]"
+) -> "dict[str, dict[str, Path | None]]":
+    """Returns page and folder of figures of every vehicle, by title."""
+    from sim.report.scope import file_stem
+
+    if len(subjects) == 1:
+        ((title, (vehicle, _)),) = subjects.items()
+        return {title: {"report": options.out or Path(f"report-{file_stem(vehicle)}.html"), "figures": options.figures}}
+    page, folder = options.out or Path("report.html"), options.figures
+    return {
+        title: {"report": page.with_name(f"{page.stem}-{name}{page.suffix}"), "figures": folder and folder / name}
+        for title, name in ((title, re.sub(r"[^\w-]+", "_", title)) for title in subjects)
+    }
+
+
+def _several(
+    options: argparse.Namespace,
+    outputs: "Mapping[str, Mapping[str, Path | None]]",
+    results: "Mapping[str, Report]",
+    undesigned: Sequence[str],
+) -> int:
+    """Prints one table of several vehicles; returns the exit code."""
+    from models.figures.outputs import written, written_lines
+    from sim.report.contents import report_object
+    from sim.studies.ride.standing import standing_lines, standings_object
+
+    compared = [replace(one, vehicle=title) for title, result in results.items() for one in result.compared]
+    if options.json:
+        whole = {title: {**report_object(result), **written(outputs[title])} for title, result in results.items()}
+        left = {"left_out": list(undesigned)}
+        print(json.dumps({"reports": whole, "compared": standings_object(compared), **left}, allow_nan=False))
+    else:
+        lines = [line for each in outputs.values() for line in written_lines({"report": each["report"]})[2:]]
+        say(["reports", *lines, "", *standing_lines(compared, next(iter(results.values())).compared_on)])
+    return 1 if undesigned else 0
+
+
 def _reported(
-    options: argparse.Namespace, vehicle: "Vehicle", names: Sequence[str], loads: "tuple[Load, ...]", beside: "Beside"
+    options: argparse.Namespace,
+    vehicle: "Vehicle",
+    names: Sequence[str],
+    loads: "tuple[Load, ...]",
+    beside: "Beside",
+    outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
     from models.common.errors import InputError
@@ -142,7 +210,7 @@ def _reported(
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported, **own)
     result = report(scope, _about(vehicle.source), beside)
     stage("the page")
-    _write(result.page, options.out, options.figures)
+    _write(result.page, outputs)
     stage.end()
     return result
 
@@ -154,7 +222,6 @@ OF_A_VEHICLE = (
 
 def _gallery(options: argparse.Namespace) -> int:
     """Writes the page of the gallery; returns the exit code."""
-    from models.common.errors import InputError
     from models.figures.outputs import check_outputs, written, written_lines
     from models.figures.picture import check_drawing
     from sim.report.gallery import gallery_page
@@ -166,7 +233,7 @@ def _gallery(options: argparse.Namespace) -> int:
         name
         for name, of in (("controller", "controller"), ("load", "loads"), ("as", "exported"), ("class", "road_class"))
         if getattr(options, of)
-    }
+    } | {"vehicle" for _ in options.given & {"vehicles"}}
     if given := [name for name in OF_A_VEHICLE if name in options.given | repeated]:
         raise InputError(f"--{given[0]} is of a vehicle file's report, and --gallery is of the gallery; leave one of them out")
     outputs = {"report": options.out or Path("report-gallery.html"), "figures": options.figures}
@@ -180,7 +247,7 @@ def _gallery(options: argparse.Namespace) -> int:
         results.append((entry, compared(entry)))
     stage("the page")
     page = gallery_page(results, _about("models/gallery"))
-    _write(page, outputs["report"], options.figures)
+    _write(page, outputs)
     stage.end()
     if options.json:
         entries = [entry_object(*each) for each in results]
@@ -203,11 +270,13 @@ def _about(source: str) -> dict[str, str]:
     }
 
 
-def _write(page: "Page", out: Path, figures: Path | None) -> None:
+def _write(page: "Page", outputs: "Mapping[str, Path | None]") -> None:
     """Writes a page, with its figures where they are asked for: all of it, or nothing."""
     from models.common.files import made_folder, together
     from models.figures.page import write_page
 
+    out, figures = outputs["report"], outputs["figures"]
+    assert out is not None, "every page has a file"
     with ExitStack() as stack:
         if figures is not None:
             stack.enter_context(made_folder(figures, "figures"))
@@ -219,7 +288,9 @@ def _write(page: "Page", out: Path, figures: Path | None) -> None:
 
 def _parser() -> Parser:
     parser = Parser("sim.report", "Writes one HTML page about a vehicle file and its controllers.", EPILOG)
-    parser.add_controller_and_vehicle("default: all but printed copies of others, as I_printed is of I")
+    parser.add_controller_and_vehicle(
+        "default: all but printed copies of others, as I_printed is of I", several="a page for each, and one table"
+    )
     parser.add_argument("--gallery", action="store_true", help="the page of the gallery instead: numbers that others printed")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (default: report-VEHICLE.html, report-gallery.html)")
     parser.add_argument("--figures", type=Path, metavar="DIR", help="also write every figure as SVG and PNG, every table as CSV")

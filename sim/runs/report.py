@@ -78,6 +78,8 @@ NO_CLAIM_OF_SWITCHING = "no linear claim: a law that sets adjustable dampers"
 LOST = "beyond its equations"
 NO_STATE = "a strut has no length left, or the body lies over"
 NOT_GEOMETRY = 0.01  # share of a difference; a sentence leaves out smaller parts
+STEP_BY_STEP = ", and step by step "
+STEPS_TOO = f"{STEP_BY_STEP}throughout"
 FEW = 3  # controllers with a line of their own; from more on, the answer would not fit a terminal
 WHEN = re.compile(r"(until|at) ([\d.e+-]+) s\b")
 MOST_FLIGHTS = 4  # flights of a run that are listed one by one
@@ -260,7 +262,7 @@ def verdict(run: Run) -> str:
     order = " to first order" if any(signal.small is not None for signal in agreement.signals.values()) else ""
     words = f"agrees{order} {when}" if agreement.agrees else f"DOES NOT AGREE {when}"
     if agreement.agrees and agreement.steps is not None and agreement.steps.until > agreement.until:
-        words += f", and step by step {_end(agreement.steps)}"
+        words += f"{STEP_BY_STEP}{_end(agreement.steps)}"
     elif not agreement.step_by_step:
         words = "DOES NOT AGREE step by step"
     if agreement.until <= 0:
@@ -273,10 +275,17 @@ def verdict(run: Run) -> str:
     return f"{words}; {LAW_OVERFLOW} at {run.diverged:.4g} s" if later else words
 
 
-def summary_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns the verdict on every run, a line each; runs of more than `FEW` controllers with the same verdict share a line."""
+def summary_lines(runs: Sequence[Run], short: bool = False) -> list[str]:
+    """Returns the verdict on every run, a line each; runs of more than `FEW` controllers with the same verdict share a line.
+
+    Args:
+        short: True for shared lines without what is the same of all good runs: that single steps agree and energy balances.
+    """
     width = max(len(run.controller.name) for run in runs)
     said = [(run.controller.name, f"{_unstable(run)}{verdict(run)}") for run in runs]
+    if short:
+        said = [(name, words.removesuffix("; energy balances").replace(STEPS_TOO, "")) for name, words in said]
+        return [*shared_lines(said), *["energy balances in every run"] * all(run.energy and run.energy.balances for run in runs)]
     if len(runs) <= FEW:
         return [line for name, words in said for line in wrapped(words, f"{name:{width}}  ", 4)]
     return shared_lines(said)
@@ -302,8 +311,17 @@ def shared_lines(said: Iterable[tuple[str, str]]) -> list[str]:
         for times in zip(*(times for _, times in some), strict=True):
             first, last = min(times, key=float), max(times, key=float)
             words = words.replace("... s", f"{first} s" if first == last else f"{first} to {last} s", 1)
-        lines += wrapped(f"{', '.join(name for name, _ in some)}: {words}", hang=4)
+        lines += wrapped(f"{joined_names([name for name, _ in some])}: {words}", hang=4)
     return lines
+
+
+def joined_names(names: Sequence[str]) -> str:
+    """Returns the names of runs on a line; those of several vehicles, `VEHICLE:CONTROLLER`, by vehicle."""
+    by_vehicle: dict[str, list[str]] = {}
+    for name in names:
+        vehicle, _, controller = name.rpartition(":")
+        by_vehicle.setdefault(vehicle, []).append(controller.replace(", no", " without"))
+    return "; ".join(f"{f'{vehicle}: ' if vehicle else ''}{', '.join(some)}" for vehicle, some in by_vehicle.items())
 
 
 def _flights(lift_off: Sequence[tuple[float, float]]) -> list[str]:

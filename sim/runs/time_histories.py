@@ -10,6 +10,7 @@ from models.common.arrays import Array
 from models.common.printed import as_name
 from models.figures.axis import Axis, axis_of
 from models.figures.figure import Curve, Figure, Panel, Style, styles, thinned
+from models.kinds.signals import Signal
 from sim.response.response import Response
 from sim.runs.run import Run
 
@@ -117,14 +118,13 @@ def history_panels(
         continuous: True for lines of the continuous loop; else of the sampled one.
         during: stretch of time that is drawn [s]; None for all.
     """
-    vehicle, panels = runs[0].vehicle, []
+    panels = []
     start, end = during or (0.0, _end(runs))
     every = max(1, round((end - start) / (POINTS * runs[0].prediction.timestep)))
-    for name in (name for name, weight in vehicle.performance.items() if weight > 0):
+    for name, signal in _weighed(runs).items():
         traces = [_trace(run, name, bounded(run), continuous, start, end) for run in runs if _moves(run, name)]
         if not any(len(trace.values) for trace in traces):
             continue
-        signal = vehicle.kind.signal(name)
         words, unit = name.replace("_", " "), signal.unit.replace("s2", "s²")
         axis = axis_of(_seen(traces), None, log=False)
         dense = during is None and max(_swings(trace.physics[name]) for trace in traces) > MOST_SWINGS
@@ -152,8 +152,16 @@ def _end(runs: Sequence[Run]) -> float:
     return min(whole, max(run.broke_off[1] if run.broke_off is not None else whole for run in runs)) or whole
 
 
+def _weighed(runs: Sequence[Run]) -> dict[str, Signal]:
+    """Returns the signals that a vehicle of the runs weighs, by name."""
+    vehicles = [run.vehicle for run in runs]
+    return {name: one.kind.signal(name) for one in vehicles for name, weight in one.performance.items() if weight > 0}
+
+
 def _moves(run: Run, name: str) -> bool:
-    """Returns False if a signal is silent: no control force, or no roll on a symmetric road."""
+    """Returns False if a vehicle lacks a signal, or if it is silent: no control force, or no roll on a symmetric road."""
+    if not any(signal.name == name for signal in run.physics.signals):
+        return False
     peak = float(run.physics.peak(name))
     return peak != 0 and not peak < run.physics.scale(name)
 
@@ -219,7 +227,7 @@ def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
         if (off := run.broke_off) is not None
     ]
     note += f". {', '.join(broken)}" if broken else ""
-    kind = runs[0].vehicle.kind.name.replace("_", " ")
+    kind = " and ".join(dict.fromkeys(run.vehicle.kind.name.replace("_", " ") for run in runs))
     title = f"{kind} over {where}. {lines_text(panels, 'exact sampled response', all(map(_bounded, runs)))}{note}"
     return Figure("runs", title, tuple(panels), columns, size, finding=_least(runs))
 
@@ -229,14 +237,14 @@ def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
 
     It has about `MOST_SWINGS` of the signal that swings most often.
     """
-    weighed = [name for name, weight in runs[0].vehicle.performance.items() if weight > 0]
+    weighed = list(_weighed(runs))
     kept = [run for run in runs if _bounded(run)]
     swings = max((_swings(run.physics[name]) for run in kept for name in weighed if _moves(run, name)), default=0)
     if swings <= MOST_SWINGS:
         return None
     time = runs[0].prediction.time
     first = next(name for name in weighed if any(_moves(run, name) for run in kept))
-    hardest = max(kept, key=lambda run: float(run.physics.peak(first)))
+    hardest = max((run for run in kept if _moves(run, first)), key=lambda run: float(run.physics.peak(first)))
     at, whole = float(time[int(np.abs(hardest.physics[first]).argmax())]), float(time[-1])
     length = whole * MOST_SWINGS / swings
     start = min(max(0.0, at - length / 2), whole - length)
@@ -254,7 +262,8 @@ def acceleration_peaks(runs: Sequence[Run]) -> tuple[str, dict[str, float]]:
     Without a choice, of fewer than two, the name and the peaks are empty.
     """
     name = next((name for name in runs[0].vehicle.performance if name.endswith("acceleration")), "")
-    peaks = {run.controller.name: float(run.physics.peak(name)) for run in runs if name and run.broke_off is None}
+    whole = [run for run in runs if name in {signal.name for signal in run.physics.signals} and run.broke_off is None]
+    peaks = {run.controller.name: float(run.physics.peak(name)) for run in whole}
     return (name, peaks) if len(peaks) > 1 else ("", {})
 
 

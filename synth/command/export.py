@@ -77,6 +77,11 @@ def export(vehicle: Vehicle, options: Namespace) -> int:
 def saved_with_law(vehicle: Vehicle, name: str) -> tuple[Vehicle, str]:
     """Returns the vehicle whose file holds the controller's law, and the controller's name in it."""
     entry = vehicle.controllers.get(name)
+    if vehicle.driven_by(name) is not vehicle:
+        raise InputError(
+            f"--export: {name!r} drives actuators that push, in a file with adjustable dampers, and code is of one sort; export "
+            "it from a file without [actuators]"
+        )
     if entry is not None and (entry.law is not None or entry.semi_active is not None or entry.python is not None):
         return vehicle, name
     controller = Designer(vehicle).design(name)

@@ -79,7 +79,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound | None) -> list[str]:
-    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(vehicle, controller)
+    name, (norm, _) = controller.name + SUFFIX, norm_or_failure(vehicle.driven_by(controller.name), controller)
     checkable = replace(controller.certificate, proof=roomy_proof(controller.certificate))
     record = to_record(checkable) | norm_record(norm) | bound_record(sampled_bound)
     asked = vehicle.controllers.get(controller.name)
@@ -89,6 +89,7 @@ def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound
     key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
     return [
         f"[controllers.{key}]",
+        *(['actuators = "force"'] if asked is not None and asked.forced else []),
         f"measured = {_toml(list(controller.measured))}",
         *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
         *(f"{key} = {_toml(value)}" for key, value in goals.items()),

@@ -125,6 +125,7 @@ class Designer:
         self.vehicle, self.search = vehicle, search
         self._shared: dict[DesignConditions, SharedDesignData] = {NOMINAL: SharedDesignData(vehicle)}
         self._sampled_bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], SampledBound | None] = {}
+        self._pushing: Designer | None = None  # of the vehicle with actuators that push, where it has adjustable dampers
 
     def __repr__(self) -> str:
         """Returns the kind and the file of its vehicle."""
@@ -196,6 +197,9 @@ class Designer:
             DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
                 two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
         """
+        if (own := self.vehicle.driven_by(name)) is not self.vehicle:
+            self._pushing = self._pushing or Designer(own, self.search)
+            return self._pushing.design(name, zero_l, on_progress)
         return self.judged(self._design(name, zero_l, on_progress))
 
     def judged(self, controller: Controller) -> Controller:

@@ -180,6 +180,12 @@ def settling_time(vehicle: Vehicle, controller: Controller) -> float:
     return math.log(FORGOTTEN) / (2 * loop_stability.worst.real) if loop_stability.stable else math.inf
 
 
+def passive_settling_time(vehicle: Vehicle) -> float:
+    """Returns the settling time of the vehicle without control [s]; infinite if it is not stable. See `settling_time`."""
+    own = stability(vehicle.linear_model.A)
+    return math.log(FORGOTTEN) / (2 * own.worst.real) if own.stable else math.inf
+
+
 @one_thread()
 def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: float, window: float) -> Expected | None:
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.

@@ -415,10 +415,14 @@ class Meter:
         self.largest[name] = np.maximum(self.largest[name], largest) if name in self.largest else largest
 
 
-def measure(vehicle: Vehicle, response: Response, first: int, loaded: bool = False) -> dict[str, float]:
-    """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`."""
+def measure(vehicle: Vehicle, response: Response, first: int, loaded: bool = False, end: int | None = None) -> dict[str, float]:
+    """Returns the metrics of one response from sample `first` on; NaN if it broke off. Arguments as for `Meter`.
+
+    Args:
+        end: index of the sample after the last one measured; None for the end of the response.
+    """
     meter = Meter([vehicle], float(response.time[1] - response.time[0]), first, loaded)
-    meter.update(response.values[:, :, None])
+    meter.update(response.values[:end, :, None])
     return {name: float(value[0]) for name, value in meter.result().items()}
 
 

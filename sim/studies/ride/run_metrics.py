@@ -13,10 +13,19 @@ from models.common.errors import InputError
 from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
 from models.kinds.links import left_out
 from models.roads.iri import TRACKS, Roughness, roughness_of
-from models.roads.road import Road, track_width
+from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run
-from sim.studies.ride.expected import APPROXIMATE, EXACT, Expected, Settled, expect, settled, settling_time
+from sim.studies.ride.expected import (
+    APPROXIMATE,
+    EXACT,
+    Expected,
+    Settled,
+    expect,
+    passive_settling_time,
+    settled,
+    settling_time,
+)
 from sim.studies.ride.metrics import measure, metrics_of, points, static_angles
 from sim.studies.ride.statistical_linearisation import Equivalent, line_object, line_words
 from synth.controller.controller import Controller, Driver
@@ -116,26 +125,44 @@ class RunMetrics(Shown):
         return f"metrics of a run: {len(rows)}", {name: text or "none, as the run broke off" for name, text in rows.items()}
 
 
-def first_sample(vehicle: Vehicle, controllers: Sequence[Driver], road: Road, duration: float, timestep: float) -> int:
-    """Returns the first sample measured: on a random road when the transient has decayed, but no later than half of the run.
+def measured_samples(
+    driven: Sequence[tuple[Vehicle, Driver]], road: Road, duration: float, timestep: float
+) -> tuple[int, int | None]:
+    """Returns the first sample that is measured, and the one after the last; None for the end of the run.
 
-    For a law in Python, whose transient is unknown, it is half of the run.
+    - On a random road measuring begins when the transient has decayed, but no later than half of the run. For a law in Python,
+      whose transient is unknown, it begins at half of the run.
+    - Over a single obstacle the passage is measured, the same with all controllers: from the first wheel's contact until the
+      last wheel has left, and then as long as the vehicle settles without control.
+    - On other roads, and with loads, all of the run is measured.
+
+    Args:
+        driven: every vehicle with each of its controllers.
+        road: the road.
+        duration: of the run [s].
+        timestep: of the run [s].
     """
-    if road.spectrum is None:
-        return 0
-    settled = max(settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for one in controllers)
-    return round(min(settled, duration / 2) / timestep)
+    if road.spectrum is not None:
+        times = [settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for vehicle, one in driven]
+        return round(min(max(times), duration / 2) / timestep), None
+    if road.loaded or road.points is not None or not math.isfinite(road.duration):
+        return 0, None
+    vehicles = {id(vehicle): vehicle for vehicle, _ in driven}.values()
+    settled = road.duration + max(max(delays(road, one)) + passive_settling_time(one) for one in vehicles)
+    first = round(min(*road.kinks, duration / 2) / timestep)
+    return first, round(settled / timestep) + 1 if settled < duration else None
 
 
-def measure_run(run: Run, first: Index) -> RunMetrics:
+def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
     Args:
         run: the run.
         first: index of the first sample measured; 0 for the whole run.
+        end: index of the sample after the last one measured; None for the end of the run.
 
     Raises:
-        InputError: the run has no such sample.
+        InputError: the run has no such samples.
 
     Example:
         >>> from models import Bump, read_vehicle
@@ -148,8 +175,8 @@ def measure_run(run: Run, first: Index) -> RunMetrics:
         '0.0484 m'
     """
     vehicle, road, time, timestep = run.vehicle, run.road, run.prediction.time, run.prediction.timestep
-    if first >= len(time) - 1:
-        raise InputError(f"first = {first} leaves no two of the run's {len(time)} samples; give a smaller one")
+    if first >= len(time[:end]) - 1:
+        raise InputError(f"first = {first} leaves no two of the run's {len(time[:end])} samples; give a smaller one")
     expected: Expected | None = None
     transient: Settled | None = None
     controller = run.controller
@@ -162,7 +189,7 @@ def measure_run(run: Run, first: Index) -> RunMetrics:
     sampled: Mapping[str, float] = {}
     if run.broke_off is None:
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop overflows
-            mujoco, sampled = (measure(vehicle, response, first, road.loaded) for response in (run.physics, run.sampled))
+            mujoco, sampled = (measure(vehicle, response, first, road.loaded, end) for response in (run.physics, run.sampled))
     metrics = {
         metric.name: MetricComparison(
             metric.unit,

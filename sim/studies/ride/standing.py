@@ -5,15 +5,17 @@ For a vehicle with several wheels, suspensions or actuators, each column has the
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from models.common.arrays import Array
-from models.common.printed import finite, table
-from models.vehicle.names import PASSIVE
+from models.common.printed import GAP, finite, table, wrapped
+from models.suspension.bump_stops import SIDES
+from models.vehicle.names import PASSIVE, variant
 from models.vehicle.vehicle import Vehicle
+from sim.response.response import Response
 from sim.studies.ride.metrics import dynamic_load, off_ground, points
 
 
@@ -60,11 +62,38 @@ class Standing:
         controller: its name.
         values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
+        vehicle: the name of its vehicle, for rows of several; empty if there is one.
+        without: the part of the vehicle that this run leaves out, see `Vehicle.without`; empty as built.
+        strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
+            A side without a stop is left out; empty without strokes or a run.
     """
 
     controller: str
     values: Mapping[str, float | None]
     sound: bool = True
+    vehicle: str = ""
+    without: str = ""
+    strokes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The controller, and what its run leaves out."""
+        return f"{self.controller}{variant(self.without)}"
+
+    @property
+    def label(self) -> str:
+        """The vehicle, if there are several, and the name."""
+        return f"{self.vehicle}:{self.name}".removeprefix(":")
+
+
+def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | None = None) -> dict[str, tuple[float, float]]:
+    """Returns `Standing.strokes` of a response between two samples; arguments as for `sim.studies.ride.metrics.measure`."""
+    used: dict[str, tuple[float, float]] = {}
+    for name, stops in vehicle.limits.stops(vehicle.kind.suspensions).items():
+        for side, (sign, stop) in stops.sides.items():
+            most = max(0.0, float((sign * response[name][first:end]).max())), stop.stroke
+            used[side] = max(used.get(side, most), most, key=lambda one: one[0] / one[1])
+    return used
 
 
 def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> list[Standing]:
@@ -125,7 +154,7 @@ def best(standings: Sequence[Standing]) -> dict[str, list[str]]:
     names: dict[str, list[str]] = {}
     for one in MEASURES:
         compared = [each for each in standings if each.sound and not (one.effort and each.controller == PASSIVE)]
-        values = {each.controller: value for each in compared if (value := each.values[one.key]) is not None}
+        values = {each.label: value for each in compared if (value := each.values[one.key]) is not None}
         shown = {name: digits(value * one.scale) for name, value in values.items()}
         least = shown[min(values, key=values.__getitem__)] if values else ""
         names[one.key] = [name for name in shown if shown[name] == least] if len(set(shown.values())) > 1 else []
@@ -139,7 +168,13 @@ def digits(value: float) -> str:
 
 def standings_object(standings: Sequence[Standing]) -> dict[str, Any]:
     """Returns the table for JSON, in SI units, with the best of each column."""
-    rows = [{"controller": one.controller} | {key: finite(one.values[key]) for key in KEYS} for one in standings]
+    rows = [
+        {"controller": one.controller}
+        | {key: text for key, text in (("vehicle", one.vehicle), ("without", one.without)) if text}
+        | {key: finite(one.values[key]) for key in KEYS}
+        | ({"strokes": {side: {"used": used, "of": of} for side, (used, of) in one.strokes.items()}} if one.strokes else {})
+        for one in standings
+    ]
     return {"controllers": rows, "best": best(standings)}
 
 
@@ -159,19 +194,21 @@ class ComparedColumn:
 
 
 def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn], str]:
-    """Returns the columns that have numbers, and a legend of their marks."""
-    passive = next((one for one in standings if one.controller == PASSIVE and len(standings) > 1), None)
-    marked = best(standings)
+    """Returns the columns that have numbers, and a legend of their marks; changes are against passive of the same vehicle."""
+    passive = {one.vehicle: one for one in standings if one.controller == PASSIVE and not one.without and len(standings) > 1}
+    marked, travel = best(standings), _travel(standings)
     columns = []
     for one in MEASURES:
         if not any(_is_there(one, each.values[one.key]) for each in standings):
             continue
-        numbers = [f"{_shown(one, each)}{'*' if each.controller in marked[one.key] else ' '}" for each in standings]
+        measure, sides = travel if one.key == TRAVEL and travel is not None else (one, None)
+        shown = sides or [_shown(one, each) for each in standings]
+        numbers = [f"{cell}{'*' if each.label in marked[one.key] else ' '}" for cell, each in zip(shown, standings, strict=True)]
         changes = None
-        if one.against and passive is not None:
-            changes = [_change(each.values[one.key], passive.values[one.key]) for each in standings]
-        columns.append(ComparedColumn(one, numbers, changes))
-    unsound = ", ".join(one.controller for one in standings if not one.sound)
+        if one.against and passive:
+            changes = [_change(each.values[one.key], passive[each.vehicle].values[one.key]) for each in standings]
+        columns.append(ComparedColumn(measure, numbers, changes))
+    unsound = ", ".join(one.label for one in standings if not one.sound)
     star = f"the best without {unsound}" if unsound else "the best"
     legend = f"*: {star}; " if any(marked[column.measure.key] for column in columns) else ""
     legend += "%: against passive; " if any(column.changes is not None for column in columns) else ""
@@ -187,8 +224,38 @@ def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
     columns, legend = compared_columns(standings)
     if not columns:
         return ["no ride to compare: of every controller a run broke off"]
-    rows = zip(["", "", *(one.controller for one in standings)], *map(_cells, columns), strict=True)
-    return [*table(rows, tight=True), f"  {legend}{about}"]
+    first, second, *cells = zip(["", "", *(one.name for one in standings)], *map(_cells, columns), strict=True)
+    rows: list[Sequence[str] | str] = [first, second]
+    for one, row, before in zip(standings, cells, ("", *(each.vehicle for each in standings)), strict=False):
+        rows += [one.vehicle, row] if one.vehicle != before else [row]
+    return [*table(rows, tight=True), *wrapped(f"{legend}{about}", GAP, 4)]
+
+
+def _travel(standings: Sequence[Standing]) -> tuple[Measure, list[str]] | None:
+    """Returns the column of travel in bump and rebound with its cells, if every run has strokes: in mm if all have the same
+    strokes, else in per cent of them.
+    """
+    usual, whole = (
+        next(one for one in MEASURES if one.key == TRAVEL),
+        [one for one in standings if one.values[TRAVEL] is not None],
+    )
+    if not whole or not all(one.strokes for one in whole):
+        return None
+    strokes = {tuple(one.strokes[side][1] if side in one.strokes else None for side in SIDES) for one in whole}
+    alike = len(strokes) == 1
+    of = "/".join("-" if stroke is None else f"{1e3 * stroke:.4g}" for stroke in next(iter(strokes)))
+    what = f"of {of} mm" if alike else "% of stroke"
+    cells = [
+        "/".join(
+            f"{1e3 * one.strokes[side][0] if alike else 100 * one.strokes[side][0] / one.strokes[side][1]:.0f}"
+            if side in one.strokes
+            else "-"
+            for side in SIDES
+        )
+        for one in standings
+    ]
+    heading = f"travel in bump/rebound, {what}"
+    return replace(usual, title=what, unit="bump/reb.", heading=heading), cells
 
 
 def _is_there(one: Measure, value: float | None) -> bool:

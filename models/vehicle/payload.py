@@ -1,0 +1,118 @@
+"""`[payload]` of a vehicle file: point masses on the body, with their inertia.
+
+With the body's mass M and inertias I about its centre of mass, a mass m at (x, z) from there (ISO 8855: x forward, z up) makes
+
+    M' = M + m,    I_pitch' = I_pitch + mu (x^2 + z^2),    I_roll' = I_roll + mu z^2,    mu = M m / (M + m),
+
+about the common centre of mass, which lies at m / (M + m) (x, z). Springs are linear, so the laden car has the same equations
+with these parameters. Its motion is about its own rest, where every suspension is compressed by the payload's weight.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from models.common.errors import InputError, listing, quoted
+from models.kinds.kind import GRAVITY, Parameter, VehicleKind, is_within
+from models.kinds.linear_model import LinearModel
+from models.kinds.signals import HEAVE_LOAD, PITCH_LOAD
+from models.suspension.bump_stops import SIDES, Place, StopPair
+from models.suspension.curve import ForceCurve
+from models.vehicle.limits_and_implementation import Limits
+
+PLACE = ("x", "z")
+KEYS = ("mass", *PLACE)
+FARTHEST = 20.0  # m
+MASS = Parameter("mass", "kg", "of a payload", largest=1e5)
+
+
+def laden(
+    section: Mapping[str, Any], kind: VehicleKind, parameters: dict[str, float], limits: Limits, curves: Mapping[str, ForceCurve]
+) -> tuple[dict[str, float], Limits]:
+    """Returns parameters and limits of a vehicle with its payload; see `models.vehicle.sections.with_payload`."""
+    several = bool(section) and all(isinstance(one, Mapping) for one in section.values())
+    named = {f"[payload.{name}]": one for name, one in section.items()} if several else {"[payload]": section}
+    model, load = kind.whole_model(parameters), dict.fromkeys((HEAVE_LOAD.name, PITCH_LOAD.name), 0.0)
+    heavier = dict(parameters)
+    shift: dict[str, float] = dict.fromkeys(PLACE, 0.0)
+    if "sprung_mass" not in parameters or HEAVE_LOAD.name not in model.loads:
+        raise InputError("[payload]: this vehicle has no sprung_mass that goes up and down; leave it out")
+    springs = [part.stiffness for part in kind.suspensions if part.stiffness in curves]
+    if springs:
+        raise InputError(
+            f"[payload] sinks the car, and the curve {springs[0]} is about its rest without payload; give the curve about the "
+            "laden rest, and the laden mass and inertias in [parameters]"
+        )
+    for where, given in named.items():
+        mass, place = _read(where, given, model)
+        x, z = (place[axis] - shift[axis] for axis in PLACE)
+        whole = heavier["sprung_mass"] + mass
+        reduced = heavier["sprung_mass"] * mass / whole
+        heavier["sprung_mass"] = whole
+        for name, arm in (("pitch_inertia", x * x + z * z), ("roll_inertia", z * z)):
+            if name in heavier:
+                heavier[name] += reduced * arm
+        for axis, part in (("x", x), ("z", z)):
+            shift[axis] += mass / whole * part
+        load[HEAVE_LOAD.name] -= mass * GRAVITY
+        load[PITCH_LOAD.name] += mass * GRAVITY * place["x"]
+    for name, moved in (("axle_distance_front", -shift["x"]), ("axle_distance_rear", shift["x"]), ("centre_height", shift["z"])):
+        if name in heavier:
+            heavier[name] += moved
+    try:
+        checked = kind.check(heavier)
+    except InputError as error:
+        raise InputError(f"[payload]: with it {error}") from error
+    return checked, _sunk(kind, model, load, limits)
+
+
+def _read(where: str, given: Mapping[str, Any], model: LinearModel) -> tuple[float, dict[str, float]]:
+    """Returns mass and place of a payload."""
+    for key, value in given.items():
+        if key == "y":
+            raise InputError(
+                f"{where} y: a vehicle's mass lies on its centre line; drive with --load payload:y=..., a weight alone"
+            )
+        if key not in KEYS:
+            raise InputError(f"{where} unknown key {key!r}; known: {listing(KEYS)}")
+        if key in PLACE and not is_within(value, FARTHEST):
+            raise InputError(
+                f"{where} {key} = {quoted(value)} is not allowed; give a number from -{FARTHEST:g} to {FARTHEST:g} m"
+            )
+        if key in PLACE and value and PITCH_LOAD.name not in model.loads:
+            raise InputError(f"{where} {key}: this vehicle does not pitch, and only the mass matters; leave {key} out")
+    if "mass" not in given:
+        raise InputError(f"{where} mass is missing; give it in kg")
+    try:
+        mass = MASS.check(given["mass"])
+    except InputError as error:
+        raise InputError(f"{where} {error}") from error
+    return mass, {axis: float(given.get(axis, 0.0)) for axis in PLACE}
+
+
+def _sunk(kind: VehicleKind, model: LinearModel, load: Mapping[str, float], limits: Limits) -> Limits:
+    """Returns the limits with strokes from the laden rest."""
+    stops = limits.stops(kind.suspensions)
+    if not stops:
+        return limits
+    rest = np.linalg.solve(model.A, -model.Bl @ np.array([load.get(name, 0.0) for name in model.loads]))
+    common, places = limits, []
+    for part in kind.suspensions:
+        if part.deflection not in stops:
+            continue
+        pair, stretched = stops[part.deflection], float(model.rows([part.deflection])[0][0] @ rest)
+        left = {"bump": pair.bump.stroke + stretched, "rebound": pair.rebound.stroke - stretched}
+        if short := next((side for side in SIDES if left[side] <= 0), ""):
+            raise InputError(
+                f"[payload] moves {part.deflection} by {stretched:.3g} m at rest, beyond the {short} stroke of "
+                f"{getattr(pair, short).stroke:g} m; give less mass, or another place"
+            )
+        strokes = StopPair(*(left[side] if side in pair.sides else None for side in SIDES))
+        stiffness = StopPair(*(getattr(pair, side).stiffness if side in pair.sides else None for side in SIDES))
+        if part.corner:
+            places.append(Place(part.corner, strokes, stiffness))
+        else:
+            common = replace(common, suspension_stroke=strokes, stop_stiffness=stiffness)
+    return replace(common, places=(*(one for one in limits.places if one.name not in {new.name for new in places}), *places))

@@ -1,0 +1,308 @@
+"""What `sim.bump` and `sim.drive` do: controllers of some vehicles over one road, in MuJoCo and in analysis, in one answer."""
+
+import json
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from models.common.arrays import Array
+from models.common.command import chosen_of
+from models.common.errors import InputError
+from models.common.printed import say, titled
+from models.figures.outputs import check_outputs, written, written_lines
+from models.roads.road import Road
+from models.vehicle.names import logged_variant, run_without, variant
+from models.vehicle.vehicle import Vehicle, read_vehicle
+from sim.command import comparison
+from sim.command.drive_options import end_lines
+from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
+from sim.runs.run import Run, run_controllers, sample_times
+from sim.runs.start import start_lines
+from sim.studies.ride import run_metrics
+from sim.studies.ride.metrics import DEFINITIONS
+from sim.studies.ride.run_metrics import RunMetrics
+from sim.studies.ride.standing import standing_lines, standings_object
+from sim.studies.ride.step_response import check_band, measure_step, step_lines, step_object, step_of
+from synth.controller.controller import Controller
+from synth.vehicle.designer import Designer
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """The runs of one vehicle file.
+
+    Attributes:
+        vehicle: of the file.
+        title: its name in the answer; empty if it is the only one.
+        names: requested controllers.
+        runs: of the controllers as built, then of those without a part of the vehicle.
+        without: that part for each run; empty as built.
+        design: designs the vehicle's linear controllers.
+    """
+
+    vehicle: Vehicle
+    title: str
+    names: Sequence[str]
+    runs: Sequence[Run]
+    without: Sequence[str]
+    design: Callable[[str], Controller]
+
+    @property
+    def built(self) -> list[Run]:
+        """The runs as built."""
+        return [run for run, part in zip(self.runs, self.without, strict=True) if not part]
+
+    @cached_property
+    def shown(self) -> list[Run]:
+        """The runs with the names that they have in the answer."""
+        return [_named(run, f"{self.title}:{run.controller.name}{variant(part)}".removeprefix(":")) for run, part in self._pairs]
+
+    @property
+    def variants(self) -> list[str]:
+        """The names, in the answer, of the runs without a part."""
+        return [run.controller.name for run, part in zip(self.shown, self.without, strict=True) if part]
+
+    @property
+    def logged(self) -> dict[str, Run]:
+        """The runs by their names in a log."""
+        return {f"{run.controller.name}{logged_variant(part)}": run for run, part in self._pairs}
+
+    @property
+    def objects(self) -> list[dict[str, Any]]:
+        """The runs as JSON has them, with vehicle and part if there are several."""
+        return [
+            run_object(run)
+            | {"half_step": half_step_object(run)}
+            | ({"vehicle": self.title} if self.title else {})
+            | ({"without": part} if part else {})
+            for run, part in self._pairs
+        ]
+
+    @property
+    def _pairs(self) -> list[tuple[Run, str]]:
+        return list(zip(self.runs, self.without, strict=True))
+
+
+def _named(run: Run, name: str) -> Run:
+    if run.controller.name == name:
+        return run
+    controller: Any = run.controller  # each kind of driver is a dataclass with a name
+    return replace(run, prediction=replace(run.prediction, controller=replace(controller, name=name)))
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Ride metrics of all runs, in their order.
+
+    Attributes:
+        samples: the first one that is measured, and the one after the last; None for the end of the runs.
+        metrics: of every run.
+        start, end: times of the first and last of these samples [s].
+    """
+
+    samples: tuple[int, int | None]
+    metrics: Sequence[RunMetrics]
+    start: float
+    end: float
+
+    @property
+    def words(self) -> str:
+        """From when until when is measured."""
+        if self.samples[1] is not None:
+            return f"MuJoCo, from {self.start:.4g} to {self.end:.4g} s, the passage"
+        return f"MuJoCo, from {self.start:.4g} s on"
+
+
+def drive(
+    options: Namespace, road_of: Callable[[Vehicle, Namespace, Array], Road], where: Callable[[Any], str], rides: bool = False
+) -> int:
+    """Runs the command; returns its exit code.
+
+    Args:
+        options: as the command's parser read them.
+        road_of: returns the requested road under a vehicle at its sample times [s].
+        where: describes the road in words.
+        rides: True to measure the ride, and the response to a step.
+
+    Raises:
+        InputError: bad options, vehicle file, road or logs folder.
+    """
+    vehicles = read_vehicles(options)
+    names = chosen_of({title: vehicle.controller_names for title, vehicle in vehicles.items()}, options.controller)
+    _check_variants(options, vehicles)
+    times = {title: sample_times(vehicle, options.duration, options.timestep) for title, vehicle in vehicles.items()}
+    roads = {title: road_of(vehicle, options, times[title]) for title, vehicle in vehicles.items()}
+    time, road = next(iter(times.values())), next(iter(roads.values()))
+    if rides:
+        check_band(road, options.band, "band" in options.given)
+    comparison.check_view(options)
+    files = tuple(file for vehicle in vehicles.values() for file in vehicle.files)
+    check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
+
+    driven = [_driven(options, vehicle, title, names[title], roads[title], times[title]) for title, vehicle in vehicles.items()]
+    runs = [run for each in driven for run in each.runs]
+    shown = [run for each in driven for run in each.shown]
+    measured = _measured(options, driven, road, time) if rides else None
+    results = _results(options, driven, measured)
+    result = {**results[0], "runs": [run for one in results for run in one["runs"]]}
+    if left := sorted({name for one in results for name in one.get("left_out", ())}):
+        result["left_out"] = left
+    logs = [
+        comparison.recorded(
+            options, each.vehicle, list(dict.fromkeys(run.controller.name for run in each.runs)), _logged(each), one
+        )
+        for each, one in zip(driven, results, strict=True)
+    ]
+    steps = [measure_step(run, options.band) for run in runs] if rides and step_of(road) else []
+    outputs = comparison.write_histories(options, shown, where(road))
+    passive = [comparison.passive_beside(each.built, each.design) for each in driven]
+    standings, k = [], 0
+    for each, beside in zip(driven, passive, strict=True):
+        mine = measured.metrics[k : k + len(each.runs)] if measured else ()
+        samples, k = measured.samples if measured else (0, None), k + len(each.runs)
+        standings += comparison.standings_of(each.runs, beside, samples, mine, each.without, each.title)
+    exported = comparison.exported_object(driven[0].vehicle, runs, options.timestep)
+    if options.json:
+        step = {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
+        print(
+            json.dumps(
+                {
+                    **result,
+                    **({"step": step} if rides else {}),
+                    **exported,
+                    "compared": standings_object(standings),
+                    **written(outputs),
+                    "logs": logs[0] if len(logs) == 1 else {each.title: one for each, one in zip(driven, logs, strict=True)},
+                },
+                allow_nan=False,
+            )
+        )
+    else:
+        kinds = " and ".join(dict.fromkeys(vehicle.kind.name for vehicle in vehicles.values()))
+        on = f"a road: {where(road)}" if rides else where(road)
+        sources = vehicles[""].source if "" in vehicles else ", ".join(options.vehicles)
+        lines = titled(f"{kinds} over {on}; {options.duration:g} s at {options.timestep:g} s", sources)
+        lines += _above(options, driven, passive, measured, road, time)
+        lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
+        if steps and not options.brief:
+            lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
+        settled = ", when all have settled" if measured and road.spectrum and measured.start < options.duration / 2 else ""
+        about = f"{measured.words}{settled}" if measured else "MuJoCo, all of the run"
+        several = len(driven) > 1
+        lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
+        part = measured is not None and (measured.start > 0 or measured.samples[1] is not None)
+        lines += comparison.stop_lines(shown, options.verbose or several, part)  # several have their travel in per cent
+        lines += [*written_lines(outputs), *comparison.all_log_lines(logs, options.brief, shown)]
+        say([*lines, "", *summary_lines(shown, several)])
+    for one in logs:
+        comparison.view(options, one)
+    done = all({*each.names} == {run.controller.name for run in each.built} for each in driven)
+    return 0 if done and all(run.passed for run in runs) else 1
+
+
+def read_vehicles(options: Namespace) -> dict[str, Vehicle]:
+    """Returns the vehicles of `--vehicle` by title: empty for one, else the name of the file, or its path if names are equal.
+
+    Raises:
+        InputError: a vehicle file, or one that is given twice.
+    """
+    given = options.vehicles
+    vehicles = [read_vehicle(file) for file in given]
+    if len(given) == 1:
+        return {"": vehicles[0]}
+    stems = [Path(file).stem for file in given]
+    titles = stems if len({*stems}) == len(stems) else list(given)
+    if len({*titles}) < len(titles):
+        twice = next(title for title in titles if titles.count(title) > 1)
+        raise InputError(f"--vehicle {twice} is given twice; give it once")
+    return dict(zip(titles, vehicles, strict=True))
+
+
+def _check_variants(options: Namespace, vehicles: Mapping[str, Vehicle]) -> None:
+    for part in options.without:
+        if options.without.count(part) > 1:
+            raise InputError(f"--without {part} is given twice; give it once")
+        if all(vehicle.without(part) is vehicle for vehicle in vehicles.values()):
+            raise InputError(
+                f"--without {part}: no vehicle file has that in [limits], [implementation] or [actuators]; leave it out"
+            )
+    if options.exported is not None and (len(vehicles) > 1 or options.without):
+        raise InputError("--as drives one vehicle as it is built; leave --without and further --vehicle out")
+    if len(vehicles) > 1 and (options.open or options.serve):
+        raise InputError("--open and --serve show the recording of one vehicle, and each has its own; give one --vehicle")
+
+
+def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], road: Road, time: Array) -> Driven:
+    """Runs the controllers of a vehicle file, and those of `--without`."""
+    design = Designer(vehicle, search=False).design
+    runs = list(comparison.run_named(vehicle, names, design, road, time, options.exported))
+    drivers, parts = {run.controller.name: run.controller for run in runs}, [""] * len(runs)
+    for part in options.without:
+        own, some = vehicle.without(part), run_without(drivers, part)
+        if own is not vehicle and some:
+            runs += run_controllers(own, [drivers[name] for name in some], road, time)
+            parts += [part] * len(some)
+    return Driven(vehicle, title, names, runs, parts, design)
+
+
+def _measured(options: Namespace, driven: Sequence[Driven], road: Road, time: Array) -> Measured:
+    """Measures the ride of all runs, between the same samples."""
+    runs = [run for each in driven for run in each.runs]
+    pairs = [(run.vehicle, run.controller) for run in runs]
+    first, end = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
+    metrics = [run_metrics.measure_run(run, first, end) for run in runs]
+    return Measured((first, end), metrics, float(time[first]), float(time[-1 if end is None else end - 1]))
+
+
+def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | None) -> list[dict[str, Any]]:
+    """Returns the result of every vehicle, as logs and JSON have it."""
+    results, metrics = [], list(measured.metrics) if measured else []
+    for each in driven:
+        objects, road, time = each.objects, each.runs[0].road, each.runs[0].prediction.time
+        if measured is not None:
+            mine, metrics = metrics[: len(objects)], metrics[len(objects) :]
+            objects = [one | run_metrics.metrics_object(run, of) for one, run, of in zip(objects, each.runs, mine, strict=True)]
+        result: dict[str, Any] = {"runs": objects, "road": road.describe(), "timestep": options.timestep}
+        if measured is not None:
+            result |= {
+                "measured_from": measured.start,
+                **({} if measured.samples[1] is None else {"measured_until": measured.end}),
+                "definitions": DEFINITIONS,
+                "iri": run_metrics.roughness_object(run_metrics.driven_roughness(each.vehicle, road, time)),
+            }
+        results.append(result | comparison.left_out_object(each.names, [run.controller.name for run in each.built]))
+    return results
+
+
+def _logged(each: Driven) -> Callable[[], Mapping[str, Run]]:
+    return lambda: each.logged
+
+
+def _above(
+    options: Namespace, driven: Sequence[Driven], passive: Sequence[Any], measured: Measured | None, road: Road, time: Array
+) -> list[str]:
+    """Returns the lines above the table: with `-v` every run in full, else what is special about some."""
+    shown = [run for each in driven for run in each.shown]
+    metrics: Sequence[RunMetrics] = measured.metrics if measured else ()
+    lines = end_lines(road, options.duration) if measured else []
+    for each in driven if measured else ():
+        lines += start_lines([run for run in each.shown if run.controller.name not in each.variants])
+    if options.verbose:
+        compared = [
+            of for each, beside in zip(driven, passive, strict=True) for of in comparison.compared_lines(each.shown, beside)
+        ]
+        for i, of_run in enumerate(compared):
+            lines += ["", *of_run]
+            if measured is not None:
+                rough = run_metrics.driven_roughness(shown[i].vehicle, shown[i].road, time)
+                lines += ["", *run_metrics.metric_lines(shown[i], metrics[i], measured.start, measured.end, rough)]
+    elif not options.brief:
+        lines += comparison.short_lines(shown, [name for each in driven for name in each.variants])
+        if measured is not None:
+            lines += shared_lines([(run.controller.name, line) for run in shown for line in run_metrics.broken_lines(run)])
+            lines += run_metrics.angle_lines(shown, metrics)
+            lines += run_metrics.expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
+    return lines
