@@ -528,7 +528,7 @@ def test_a_report_over_a_road_is_that_of_sim_drive(tmp_path, capsys):
                 "-" if value is None else f"{value:.4g}" for value in (one["mujoco"], one["expected"])
             )
     read = PageRead(tmp_path / "report.html")
-    assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} to 4 s" in read.lead[-1]
+    assert f"MuJoCo, iso8608:class=B at 15 m/s, seed 3, from {found['measured_from']:.4g} s on" in read.lead[-1]
     assert "Over the road MuJoCo agrees with the linear analysis throughout its 4 s for passive and I" in read.text
     assert "MuJoCo agrees with the analysis, over the road throughout" in read.text
     assert not any("paper's bump" in said for said in (*read.lead, *read.answer))

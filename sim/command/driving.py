@@ -108,13 +108,6 @@ class Measured:
     start: float
     end: float
 
-    @property
-    def words(self) -> str:
-        """From when until when is measured."""
-        if self.samples[1] is not None:
-            return f"MuJoCo, from {self.start:.4g} to {self.end:.4g} s, the passage"
-        return f"MuJoCo, from {self.start:.4g} s on"
-
 
 def drive(
     options: Namespace, road_of: Callable[[Vehicle, Namespace, Array], Road], where: Callable[[Any], str], rides: bool = False
@@ -190,7 +183,8 @@ def drive(
         if steps and not options.brief:
             lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
         settled = ", when all have settled" if measured and road.spectrum and measured.start < options.duration / 2 else ""
-        about = f"{measured.words}{settled}" if measured else "MuJoCo, all of the run"
+        when = run_metrics.measured_words(time, measured.samples) if measured else "all of the run"
+        about = f"MuJoCo, {when}{settled}"
         several = len(driven) > 1
         lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
         part = measured is not None and (measured.start > 0 or measured.samples[1] is not None)

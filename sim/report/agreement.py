@@ -114,8 +114,8 @@ def verdicts_of(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(f"{as_name(run.controller.name)}: {line}." for run in runs for line in verdict_lines(run))
 
 
-def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], start: float) -> Section:
-    """Returns the section on the road of the report: its signals over time, and its metrics, measured from a time on [s]."""
+def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetrics], when: str) -> Section:
+    """Returns the section on the road of the report: its signals over time, and its metrics, measured when."""
     drawn = history_figure(runs, scope.road_name), suspension_figure(scope, runs, f"over {scope.road_name}")
     figures = tuple(one for one in drawn if one is not None)
     pairs = [(run, name, one) for run, each in zip(runs, measured, strict=True) for name, one in each.metrics.items()]
@@ -129,7 +129,7 @@ def road_section(scope: Scope, runs: Sequence[Run], measured: Sequence[RunMetric
         "Every metric in MuJoCo; below, and in the file, that of the exact sampled response and what is expected of such roads."
     )
     table = Table.of("road", caption, columns, pairs, words=3, pivot=Pivot(("metric", "unit"), "controller", ("MuJoCo",)))
-    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are measured from {start:.4g} s on."
+    about = f"Over {scope.duration:g} s from rest at {1e3 * scope.timestep:g} ms; metrics are measured {when}."
     about = " ".join([about, *(line.strip() for line in end_lines(scope.road, scope.duration))])
     return Section(
         "What happens over the road?", scope.road.words, (f"{about.removesuffix('.')}.", *verdicts_of(runs)), (table,), figures

@@ -28,7 +28,7 @@ from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
 from sim.studies.frequency.sweep import OWN, sweep
-from sim.studies.ride.run_metrics import RunMetrics, first_sample, measure_run
+from sim.studies.ride.run_metrics import RunMetrics, measure_run, measured_samples, measured_words
 from sim.studies.ride.standing import Standing, standing, standings_object, without_unsound
 from sim.studies.validity.regime_end import regime_end
 from synth.controller.law_margins import unstable_by_itself
@@ -78,12 +78,12 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     frequencies: Frequencies = parts[FREQUENCIES, ""]
     rides: list[Ride]
     rides, over_roads = parts.get((RIDE, ""), ([], []))
-    first, measured = 0, []
+    samples, measured = (0, None), []
     if scope.own_road is not None:
-        first = first_sample(vehicle, scope.driven, scope.own_road, scope.duration, h)
-        measured = [measure_run(run, first) for run in runs]
+        samples = measured_samples([(vehicle, one) for one in scope.driven], scope.own_road, scope.duration, h)
+        measured = [measure_run(run, *samples) for run in runs]
         over_roads = []
-    compared = _compared(scope, runs, over_roads, first, measured)
+    compared, when = _compared(scope, runs, over_roads, samples, measured), measured_words(time, samples)
     answer = [
         *report_answer.loops(scope),
         *report_answer.norms(scope),
@@ -96,7 +96,7 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     sections = [trust_section(scope, runs, ends, rides if scope.own_road is None else []), design_section(scope)]
     if frequencies.section is not None:
         sections.append(frequencies.section)
-    driven = road_section(scope, runs, measured, float(time[first])) if measured else bump_section(scope, runs, bump)
+    driven = road_section(scope, runs, measured, when) if measured else bump_section(scope, runs, bump)
     sections += [driven, agreement_section(scope, runs, finer)]
     if ends:
         sections.append(regime_section(scope, bump, ends, runs))
@@ -117,7 +117,7 @@ def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
     sections += [parts[name, ""] for name in (FRONT, PAPER) if (name, "") in parts]
     sections.append(_provenance(scope, provenance))
     texts = tuple(one.text for one in answer)
-    where, dive = compared_on(scope, compared, bool(rides), float(time[first])), dives(scope)
+    where, dive = compared_on(scope, compared, bool(rides), when), dives(scope)
     norms = {one.name: one.certificate.norm.value for one in scope.controllers if one.certificate.stable}
     whole = Page(
         titled(vehicle, scope.stem, scope.driven),
@@ -218,14 +218,18 @@ def _rides(scope: Scope) -> tuple[list[Ride], list[Standing]]:
 
 
 def _compared(
-    scope: Scope, runs: Sequence[Run], over_roads: Sequence[Standing], first: int, measured: Sequence[RunMetrics]
+    scope: Scope,
+    runs: Sequence[Run],
+    over_roads: Sequence[Standing],
+    samples: tuple[int, int | None],
+    measured: Sequence[RunMetrics],
 ) -> list[Standing]:
     """Returns the standing of every controller over random roads or, without these, in the runs; passive first.
 
     Who is not driven over random roads, as an unstable loop, has no numbers there.
     """
     if not over_roads:
-        return standings_of(runs, passive_beside(runs, scope.designer.design), first, measured)
+        return standings_of(runs, passive_beside(runs, scope.designer.design), samples, measured)
     there = {one.controller: one for one in over_roads}
     names = dict.fromkeys((PASSIVE, *(one.name for one in scope.driven)))
     unsound = [one.name for one in scope.driven if unstable_by_itself(one)]

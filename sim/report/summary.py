@@ -94,11 +94,11 @@ def trust_section(
     return Section("Can these numbers be trusted?", "norm, prediction, physics", (), (table,))
 
 
-def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, start: float) -> str:
-    """Describes the roads that controllers are compared on: the report's own from a time on [s], random ones, or the bump."""
+def compared_on(scope: Scope, compared: Sequence[Standing], rides: bool, when: str) -> str:
+    """Describes the roads that controllers are compared on: the report's own, measured when, random ones, or the bump."""
     where = f"{len(SEEDS)} roads of class {AVERAGE} at {SPEED:g} m/s, largest peaks" if rides else "the paper's bump"
     if scope.own_road is not None:
-        where = f"{scope.road_name}, from {start:.4g} to {scope.duration:g} s"
+        where = f"{scope.road_name}, {when}"
     absent = "; -: unstable, or a run broke off" if any(not any(one.values.values()) for one in compared) else ""
     return f"MuJoCo, {where}{absent}"
 

@@ -153,6 +153,12 @@ def measured_samples(
     return first, round(settled / timestep) + 1 if settled < duration else None
 
 
+def measured_words(time: Array, samples: tuple[int, int | None]) -> str:
+    """Returns the measured stretch of a run in words, from sample times [s] and `measured_samples`."""
+    first, end = samples
+    return f"from {time[first]:.4g} s on" if end is None else f"from {time[first]:.4g} to {time[end - 1]:.4g} s, the passage"
+
+
 def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
