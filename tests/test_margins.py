@@ -13,6 +13,7 @@ import pytest
 from scipy import optimize
 from scipy.linalg import expm
 
+import sim.studies.stability.fragility
 from models.common.errors import InputError
 from models.figures.figure import Curve
 from models.kinds.kind import Variation
@@ -475,6 +476,28 @@ def test_a_sample_period_that_sees_nothing_of_the_bump_is_not_run(paper, designe
         assert max(tried) == pytest.approx(longest, abs=1e-3)  # a sample
         one.sample_period.tried |= dict.fromkeys(tried, Growth(grows=False))
         assert ("a longer one sees nothing of the bump" in "\n".join(_loop_lines("the loop", one, None))) == (longest == 2.0)
+
+
+def test_a_delay_that_takes_hours_is_not_run(paper):
+    """A slow integral bears minutes of delay: runs have 2 s at most, and what they do not decide is no disagreement."""
+    pid = 'measured = ["suspension_deflection"]\npid = { kp = -500, ki = -50, kd = -50, filter = 0.02 }\n'
+    vehicle = parse_vehicle(f"{paper.text}\n[controllers.slow]\n{pid}")
+    controller = design(vehicle, "slow")
+    one = find_margins(vehicle, controller, 4e-3)[""]
+    assert one.predicted.delay > 60
+    assert max(one.delay.tried) == pytest.approx(2.0)
+    assert one.agrees
+    assert math.isnan(one.found_phase)
+    assert "not found within 2 s; runs of the predicted delay" in "\n".join(_loop_lines("the loop", one, None))
+
+
+def test_an_integrator_almost_without_readings_does_not_grow(monkeypatch):
+    """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is no edge of the sampled loop."""
+    monkeypatch.setattr(sim.studies.stability.fragility, "run_searches", lambda *arguments: None)
+    pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'
+    pid += "pid = { kp = -500.0, ki = -50.0, kd = -50.0, filter = 0.02 }\n"
+    vehicle = parse_vehicle(f"{read_vehicle('half_car').text}\n[controllers.slow]\n{pid}")
+    assert find_fragility(vehicle, design(vehicle, "slow"), 5e-4).edge.sampled == (math.inf, math.inf)
 
 
 def test_infinite_margins_in_physics(paper):

@@ -20,6 +20,7 @@ from synth.controller.open_loop import with_lag
 from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
+LATEST = 8.0  # s; a longer predicted delay is not run: it takes 24 times as long to grow, and more gigabytes than there are
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
 AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
 WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
@@ -113,23 +114,32 @@ class LoopMargins:
         return math.isinf(self.predicted.sample_period) or self.predicted.sample_period < self.unseen
 
     @property
+    def sees_delay(self) -> bool:
+        """Returns True if runs are long enough to confirm the predicted delay."""
+        return math.isinf(self.predicted.delay) or self.predicted.delay < LATEST
+
+    @property
+    def found_delay(self) -> float:
+        """The smallest delay that grows [s]; infinite where none does, NaN where the predicted one takes too long to run."""
+        return self.delay.unstable if self.sees_delay or math.isfinite(self.delay.unstable) else math.nan
+
+    @property
     def found_phase(self) -> float:
         """Returns the phase of the found delay at the crossover [rad]."""
-        if math.isinf(self.delay.unstable):
-            return math.inf
-        return self.delay.unstable * self.predicted.frequency
+        return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
     def agrees(self) -> bool:
         """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep.
 
-        A sample period from `unseen` on agrees if no shorter one grows.
+        A sample period from `unseen` on agrees if no shorter one grows, and so does a delay that takes too long to run.
         """
+        delay = self.predicted.delay if self.sees_delay else math.inf
         period = self.predicted.sample_period if self.sees_sample_period else math.inf
         return (
             self.gain.agrees
             and self.gain_lower.agrees
-            and _close(self.predicted.delay, self.delay.unstable, self.timestep)
+            and _close(delay, self.delay.unstable, self.timestep)
             and _close(period, self.found_sample_period, self.timestep)
         )
 
@@ -210,7 +220,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step, actuators, taylor4))
         for step in (timestep, timestep / 2)
     ]
-    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    delay = predicted.delay if predicted.delay < LATEST else math.inf
+    late = max(delay - timestep / 2, timestep)  # half a sample is in the hold
     unseen = _unseen(with_lag(vehicle).A if mine.all() else loop.A)
     period = predicted.sample_period if predicted.sample_period < unseen else math.inf
     return LoopMargins(

@@ -75,7 +75,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
             "phase": disk.phase,
             "frequency": finite(disk.frequency),
         },
-        "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
+        "delay": {"predicted": finite(predicted.delay), "found": finite(one.found_delay)},
         "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
     }
 
@@ -134,7 +134,7 @@ def margins_lines(
 
 def _brief_lines(name: str, one: LoopMargins) -> list[str]:
     """Returns a loop's gain and delay in a line."""
-    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.delay.unstable
+    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.found_delay
     return [f"  {name:{NAME + 2}}{''.join(map(_cell, numbers))[2:]}"]
 
 
@@ -203,7 +203,9 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     samples = ""
     if math.isfinite(one.delay.unstable):
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
-    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
+    elif not one.sees_delay:
+        samples = f"not found within {max(one.delay.tried):g} s; runs of the predicted delay would take too long"
+    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.found_delay, samples))
     own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
     if predicted.all_sampled:
         own = "; ".join(filter(None, (own, "all forces sampled")))
