@@ -491,6 +491,31 @@ def test_a_delay_that_takes_hours_is_not_run(paper):
     assert "not found within 2 s; runs of the predicted delay" in "\n".join(_loop_lines("the loop", one, None))
 
 
+@pytest.mark.parametrize("rate", [-1e-3, 1e-3])
+def test_a_run_does_not_decide_a_mode_that_creeps(rate):
+    """A run that does not show what moves by 3 % in 32 s does not contradict its loop; one that grows fast does."""
+    loop = LateLoop(np.array([[math.exp(1e-3 * rate)]]), np.zeros((1, 1)), np.zeros((1, 1)), 0, 1, 1e-3)
+    assert growth_test._creeps(loop, Growth(rate < 0, -5e-4 if rate > 0 else 5e-4))
+    assert not growth_test._creeps(loop, Growth(rate > 0))
+    assert not growth_test._creeps(loop, Growth(True, 0.1))
+    search = Bisection(Trial, 1.0, 2.0, tried={0.999: Growth(False), 1.001: Growth(True, decided=False)})
+    assert math.isnan(search.found)
+
+
+@pytest.mark.attack
+def test_margins_of_a_law_that_creeps():
+    """A full-order law with a gain margin of 1.5 %, at which a pole creeps through 0, has its margins in MuJoCo."""
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    vehicle = parse_vehicle(
+        f"{text}[limits]\nactuator_bandwidth = 50.0\n[implementation]\nsample_period = 0.005\ndelay = 1\n"
+        "noise = { suspension_deflection = 5e-4, sprung_acceleration = 0.05 }\n[controllers.both]\n"
+        'measured = ["suspension_deflection", "sprung_acceleration"]\norder = "full"\nsampled = true\nnoise = true\nlag = true\n'
+    )
+    one = find_margins(dataclasses.replace(vehicle, implementation=Implementation()), design(vehicle, "both"), 5e-4)[""]
+    assert one.agrees
+    assert one.predicted.gain < 1.1
+
+
 def test_an_integrator_almost_without_readings_does_not_grow(monkeypatch):
     """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is no edge of the sampled loop."""
     monkeypatch.setattr(sim.studies.stability.fragility, "run_searches", lambda *arguments: None)

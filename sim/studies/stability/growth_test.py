@@ -34,6 +34,7 @@ FREE_FROM = 0.5  # s; when the bump is over for every wheel
 FOLLOWS = 1e-3  # of what is left of a run: how far it may be from what its loop makes of it
 SAME_SIGN = 2 / 3  # of what the slowest mode grows or decays by: how far a run may be from that
 STANDS = 1e-9  # change of a mode in the longest run that is none: an integrator's without its reading
+CREEPING = 0.06  # the same, of a mode that is not told from one that stands: rates of runs are about 5e-4 1/s off
 PASSES = 3  # of its controller's sample periods, or delays, a run has at least for that
 HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 STILL = 2  # of them without motion are enough: then nothing is on its way either
@@ -72,10 +73,12 @@ class Growth:
     Attributes:
         grows: True if the run grows, False if it decays.
         rate: of its slowest mode [1/s], or NaN if too little of the run was free and linear.
+        decided: False if the loop's slowest mode creeps so that the run does not show it; `grows` is then the loop's own.
     """
 
     grows: bool
     rate: float = math.nan
+    decided: bool = True
 
 
 def no_progress(message: str) -> None:
@@ -171,11 +174,19 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
                 growth = _confirmed(trials[i], loops[i], seen, peaks, kept[i][:, :end], timestep, looks[end])
                 if growth is None and looks[end] >= SHORTEST:
                     growth = _growth(trials[i], loops[i], seen, timestep, looks[end])
+                if growth is not None and _creeps(loops[i], growth):
+                    growth = Growth(not growth.grows, growth.rate, decided=False) if looks[end] >= LONGEST else None
                 if growth is not None:
                     going[i], growths[i] = False, growth
         if stopped() or not going.any():
             break
     return growths
+
+
+def _creeps(loop: LateLoop | None, growth: Growth) -> bool:
+    """Returns True if a run contradicts its loop, whose slowest mode moves too little in the longest run to be told."""
+    creeps = loop is not None and abs(loop.rate) * LONGEST < CREEPING and growth.grows != (loop.rate > 0)
+    return creeps and (not growth.grows or abs(growth.rate) * LONGEST < CREEPING)
 
 
 def _confirmed(
@@ -193,7 +204,8 @@ def _confirmed(
         return None
     hold = _hold(trial, timestep)
     rate = _rate(states, timestep, round(hold / timestep))
-    if abs(rate - loop.rate) <= CONFIRMED * abs(loop.rate):
+    within = CONFIRMED if duration < LONGEST else SAME_SIGN  # a mode that creeps has hardly moved in the longest run
+    if abs(rate - loop.rate) <= within * abs(loop.rate):
         return Growth(rate > 0, rate)
     # Some law's states are more than these rows, with an actuator's lag.
     kept = kept[: max(len(loop.Phi) - len(states), 0)]
@@ -238,8 +250,8 @@ def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float,
     if _escaped(states):
         return Growth(True, rate)
     grows = _grows(states, rate, trial.gone, last=duration >= max(LONGEST, enough))
-    # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that.
-    sure = duration >= enough or (grows is True and not math.isnan(rate))
+    # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that, if the loop grows, too.
+    sure = duration >= enough or (grows is True and not math.isnan(rate) and (loop is None or loop.rate > 0))
     return Growth(grows, rate) if grows is not None and sure else None
 
 

@@ -106,7 +106,7 @@ class LoopMargins:
     @property
     def found_sample_period(self) -> float:
         """The longest sample period before the first that grows [s]."""
-        return self.sample_period.unstable - self.timestep
+        return self.sample_period.unstable - self.timestep if self.sample_period.decided else math.nan
 
     @property
     def sees_sample_period(self) -> bool:
@@ -120,8 +120,9 @@ class LoopMargins:
 
     @property
     def found_delay(self) -> float:
-        """The smallest delay that grows [s]; infinite where none does, NaN where the predicted one takes too long to run."""
-        return self.delay.unstable if self.sees_delay or math.isfinite(self.delay.unstable) else math.nan
+        """The smallest delay that grows [s]; infinite where none does, NaN where no run decides it."""
+        seen = self.delay.decided and (self.sees_delay or math.isfinite(self.delay.unstable))
+        return self.delay.unstable if seen else math.nan
 
     @property
     def found_phase(self) -> float:
@@ -134,18 +135,18 @@ class LoopMargins:
 
         A sample period from `unseen` on agrees if no shorter one grows, and so does a delay that takes too long to run.
         """
-        delay = self.predicted.delay if self.sees_delay else math.inf
         period = self.predicted.sample_period if self.sees_sample_period else math.inf
         return (
             self.gain.agrees
             and self.gain_lower.agrees
-            and _close(delay, self.delay.unstable, self.timestep)
+            and _close(self.predicted.delay, self.found_delay, self.timestep)
             and _close(period, self.found_sample_period, self.timestep)
         )
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    return predicted == measured or (math.isfinite(predicted) and abs(predicted - measured) <= within)
+    """Returns whether a margin is as predicted; NaN, which no run decides, contradicts nothing."""
+    return predicted == measured or math.isnan(measured) or (math.isfinite(predicted) and abs(predicted - measured) <= within)
 
 
 def find_margins(
