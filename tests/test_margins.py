@@ -498,7 +498,9 @@ def test_a_run_does_not_decide_a_mode_that_creeps(rate):
     assert growth_test._creeps(loop, Growth(rate < 0, -5e-4 if rate > 0 else 5e-4))
     assert not growth_test._creeps(loop, Growth(rate > 0))
     assert not growth_test._creeps(loop, Growth(True, 0.1))
-    search = Bisection(Trial, 1.0, 2.0, tried={0.999: Growth(False), 1.001: Growth(True, decided=False)})
+    search = Bisection(
+        lambda amount: pytest.fail("it has run"), 1.0, 2.0, tried={0.999: Growth(False), 1.001: Growth(True, decided=False)}
+    )
     assert math.isnan(search.found)
 
 

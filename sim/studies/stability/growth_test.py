@@ -112,8 +112,8 @@ def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[lis
     for i, trial in enumerate(trials):
         how, laws = trial.vehicle.implementation, [one for one in (trial.controller, trial.undelayed) if one is not None]
         stage = max(stage_of(trial.vehicle, one, timestep) for one in laws)
-        states = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
-        key = stage, states, how.sample_period is None, how.ideal and trial.undelayed is None
+        memory = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
+        key = stage, memory, how.sample_period is None, how.ideal and trial.undelayed is None
         alike.setdefault(key, []).append(i)
     batches: list[tuple[float, list[int]]] = []
     for group in alike.values():
@@ -121,7 +121,8 @@ def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[lis
         while group:
             first = trials[group[0]]
             samples = _duration(first, timestep, least) / timestep
-            most = max(1, min(TOGETHER, int(ENTRIES / (samples * len(first.vehicle.linear_model.states)))))
+            states = len(first.vehicle.linear_model.states) + first.controller.law.states
+            most = max(1, min(TOGETHER, int(ENTRIES / (samples * states))))
             share = shared(len(group), max(cores(), math.ceil(len(group) / most)))[0]
             batches.append((samples, group[share]))
             del group[share]
