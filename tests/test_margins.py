@@ -13,6 +13,7 @@ import pytest
 from scipy import optimize
 from scipy.linalg import expm
 
+import sim.studies.stability.fragility
 from models.common.errors import InputError
 from models.figures.figure import Curve
 from models.kinds.kind import Variation
@@ -475,6 +476,55 @@ def test_a_sample_period_that_sees_nothing_of_the_bump_is_not_run(paper, designe
         assert max(tried) == pytest.approx(longest, abs=1e-3)  # a sample
         one.sample_period.tried |= dict.fromkeys(tried, Growth(grows=False))
         assert ("a longer one sees nothing of the bump" in "\n".join(_loop_lines("the loop", one, None))) == (longest == 2.0)
+
+
+def test_a_delay_that_takes_hours_is_not_run(paper):
+    """A slow integral bears minutes of delay: runs have 2 s at most, and what they do not decide is no disagreement."""
+    pid = 'measured = ["suspension_deflection"]\npid = { kp = -500, ki = -50, kd = -50, filter = 0.02 }\n'
+    vehicle = parse_vehicle(f"{paper.text}\n[controllers.slow]\n{pid}")
+    controller = design(vehicle, "slow")
+    one = find_margins(vehicle, controller, 4e-3)[""]
+    assert one.predicted.delay > 60
+    assert max(one.delay.tried) == pytest.approx(2.0)
+    assert one.agrees
+    assert math.isnan(one.found_phase)
+    assert "not found within 2 s; runs of the predicted delay" in "\n".join(_loop_lines("the loop", one, None))
+
+
+@pytest.mark.parametrize("rate", [-1e-3, 1e-3])
+def test_a_run_does_not_decide_a_mode_that_creeps(rate):
+    """A run that does not show what moves by 3 % in 32 s does not contradict its loop; one that grows fast does."""
+    loop = LateLoop(np.array([[math.exp(1e-3 * rate)]]), np.zeros((1, 1)), np.zeros((1, 1)), 0, 1, 1e-3)
+    assert growth_test._creeps(loop, Growth(rate < 0, -5e-4 if rate > 0 else 5e-4))
+    assert not growth_test._creeps(loop, Growth(rate > 0))
+    assert not growth_test._creeps(loop, Growth(True, 0.1))
+    search = Bisection(
+        lambda amount: pytest.fail("it has run"), 1.0, 2.0, tried={0.999: Growth(False), 1.001: Growth(True, decided=False)}
+    )
+    assert math.isnan(search.found)
+
+
+@pytest.mark.attack
+def test_margins_of_a_law_that_creeps():
+    """A full-order law with a gain margin of 1.5 %, at which a pole creeps through 0, has its margins in MuJoCo."""
+    text = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    vehicle = parse_vehicle(
+        f"{text}[limits]\nactuator_bandwidth = 50.0\n[implementation]\nsample_period = 0.005\ndelay = 1\n"
+        "noise = { suspension_deflection = 5e-4, sprung_acceleration = 0.05 }\n[controllers.both]\n"
+        'measured = ["suspension_deflection", "sprung_acceleration"]\norder = "full"\nsampled = true\nnoise = true\nlag = true\n'
+    )
+    one = find_margins(dataclasses.replace(vehicle, implementation=Implementation()), design(vehicle, "both"), 5e-4)[""]
+    assert one.agrees
+    assert one.predicted.gain < 1.1
+
+
+def test_an_integrator_almost_without_readings_does_not_grow(monkeypatch):
+    """Errors of nearly 100 % leave an integrator's pole at 1 but for rounding, which is no edge of the sampled loop."""
+    monkeypatch.setattr(sim.studies.stability.fragility, "run_searches", lambda *arguments: None)
+    pid = 'measured = ["suspension_deflection_front", "suspension_deflection_rear"]\n'
+    pid += "pid = { kp = -500.0, ki = -50.0, kd = -50.0, filter = 0.02 }\n"
+    vehicle = parse_vehicle(f"{read_vehicle('half_car').text}\n[controllers.slow]\n{pid}")
+    assert find_fragility(vehicle, design(vehicle, "slow"), 5e-4).edge.sampled == (math.inf, math.inf)
 
 
 def test_infinite_margins_in_physics(paper):

@@ -2,7 +2,7 @@
 
 import itertools
 from contextlib import chdir
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -16,11 +16,16 @@ SUITE, SHARES = 24, 24  # rows in the suite; parts of the attack
 
 @cache
 def _rows(folder: Path, count: int | None) -> list[Row]:
-    """All rows, or the first ones of a file and a command that are cheap."""
+    """All rows, those of costly commands with every level but not every pair, or the first ones of what is cheap."""
     for name, text in FILES.items():
         (folder / name).write_text(text, encoding="utf-8")
-    levels = FEATURES if count is None else {name: CHEAP.get(name, tuple(every)) for name, every in FEATURES.items()}
-    return list(itertools.islice(rows(levels, lambda row: is_file(row, folder)), count))
+    fits = partial(is_file, folder=folder)
+    if count is not None:
+        levels = {name: CHEAP.get(name, tuple(every)) for name, every in FEATURES.items()}
+        return list(itertools.islice(rows(levels, fits), count))
+    costly = [command for command in FEATURES["command"] if command not in CHEAP["command"]]
+    cheap = rows(FEATURES | {"command": dict.fromkeys(CHEAP["command"], "")}, fits)
+    return [*cheap, *rows(FEATURES | {"command": dict.fromkeys(costly, "")}, fits, of="command")]
 
 
 def wrong(row: Row, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:

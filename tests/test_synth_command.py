@@ -483,6 +483,16 @@ def test_a_saved_file_is_whole_or_not_there(capsys, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["car.toml"]
 
 
+@pytest.mark.parametrize("option", [["--save", "saved.toml"], ["--export", "out"]])
+def test_nothing_is_added_to_an_inline_table(tmp_path, monkeypatch, option):
+    """A file that gives its controllers as one inline table is no TOML with a section more; one line asks for sections."""
+    monkeypatch.chdir(tmp_path)
+    rest = read_vehicle("quarter_car").text.partition("[controllers")[0]
+    Path("car.toml").write_text('controllers = { mine = { measured = ["sprung_velocity"] } }\n' + rest)
+    with refused("the vehicle file has controllers = { ... }", "write each as a section [controllers.NAME]"):
+        main(["--vehicle", "car.toml", "--controller", "mine", *option])
+
+
 @pytest.mark.parametrize(
     ("certificate", "message"),
     [

@@ -15,7 +15,7 @@ from models.roads.road import Bump, under_wheels
 from models.vehicle.limits_and_implementation import Implementation, Limits
 from models.vehicle.vehicle import Vehicle, parse_vehicle, read_vehicle
 from sim.studies.frequency.identification import l2_gain
-from sim.studies.frequency.sweep import DRIVEN, REACHED
+from sim.studies.frequency.sweep import DRIVEN, REACHED, failures
 from sim.studies.frequency.worst_case_gain import PerWheelRoad, worst_road
 from sim.sweep import main
 from synth.analysis.sampled_norm import SampledNorm
@@ -185,6 +185,29 @@ def test_a_false_norm_is_said(capsys, car, monkeypatch, of_one_sweep, factor, wo
     assert f"DOES NOT AGREE: {found['failures'][0]}" in printed
     assert words in found["failures"][1]
     assert math.isclose(found["worst_road"]["gain"], factor * found["worst_road"]["predicted"], rel_tol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [*attacks([0.0, 1.5]), 1.0])
+def test_gain_at_the_timestep(delay):
+    """The worst sinusoid under a slow controller has the gain that is predicted at the run's step, which is above the norm."""
+    text = (
+        read_vehicle("quarter_car")
+        .text.replace("13100.0", "22500.0")
+        .replace("suspension_damping = 400.0", "suspension_damping = 1200.0")
+    )
+    vehicle = parse_vehicle(
+        f"{text}\n[implementation]\nsample_period = 0.004\ndelay = {delay}\n"
+        '[controllers.mine]\nmeasured = ["suspension_deflection", "sprung_velocity"]\ndesign = "h2"\n'
+    )
+    (found,) = sim.studies.frequency.sweep.sweep(vehicle, [design(vehicle, "mine")], 1e-4, 1e-3, 12.5)
+    assert failures(found) == []
+    assert found.sampled is not None
+    (predicted, finer), gain = found.extremes.predicted, found.gains["worst sinusoid"]
+    assert gain == pytest.approx(predicted, rel=1e-4)  # RK4 is 1e-5 off in the lines, and at a peak their phase counts
+    assert gain > found.sampled.value * (1 + 5e-4)
+    assert predicted + 4 / 3 * (finer - predicted) <= found.sampled.value * (1 + 1e-4)  # the fourth power of the step is left
+    off = replace(found, extremes=replace(found.extremes, gains={"worst sinusoid": 1.0005 * gain}))
+    assert "is predicted" in failures(off)[0]
 
 
 def test_no_multiple_of_the_timestep(tmp_path):

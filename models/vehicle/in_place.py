@@ -10,7 +10,7 @@ its numbers are factors on them.
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,21 @@ def controllers_of(text: str) -> dict[str, Any]:
     """
     sections = parse_toml(text).get("controllers")
     return sections if isinstance(sections, dict) else {}
+
+
+def with_sections(text: str, lines: Sequence[str]) -> str:
+    """Returns a vehicle file's text with lines added that are sections of controllers.
+
+    Raises:
+        InputError: the text gives all controllers as one inline table, beside which TOML has no section.
+    """
+    try:
+        parse_toml(f'{text}\n[controllers.""]')
+    except InputError as error:
+        raise InputError(
+            "the vehicle file has controllers = { ... }, which none can be added to; write each as a section [controllers.NAME]"
+        ) from error
+    return text.rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
 
 
 def in_place_of(text: str, key: str, given: Mapping[str, str]) -> str:

@@ -17,6 +17,7 @@ from models.common.errors import InputError, listing, quoted
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
 from models.figures.outputs import CAMPAIGN_SUM
+from models.vehicle.in_place import with_sections
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.campaign.file import Campaign
@@ -212,7 +213,7 @@ def _check_save(campaign: Campaign, path: Path) -> None:
         check_name("--save:", controller + SUFFIX, ())
         if controller + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {name} has a controller {controller + SUFFIX!r} already; rename or remove that one")
-    vehicle.text_for(path)
+    with_sections(vehicle.text_for(path), [])
 
 
 def choose(plan: Plan, store: Store, request: Request, standings: Standings) -> list[Choice]:
@@ -295,7 +296,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
     ]
     if candidate.variant is not None:
         lines += section_lines(vehicle, candidate.controller, choice.values, name)
-    text = vehicle.text_for(path).rstrip("\n") + "\n\n" + "\n".join(lines) + "\n"
+    text = with_sections(vehicle.text_for(path), lines)
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")

@@ -50,7 +50,7 @@ def margins_section(scope: Scope) -> tuple[Section, list[Statement]]:
             ("gain, factor", predicted.gain, loop.gain.found, loop.gain.extrapolated),
             ("phase lag [rad]", predicted.phase, loop.found_phase, False),
             ("phase lead [rad]", predicted.lead, math.nan, False),
-            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.delay.unstable, False),
+            ("delay [ms]", 1e3 * predicted.delay, 1e3 * loop.found_delay, False),
             ("sample period [ms]", 1e3 * predicted.sample_period, 1e3 * loop.found_sample_period, False),
             ("disk margin", predicted.disk.size, math.nan, False),
             ("error of each reading and force [%]", *(100 * value for value in errors), fragile.edge.extrapolated),

@@ -9,6 +9,7 @@ from typing import Any
 from models.common.errors import InputError, listing
 from models.common.files import whole_file
 from models.figures.outputs import CHECKED_BY
+from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from synth.analysis.bounding import roomy_proof
 from synth.analysis.lower_bound import SampledBound
@@ -30,7 +31,7 @@ def check_save(path: Path, vehicle: Vehicle, names: Sequence[str]) -> None:
     for name in names:
         if name + SUFFIX in vehicle.controllers:
             raise InputError(f"--save: {vehicle.source} has a controller {name + SUFFIX!r} already; rename or remove that one")
-    vehicle.text_for(path)
+    with_sections(vehicle.text_for(path), [])
 
 
 def save(
@@ -66,9 +67,9 @@ def saved_text(
     for controller in designed:
         check_feedback_alone(controller, "a saved section")
     check_save(path, vehicle, [controller.name for controller in designed])
-    text = vehicle.text_for(path).rstrip("\n") + "\n"
+    text = vehicle.text_for(path)
     for controller in designed:
-        text += "\n" + "\n".join(_entry(vehicle, controller, (sampled_bounds or {}).get(controller.name))) + "\n"
+        text = with_sections(text, _entry(vehicle, controller, (sampled_bounds or {}).get(controller.name)))
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     return text
 

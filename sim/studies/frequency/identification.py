@@ -43,13 +43,8 @@ def l2_gain(vehicle: Vehicle, response: Response) -> float | None:
     if vehicle.road_filter is not None:
         return None
     period = float(response.time[1] - response.time[0])
-    signals = _signals(vehicle, response)
-    sides = [signals]
-    if steps_per_sample(vehicle.implementation, period) > 1:  # between leaps there are steps, over which z goes on
-        sides = [signals, _before_leaps(vehicle, response, signals)]
-    sizes = [np.linalg.norm(_weighted(vehicle, side, period)) for side in sides]
-    size = sizes[0] if len(sizes) == 1 else math.hypot(*sizes) / math.sqrt(2)
-    return float(size / np.linalg.norm(_roads(vehicle, response)))
+    z = [_weighted(vehicle, side, period) for side in _sides(vehicle, response, periodic=False)]
+    return _size(z) / float(np.linalg.norm(_roads(vehicle, response)))
 
 
 def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
@@ -59,16 +54,15 @@ def settled_gain(vehicle: Vehicle, response: Response, omega: float) -> float:
         response: some periods and nothing else.
         omega: frequency of the road [rad/s].
     """
-    if not vehicle.filtered:
-        gain = l2_gain(vehicle, response)
-        assert gain is not None, "the road has no filter"
-        return gain
-    signals = _signals(vehicle, response)
-    count, period = len(signals), float(response.time[1] - response.time[0])
-    lines = 2 * np.pi * np.fft.rfftfreq(count, period)
-    z = np.fft.irfft(vehicle.weights(lines) * np.fft.rfft(signals, axis=0), count, axis=0)
-    shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
-    return float(shape * np.linalg.norm(z) / np.linalg.norm(_roads(vehicle, response)))
+    sides, shape = _sides(vehicle, response, periodic=True), 1.0
+    count, period = len(response.time), float(response.time[1] - response.time[0])
+    if vehicle.filtered:
+        weights = vehicle.weights(2 * np.pi * np.fft.rfftfreq(count, period))
+        z = [np.fft.irfft(weights * np.fft.rfft(side, axis=0), count, axis=0) for side in sides]
+        shape = np.abs(vehicle.road_shape(np.array([omega]))[0])
+    else:
+        z = [_weighted(vehicle, side, period) for side in sides]
+    return float(shape * _size(z) / np.linalg.norm(_roads(vehicle, response)))
 
 
 def mean_square(vehicle: Vehicle, response: Response) -> float:
@@ -79,18 +73,31 @@ def mean_square(vehicle: Vehicle, response: Response) -> float:
         response: whole periods and one sample before them, which gives the first leap.
     """
     signals = _signals(vehicle, response)
-    sides = signals[1:], _before_leaps(vehicle, response, signals)[1:]
+    sides = signals[1:], _before_leaps(vehicle, response, signals, periodic=False)[1:]
     count, period = len(response.time) - 1, float(response.time[1] - response.time[0])
     weights = vehicle.weights(2 * np.pi * np.abs(np.fft.fftfreq(count, period)))
     return float(np.mean([np.sum(np.abs(weights * np.fft.fft(side, axis=0) / count) ** 2) for side in sides]))
 
 
-def _before_leaps(vehicle: Vehicle, response: Response, signals: Array) -> Array:
+def _sides(vehicle: Vehicle, response: Response, periodic: bool) -> list[Array]:
+    """Returns the output signals and sums, and again as they are before leaps if a force is held over several steps."""
+    signals, period = _signals(vehicle, response), float(response.time[1] - response.time[0])
+    several = steps_per_sample(vehicle.implementation, period) > 1  # between leaps there are steps, over which z goes on
+    return [signals, _before_leaps(vehicle, response, signals, periodic)] if several else [signals]
+
+
+def _size(sides: Sequence[Array]) -> float:
+    """Returns the root mean square of the norms of z on the sides of its leaps."""
+    return float(np.linalg.norm([np.linalg.norm(z) for z in sides])) / math.sqrt(len(sides))
+
+
+def _before_leaps(vehicle: Vehicle, response: Response, signals: Array, periodic: bool) -> Array:
     """Returns the output signals and sums as they are before the forces of each sample replace those of the one before, shape
-    (T, p); before the first sample there are none.
+    (T, p); before the first sample are those of the last in periods, and none otherwise.
     """
     forces = np.stack([response[name] for name in vehicle.linear_model.inputs], axis=-1)
-    return signals - np.diff(forces, axis=0, prepend=np.zeros((1, forces.shape[1]))) @ _at_once(vehicle).T
+    before = forces[-1:] if periodic else np.zeros((1, forces.shape[1]))
+    return signals - np.diff(forces, axis=0, prepend=before) @ _at_once(vehicle).T
 
 
 def _weighted(vehicle: Vehicle, signals: Array, period: float) -> Array:

@@ -24,6 +24,7 @@ from scipy import linalg
 from models.common.arrays import Array
 from models.roads.road import Bump, Road, RoadInput
 from models.roads.sinusoids import Multisine, random_road, sinusoid
+from models.roads.spectrum import as_met
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.linear.frequency_response import (
@@ -176,6 +177,7 @@ class Extremes:
             holds it: its held-road norm, which `synth.analysis.sampled_norm` does not hold it for.
         integrated: gain of the worst sinusoid of the loop as RK4 makes it.
         tried: the frequency that was driven [rad/s], next to it.
+        predicted: gain at that frequency with all harmonics, at the run's step and at half of it; empty if `lti`.
         gains: L2 gains from w to z, measured in MuJoCo, by road; of the worst sinusoid alone if the road has a filter.
         invariants: those that this vehicle has.
         ended: ends of the linear regime in any of the runs.
@@ -186,6 +188,7 @@ class Extremes:
     worst: WorstSinusoid
     integrated: float
     tried: float
+    predicted: tuple[float, ...]
     gains: Mapping[str, float]
     invariants: tuple[MeasuredInvariant, ...]
     ended: tuple[str, ...]
@@ -235,7 +238,9 @@ def extremes(
         gains = {"worst sinusoid": settled_gain(vehicle, settled[i], tried[i])}
         others = {name: l2_gain(vehicle, run) for name, run in runs.items() if name != "invariants"}
         gains |= {name: gain for name, gain in others.items() if gain is not None}
-        results.append(Extremes(worst[i], integrated[i].gain, tried[i], gains, invariants, tuple(ended), lti))
+        steps = () if lti else (timestep, timestep / 2)
+        predicted = tuple(_sinusoid_gain(vehicle, controller, tried[i], h, speed) for h in steps)
+        results.append(Extremes(worst[i], integrated[i].gain, tried[i], predicted, gains, invariants, tuple(ended), lti))
     return results
 
 
@@ -287,14 +292,16 @@ def _told(loop: LoopModel, poles: Array, count: int) -> int:
 
 def _next_to(worst: WorstSinusoid, vehicle: Vehicle, controller: Controller, timestep: float, speed: float) -> tuple[int, int]:
     """Returns whole periods, as `whole_periods`, so near the worst sinusoid that a narrow peak is met, too."""
-    periods, count = whole_periods(worst.omega, timestep)
+    steps = steps_per_sample(vehicle.implementation, timestep)  # whole samples, too, so that every run of them is the same
+    finest = math.ceil(FINEST / steps)
+    periods, count = whole_periods(worst.omega, timestep * steps, finest)
     for k in range(1, DOUBLINGS + 1):
-        omega = np.array([2 * np.pi * periods / (count * timestep)])
+        omega = np.array([2 * np.pi * periods / (count * steps * timestep)])
         gain = sinusoid_gains(vehicle, sampled_frequency_response(vehicle, controller, omega, timestep), omega, speed)[0]
         if gain >= worst.gain * (1 - BESIDE):
             break
-        periods, count = whole_periods(worst.omega, timestep, FINEST * 2**k)
-    return periods, count
+        periods, count = whole_periods(worst.omega, timestep * steps, finest * 2**k)
+    return periods, count * steps
 
 
 def whole_periods(omega: float, timestep: float, finest: int = FINEST) -> tuple[int, int]:
@@ -334,6 +341,7 @@ class WorstRoad:
     Attributes:
         angle: by which the road turns from sample to sample [rad].
         predicted: its gain, by analysis, held at its height midway through each step as MuJoCo holds it.
+        finer: the largest gain of the same sinusoids at half the step.
         gain: in MuJoCo.
         timestep: of its run [s].
         twisted: whether the vehicle's norm is over twists of the road that come beside its velocity, as none does that is driven.
@@ -342,6 +350,7 @@ class WorstRoad:
 
     angle: float
     predicted: float
+    finer: float
     gain: float
     timestep: float
     twisted: bool
@@ -374,7 +383,7 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     """A controller on its worst road, at a step of h seconds."""
     turn, steps = _turn(norm.angle), steps_per_sample(vehicle.implementation, h)
     angle, count = 2 * math.pi * float(turn), turn.denominator * steps
-    predicted, waves, omega = _worst(vehicle, controller, angle, h)
+    predicted, waves, omega = _worst(vehicle, controller, angle, h, _most_lines(steps))
     loop = LoopModel(vehicle, controller, h)
     settling, slow = settling_of(loop, PERIODIC_SETTLED)
     length = _told(loop, slow, count + 1)
@@ -390,7 +399,8 @@ def _driven(vehicle: Vehicle, controller: Controller, norm: SampledNorm, amplitu
     size = scale * (1.0 if turn == Fraction(1, 2) else math.sqrt(0.5))
     gain = math.sqrt(mean_square(vehicle, last)) / size
     twisted = len(road_twist_inputs(vehicle.linear_model)) > 0
-    return WorstRoad(angle, predicted, gain, h, twisted, ended_by(vehicle, response, has_anti_windup(controller)))
+    finer, _, _ = _worst(vehicle, controller, angle, h / 2, _most_lines(steps))
+    return WorstRoad(angle, predicted, finer, gain, h, twisted, ended_by(vehicle, response, has_anti_windup(controller)))
 
 
 def _turn(angle: float) -> Fraction:
@@ -403,35 +413,55 @@ def _turn(angle: float) -> Fraction:
         most *= 2
 
 
-def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float) -> tuple[float, Array, Array]:
+def _most_lines(steps: int) -> int:
+    return max(0, min((steps - 2) // 4, MOST_LINES))
+
+
+def _worst(vehicle: Vehicle, controller: Controller, angle: float, h: float, most: int) -> tuple[float, Array, Array]:
     """The largest gain of sinusoids that turn by an angle [rad], what they are then, and their frequencies.
+
+    Args:
+        most: sinusoids of either sign beside the angle's own.
 
     Returns:
         The gain; the road's velocity under every wheel [m/s] of the disturbance of mean square 1, complex, shape (L, r); and the
         frequencies [rad/s], negative ones too, shape (L,).
     """
     steps, wheels = steps_per_sample(vehicle.implementation, h), len(vehicle.kind.wheels)
-    most = max(0, min((steps - 2) // 4, MOST_LINES))
     sides = np.arange(-most - 1, most + 1) if most else np.zeros(1)
     omega = (angle + 2 * np.pi * sides) / (steps * h)
     positive, shape = np.abs(omega), vehicle.road_shape(np.abs(omega))[:, None]
-    after = shape[..., None] * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
-    before = after - shape[..., None] * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
-    after, before = vehicle.summed(after), vehicle.summed(before)
-    negative = (omega < 0)[:, None, None]
-    rows = [_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in (after, before)]
+    rows = _either_side(vehicle, controller, omega, angle, h)
 
     # What is driven is measured by the velocities and, where heights act as such, by the twists that they make.
     model = vehicle.linear_model
     twist = model.twist_rate / positive[:, None, None] * road_twist_inputs(model)
     roots = np.linalg.cholesky(np.eye(wheels) + np.swapaxes(twist, 1, 2) @ twist)
-    whitened = np.einsum("zlr,lrs->zls", np.concatenate(rows), np.swapaxes(np.linalg.inv(roots), 1, 2))
+    whitened = np.einsum("zlr,lrs->zls", rows, np.swapaxes(np.linalg.inv(roots), 1, 2))
     _, sizes, best = np.linalg.svd(whitened.reshape(len(whitened), -1) / math.sqrt(2), full_matrices=False)
     w = np.swapaxes(np.linalg.inv(roots), 1, 2) @ best[0].conj().reshape(len(omega), wheels, 1)
     w = w[..., 0]
     if math.isclose(angle, math.pi):  # every sinusoid is there twice, and the two must not cancel
         w = w * np.exp(-0.5j * np.angle(np.sum(w * w[::-1])))
     return float(sizes[0]), np.where(omega[:, None] < 0, shape.conj(), shape) * w, omega
+
+
+def _sinusoid_gain(vehicle: Vehicle, controller: Controller, omega: float, h: float, speed: float) -> float:
+    """Returns the gain of one road under all wheels from w to z, with all frequencies that held forces add."""
+    turn = omega * steps_per_sample(vehicle.implementation, h) * h
+    rows = _either_side(vehicle, controller, np.array([omega]), math.remainder(turn, 2 * math.pi), h)[:, 0]
+    met = as_met(vehicle, np.array([omega]), speed)[0]
+    return float(np.linalg.norm(rows @ met) / np.linalg.norm(met)) / math.sqrt(2)
+
+
+def _either_side(vehicle: Vehicle, controller: Controller, omega: Array, angle: float, h: float) -> Array:
+    """Returns lines of z after leaps and before, by `_lines`, per disturbance under every wheel, shape (2 N p, L, r)."""
+    positive, negative = np.abs(omega), (omega < 0)[:, None, None]
+    shape = vehicle.road_shape(positive)[:, None, None]
+    after = shape * np.swapaxes(stepwise_frequency_response(vehicle, controller, positive, h)[:-1], 2, 3)
+    before = after - shape * np.swapaxes(leaps_by_step(vehicle, controller, positive, h), 2, 3)
+    sides = [vehicle.summed(z) for z in (after, before)]
+    return np.concatenate([_lines(vehicle, angle, np.where(negative, z.conj(), z), h) for z in sides])
 
 
 def _lines(vehicle: Vehicle, angle: float, signals: Array, h: float) -> Array:

@@ -47,9 +47,14 @@ class Bisection:
         return min((amount for amount, one in self.tried.items() if one.grows), default=math.inf)
 
     @property
+    def decided(self) -> bool:
+        """Returns False if a run next to the answer does not show its slowest mode."""
+        return all(one.decided for amount, one in self.tried.items() if amount in (self.stable, self.unstable))
+
+    @property
     def found(self) -> float:
-        """The middle of the two, for a real number."""
-        return math.sqrt(self.stable * self.unstable)
+        """The middle of the two, for a real number; NaN if no run decides it."""
+        return math.nan if not self.decided else math.sqrt(self.stable * self.unstable)
 
     def next(self) -> list[float]:
         """The amounts to try next; none where the answer is known."""

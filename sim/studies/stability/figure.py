@@ -68,12 +68,14 @@ def margins_figure(
         ("sample period of the controller", loop.sample_period, of_period, 1e3, "sample period [ms]", " ms"),
     ]
     predicted = [gain.sampled[0], loop.predicted.delay, loop.predicted.sample_period]
-    edges = [gain.search.found, loop.delay.unstable, loop.found_sample_period]
+    edges = [gain.search.found, loop.found_delay, loop.found_sample_period]
     lag, lead = loop.predicted.smallest_phase, loop.predicted.lead
     phases = f" Predicted phase: {lag:.4g} rad of lag, {lead:.4g} rad of lead." if math.isfinite(lead) else ""
     panels = []
     for (title, search, growth, scale, label, unit), at, seen in zip(searches, predicted, edges, strict=True):
-        numbers = [f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" for value in (at, seen)]
+        numbers = [
+            f"{scale * value:.4g}{unit}" if math.isfinite(value) else "any" if value > 0 else "not found" for value in (at, seen)
+        ]
         title = f"{title}\nbears, predicted: {numbers[0]}; in MuJoCo: {numbers[1]}"
         panels.append(_search_panel(title, label, search, growth, scale))
     panels.append(_fragile_panel(fragile))

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.bisection import Bisection, run_searches
-from sim.studies.stability.growth_test import Trial, no_progress
+from sim.studies.stability.growth_test import LONGEST, STANDS, Trial, no_progress
 from sim.studies.stability.margin_search import GainMargin
 from synth.analysis.certificate import Certificate
 from synth.analysis.uncertainty_box import ScaledGain
@@ -104,7 +104,8 @@ def _sampled_edge(vehicle: Vehicle, controller: Controller, predicted: Fragility
     """Returns the margin of the loop that is sampled every timestep; infinite if it exceeds `MOST`."""
 
     def grows(amount: float) -> bool:
-        return LoopModel(vehicle, with_errors(controller, predicted, amount), timestep).radius >= 1
+        radius = LoopModel(vehicle, with_errors(controller, predicted, amount), timestep).radius
+        return math.log(radius) * LONGEST >= STANDS * timestep  # an integrator's pole is 1 but for rounding
 
     low = 0.0
     for high in np.linspace(0.0, MOST, GRID + 1)[1:].tolist():

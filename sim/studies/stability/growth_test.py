@@ -34,6 +34,7 @@ FREE_FROM = 0.5  # s; when the bump is over for every wheel
 FOLLOWS = 1e-3  # of what is left of a run: how far it may be from what its loop makes of it
 SAME_SIGN = 2 / 3  # of what the slowest mode grows or decays by: how far a run may be from that
 STANDS = 1e-9  # change of a mode in the longest run that is none: an integrator's without its reading
+CREEPING = 0.06  # the same, of a mode that is not told from one that stands: rates of runs are about 5e-4 1/s off
 PASSES = 3  # of its controller's sample periods, or delays, a run has at least for that
 HOLDS = 24  # of its controller's sample periods, or delays, a run has at least: what alternates from one to the next grows slowly
 STILL = 2  # of them without motion are enough: then nothing is on its way either
@@ -72,10 +73,12 @@ class Growth:
     Attributes:
         grows: True if the run grows, False if it decays.
         rate: of its slowest mode [1/s], or NaN if too little of the run was free and linear.
+        decided: False if the loop's slowest mode creeps so that the run does not show it; `grows` is then the loop's own.
     """
 
     grows: bool
     rate: float = math.nan
+    decided: bool = True
 
 
 def no_progress(message: str) -> None:
@@ -109,8 +112,8 @@ def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[lis
     for i, trial in enumerate(trials):
         how, laws = trial.vehicle.implementation, [one for one in (trial.controller, trial.undelayed) if one is not None]
         stage = max(stage_of(trial.vehicle, one, timestep) for one in laws)
-        states = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
-        key = stage, states, how.sample_period is None, how.ideal and trial.undelayed is None
+        memory = tuple(one.law.states for one in laws) if any(one.law.states for one in laws) else ()
+        key = stage, memory, how.sample_period is None, how.ideal and trial.undelayed is None
         alike.setdefault(key, []).append(i)
     batches: list[tuple[float, list[int]]] = []
     for group in alike.values():
@@ -118,7 +121,8 @@ def _batches(trials: Sequence[Trial], timestep: float, least: float) -> list[lis
         while group:
             first = trials[group[0]]
             samples = _duration(first, timestep, least) / timestep
-            most = max(1, min(TOGETHER, int(ENTRIES / (samples * len(first.vehicle.linear_model.states)))))
+            states = len(first.vehicle.linear_model.states) + first.controller.law.states
+            most = max(1, min(TOGETHER, int(ENTRIES / (samples * states))))
             share = shared(len(group), max(cores(), math.ceil(len(group) / most)))[0]
             batches.append((samples, group[share]))
             del group[share]
@@ -171,11 +175,19 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
                 growth = _confirmed(trials[i], loops[i], seen, peaks, kept[i][:, :end], timestep, looks[end])
                 if growth is None and looks[end] >= SHORTEST:
                     growth = _growth(trials[i], loops[i], seen, timestep, looks[end])
+                if growth is not None and _creeps(loops[i], growth):
+                    growth = Growth(not growth.grows, growth.rate, decided=False) if looks[end] >= LONGEST else None
                 if growth is not None:
                     going[i], growths[i] = False, growth
         if stopped() or not going.any():
             break
     return growths
+
+
+def _creeps(loop: LateLoop | None, growth: Growth) -> bool:
+    """Returns True if a run contradicts its loop, whose slowest mode moves too little in the longest run to be told."""
+    creeps = loop is not None and abs(loop.rate) * LONGEST < CREEPING and growth.grows != (loop.rate > 0)
+    return creeps and (not growth.grows or abs(growth.rate) * LONGEST < CREEPING)
 
 
 def _confirmed(
@@ -193,7 +205,8 @@ def _confirmed(
         return None
     hold = _hold(trial, timestep)
     rate = _rate(states, timestep, round(hold / timestep))
-    if abs(rate - loop.rate) <= CONFIRMED * abs(loop.rate):
+    within = CONFIRMED if duration < LONGEST else SAME_SIGN  # a mode that creeps has hardly moved in the longest run
+    if abs(rate - loop.rate) <= within * abs(loop.rate):
         return Growth(rate > 0, rate)
     # Some law's states are more than these rows, with an actuator's lag.
     kept = kept[: max(len(loop.Phi) - len(states), 0)]
@@ -238,8 +251,8 @@ def _growth(trial: Trial, loop: LateLoop | None, states: Array, timestep: float,
     if _escaped(states):
         return Growth(True, rate)
     grows = _grows(states, rate, trial.gone, last=duration >= max(LONGEST, enough))
-    # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that.
-    sure = duration >= enough or (grows is True and not math.isnan(rate))
+    # Two modes of a few holds that beat grow for a while; a rate that is found tells growth from that, if the loop grows, too.
+    sure = duration >= enough or (grows is True and not math.isnan(rate) and (loop is None or loop.rate > 0))
     return Growth(grows, rate) if grows is not None and sure else None
 
 

@@ -20,6 +20,7 @@ from synth.controller.open_loop import with_lag
 from synth.controller.stability_margins import Margins, margins, sampled_gain_crossings
 
 SLOWEST = 2.0  # s; the longest delay and sample period that are tried where none is predicted to matter
+LATEST = 8.0  # s; a longer predicted delay is not run: it takes 24 times as long to grow, and more gigabytes than there are
 AMPLE = 32.0  # the largest gain that is tried where none is predicted to matter, not even for a sampled loop
 AGREES = 5e-3  # relative, of a gain; a search ends at 0.2 %, and what two of them tend to is known to 0.3 %
 WITHOUT_END = 1.5  # times as much at half the step: it goes with the step's inverse, where a loop's own end stays
@@ -105,7 +106,7 @@ class LoopMargins:
     @property
     def found_sample_period(self) -> float:
         """The longest sample period before the first that grows [s]."""
-        return self.sample_period.unstable - self.timestep
+        return self.sample_period.unstable - self.timestep if self.sample_period.decided else math.nan
 
     @property
     def sees_sample_period(self) -> bool:
@@ -113,29 +114,39 @@ class LoopMargins:
         return math.isinf(self.predicted.sample_period) or self.predicted.sample_period < self.unseen
 
     @property
+    def sees_delay(self) -> bool:
+        """Returns True if runs are long enough to confirm the predicted delay."""
+        return math.isinf(self.predicted.delay) or self.predicted.delay < LATEST
+
+    @property
+    def found_delay(self) -> float:
+        """The smallest delay that grows [s]; infinite where none does, NaN where no run decides it."""
+        seen = self.delay.decided and (self.sees_delay or math.isfinite(self.delay.unstable))
+        return self.delay.unstable if seen else math.nan
+
+    @property
     def found_phase(self) -> float:
         """Returns the phase of the found delay at the crossover [rad]."""
-        if math.isinf(self.delay.unstable):
-            return math.inf
-        return self.delay.unstable * self.predicted.frequency
+        return self.found_delay * self.predicted.frequency if math.isfinite(self.found_delay) else self.found_delay
 
     @property
     def agrees(self) -> bool:
         """Returns True if every margin is as predicted: a gain to 0.5 %, a delay and a sample period to a timestep.
 
-        A sample period from `unseen` on agrees if no shorter one grows.
+        A sample period from `unseen` on agrees if no shorter one grows, and so does a delay that takes too long to run.
         """
         period = self.predicted.sample_period if self.sees_sample_period else math.inf
         return (
             self.gain.agrees
             and self.gain_lower.agrees
-            and _close(self.predicted.delay, self.delay.unstable, self.timestep)
+            and _close(self.predicted.delay, self.found_delay, self.timestep)
             and _close(period, self.found_sample_period, self.timestep)
         )
 
 
 def _close(predicted: float, measured: float, within: float) -> bool:
-    return predicted == measured or (math.isfinite(predicted) and abs(predicted - measured) <= within)
+    """Returns whether a margin is as predicted; NaN, which no run decides, contradicts nothing."""
+    return predicted == measured or math.isnan(measured) or (math.isfinite(predicted) and abs(predicted - measured) <= within)
 
 
 def find_margins(
@@ -210,7 +221,8 @@ def searches(vehicle: Vehicle, controller: Controller, actuators: Sequence[int],
         sampled_gain_crossings(*sampled_loop_transfer(vehicle, controller, step, actuators, taylor4))
         for step in (timestep, timestep / 2)
     ]
-    late = max(predicted.delay - timestep / 2, timestep)  # half a sample is in the hold
+    delay = predicted.delay if predicted.delay < LATEST else math.inf
+    late = max(delay - timestep / 2, timestep)  # half a sample is in the hold
     unseen = _unseen(with_lag(vehicle).A if mine.all() else loop.A)
     period = predicted.sample_period if predicted.sample_period < unseen else math.inf
     return LoopMargins(

@@ -7,12 +7,14 @@ from typing import Any
 from models.common.printed import WIDTH, finite, wrapped
 from models.vehicle.vehicle import Vehicle
 from sim.studies.stability.fragility import FragilityFound
+from sim.studies.stability.growth_test import LONGEST
 from sim.studies.stability.margin_search import GainMargin, LoopMargins
 from sim.studies.stability.robustness import Robustness, varied_text
 from synth.controller.controller import Controller
 from synth.controller.disk_margin import DiskMargin
 from synth.design.uncertainty.fragility import errors_text, fragility_object, proved_text, rounding_text, whose
 
+UNDECIDED = f"not found within {LONGEST:g} s: the slowest mode creeps"
 NAME, CELL = 24, 12  # columns of a table of margins
 COUNTERPART = "the law is discrete: all numbers are of the continuous law whose Tustin transform it is"
 
@@ -53,7 +55,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
     gain = {
         "predicted": finite(predicted.gain),
         "found": finite(one.gain.found),
-        "lower": {"predicted": predicted.gain_lower or None, "found": one.found_gain_lower or None},
+        "lower": {"predicted": predicted.gain_lower or None, "found": finite(one.found_gain_lower) or None},
         "extrapolated": one.gain.extrapolated,
         "sampled": _sampled_object(one.gain, one.timestep),
     }
@@ -75,7 +77,7 @@ def _loop_object(one: LoopMargins) -> dict[str, Any]:
             "phase": disk.phase,
             "frequency": finite(disk.frequency),
         },
-        "delay": {"predicted": finite(predicted.delay), "found": finite(one.delay.unstable)},
+        "delay": {"predicted": finite(predicted.delay), "found": finite(one.found_delay)},
         "sample_period": {"predicted": finite(predicted.sample_period), "found": finite(one.found_sample_period)},
     }
 
@@ -134,7 +136,7 @@ def margins_lines(
 
 def _brief_lines(name: str, one: LoopMargins) -> list[str]:
     """Returns a loop's gain and delay in a line."""
-    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.delay.unstable
+    numbers = one.predicted.gain, one.gain.found, 1e3 * one.predicted.delay, 1e3 * one.found_delay
     return [f"  {name:{NAME + 2}}{''.join(map(_cell, numbers))[2:]}"]
 
 
@@ -173,7 +175,10 @@ def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robus
     if wrong:
         return f"DOES NOT AGREE: {'; '.join(wrong)}"
     others = f", {len(box.corners)} other vehicles too" if box is not None else ""
-    return f"agrees: the loop bears in MuJoCo what is predicted{others}"
+    found = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
+    found += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
+    decided = ", where its runs decide" if any(map(math.isnan, found)) else ""
+    return f"agrees: the loop bears in MuJoCo what is predicted{decided}{others}"
 
 
 def _called(name: str, count: int) -> str:
@@ -201,14 +206,20 @@ def _loop_lines(title: str, one: LoopMargins, fixed: float | None) -> list[str]:
     where = f"at {predicted.lead_frequency:.5g} rad/s" if predicted.leading else ""
     rows += [("phase lead, rad", predicted.lead, math.nan, where), _disk_row(predicted.disk)]
     samples = ""
-    if math.isfinite(one.delay.unstable):
+    if not one.delay.decided:
+        samples = UNDECIDED
+    elif math.isfinite(one.delay.unstable):
         samples = f"{round(one.delay.stable / h)} samples decay, {round(one.delay.unstable / h)} grow"
-    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.delay.unstable, samples))
+    elif not one.sees_delay:
+        samples = f"not found within {max(one.delay.tried):g} s; runs of the predicted delay would take too long"
+    rows.append(("delay, ms", 1e3 * predicted.delay, 1e3 * one.found_delay, samples))
     own = "" if fixed is None else f"fixed by the law: {1e3 * fixed:g} ms"
     if predicted.all_sampled:
         own = "; ".join(filter(None, (own, "all forces sampled")))
     if own and math.isinf(predicted.sample_period) and math.isinf(one.found_sample_period):
         return [*_table(title, rows), f"  sample period: {own}"]
+    if not one.sample_period.decided:
+        own = "; ".join(filter(None, (own, UNDECIDED)))
     if not one.sees_sample_period and math.isinf(one.found_sample_period):
         tried = f"none up to {1e3 * max(one.sample_period.tried):g} ms; a longer one sees nothing of the bump"
         own = "; ".join(filter(None, (own, tried)))
@@ -237,7 +248,8 @@ def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[st
 
 def _noted(gain: GainMargin, note: str = "") -> str:
     """Returns a note on a margin; it begins with the word for one that is extrapolated from MuJoCo's runs."""
-    return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else "", note)))
+    undecided = UNDECIDED if math.isnan(gain.found) else ""
+    return "; ".join(filter(None, ("extrapolated" if gain.extrapolated else undecided, note)))
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
