@@ -27,6 +27,7 @@ import synth
 from models.common.command import Parser
 from models.figures.sketch import sketch_svg
 from models.kinds import signals
+from models.laws import filter as weights
 from models.laws import semi_active
 from models.laws.combinations import COMMANDS as OPTIONS
 from models.laws.combinations import DEMANDS, KEYS, KINDS, refusal
@@ -39,7 +40,6 @@ from models.roads.rig import Rig
 from models.roads.road import Bump
 from models.suspension import STOP_KEYS, damper
 from models.suspension.curve_reading import DEFLECTION, VELOCITY, curve_keys
-from models.vehicle import filter as weights
 from models.vehicle import payload
 from models.vehicle.controllers import CONTROLLER_KEYS, ControllerEntry
 from models.vehicle.limits_and_implementation import IMPLEMENTATION_KEYS, LIMITS, Implementation, Limits

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
 from models.common.command import chosen_of
@@ -20,14 +20,13 @@ from sim.command import comparison
 from sim.command.drive_options import end_lines
 from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
 from sim.runs.run import Run, run_controllers, sample_times
-from sim.runs.start import start_lines
-from sim.studies.ride import run_metrics
-from sim.studies.ride.metrics import DEFINITIONS
-from sim.studies.ride.run_metrics import RunMetrics
 from sim.studies.ride.standing import standing_lines, standings_object
-from sim.studies.ride.step_response import check_band, measure_step, step_lines, step_object, step_of
 from synth.controller.controller import Controller
 from synth.vehicle.designer import Designer
+
+if TYPE_CHECKING:
+    from sim.studies.ride.run_metrics import RunMetrics
+    from sim.studies.ride.step_response import SignalSteps
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +99,13 @@ class Measured:
     Attributes:
         samples: the first one that is measured, and the one after the last; None for the end of the runs.
         metrics: of every run.
+        words: when is measured.
         start, end: times of the first and last of these samples [s].
     """
 
     samples: tuple[int, int | None]
-    metrics: Sequence[RunMetrics]
+    metrics: "Sequence[RunMetrics]"
+    words: str
     start: float
     end: float
 
@@ -130,6 +131,8 @@ def drive(
     roads = {title: road_of(vehicle, options, times[title]) for title, vehicle in vehicles.items()}
     time, road = next(iter(times.values())), next(iter(roads.values()))
     if rides:
+        from sim.studies.ride.step_response import check_band
+
         check_band(road, options.band, "band" in options.given)
     comparison.check_view(options)
     files = tuple(file for vehicle in vehicles.values() for file in vehicle.files)
@@ -149,7 +152,7 @@ def drive(
         )
         for each, one in zip(driven, results, strict=True)
     ]
-    steps = [measure_step(run, options.band) for run in runs] if rides and step_of(road) else []
+    steps = _steps(options, runs, road) if rides else []
     outputs = comparison.write_histories(options, shown, where(road))
     passive = [comparison.passive_beside(each.built, each.design) for each in driven]
     standings, k = [], 0
@@ -159,7 +162,7 @@ def drive(
         standings += comparison.standings_of(each.runs, beside, samples, mine, each.without, each.title)
     exported = comparison.exported_object(driven[0].vehicle, runs, options.timestep)
     if options.json:
-        step = {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
+        step = _step_object(options, runs, steps) if rides else None
         print(
             json.dumps(
                 {
@@ -181,10 +184,11 @@ def drive(
         lines += _above(options, driven, passive, measured, road, time)
         lines += comparison.exported_lines(exported, options.verbose) if not options.brief else []
         if steps and not options.brief:
+            from sim.studies.ride.step_response import step_lines
+
             lines += ["", *step_lines(shown, steps, options.band, options.verbose)]
         settled = ", when all have settled" if measured and road.spectrum and measured.start < options.duration / 2 else ""
-        when = run_metrics.measured_words(time, measured.samples) if measured else "all of the run"
-        about = f"MuJoCo, {when}{settled}"
+        about = f"MuJoCo, {measured.words if measured else 'all of the run'}{settled}"
         several = len(driven) > 1
         lines += ["", *standing_lines(standings, about if several else comparison.table_note(shown, options, about))]
         part = measured is not None and (measured.start > 0 or measured.samples[1] is not None)
@@ -244,24 +248,30 @@ def _driven(options: Namespace, vehicle: Vehicle, title: str, names: list[str], 
 
 def _measured(options: Namespace, driven: Sequence[Driven], road: Road, time: Array) -> Measured:
     """Measures the ride of all runs, between the same samples."""
+    from sim.studies.ride import run_metrics
+
     runs = [run for each in driven for run in each.runs]
     pairs = [(run.vehicle, run.controller) for run in runs]
     first, end = run_metrics.measured_samples(pairs, road, options.duration, options.timestep)
     metrics = [run_metrics.measure_run(run, first, end) for run in runs]
-    return Measured((first, end), metrics, float(time[first]), float(time[-1 if end is None else end - 1]))
+    words = run_metrics.measured_words(time, (first, end))
+    return Measured((first, end), metrics, words, float(time[first]), float(time[-1 if end is None else end - 1]))
 
 
 def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | None) -> list[dict[str, Any]]:
     """Returns the result of every vehicle, as logs and JSON have it."""
     results, metrics = [], list(measured.metrics) if measured else []
     for each in driven:
-        objects, road, time = each.objects, each.runs[0].road, each.runs[0].prediction.time
+        road, time = each.runs[0].road, each.runs[0].prediction.time
+        result: dict[str, Any] = {"runs": each.objects, "road": road.describe(), "timestep": options.timestep}
         if measured is not None:
-            mine, metrics = metrics[: len(objects)], metrics[len(objects) :]
-            objects = [one | run_metrics.metrics_object(run, of) for one, run, of in zip(objects, each.runs, mine, strict=True)]
-        result: dict[str, Any] = {"runs": objects, "road": road.describe(), "timestep": options.timestep}
-        if measured is not None:
+            from sim.studies.ride import run_metrics
+            from sim.studies.ride.metrics import DEFINITIONS
+
+            mine, metrics = metrics[: len(each.runs)], metrics[len(each.runs) :]
+            rows = zip(each.objects, each.runs, mine, strict=True)
             result |= {
+                "runs": [one | run_metrics.metrics_object(run, of_run) for one, run, of_run in rows],
                 "measured_from": measured.start,
                 **({} if measured.samples[1] is None else {"measured_until": measured.end}),
                 "definitions": DEFINITIONS,
@@ -269,6 +279,20 @@ def _results(options: Namespace, driven: Sequence[Driven], measured: Measured | 
             }
         results.append(result | comparison.left_out_object(each.names, [run.controller.name for run in each.built]))
     return results
+
+
+def _steps(options: Namespace, runs: Sequence[Run], road: Road) -> "list[dict[str, SignalSteps]]":
+    """Returns the step responses of every run; empty on another road."""
+    from sim.studies.ride.step_response import measure_step, step_of
+
+    return [measure_step(run, options.band) for run in runs] if step_of(road) else []
+
+
+def _step_object(options: Namespace, runs: Sequence[Run], steps: "list[dict[str, SignalSteps]]") -> dict[str, Any] | None:
+    """Returns the step responses as JSON has them; None without."""
+    from sim.studies.ride.step_response import step_object
+
+    return {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None
 
 
 def _logged(each: Driven) -> Callable[[], Mapping[str, Run]]:
@@ -279,24 +303,28 @@ def _above(
     options: Namespace, driven: Sequence[Driven], passive: Sequence[Any], measured: Measured | None, road: Road, time: Array
 ) -> list[str]:
     """Returns the lines above the table: with `-v` every run in full, else what is special about some."""
-    shown = [run for each in driven for run in each.shown]
-    metrics: Sequence[RunMetrics] = measured.metrics if measured else ()
-    lines = end_lines(road, options.duration) if measured else []
-    for each in driven if measured else ():
-        lines += start_lines([run for run in each.shown if run.controller.name not in each.variants])
+    shown, lines = [run for each in driven for run in each.shown], list[str]()
+    if measured is not None:
+        from sim.runs.start import start_lines
+
+        lines += end_lines(road, options.duration)
+        for each in driven:
+            lines += start_lines([run for run in each.shown if run.controller.name not in each.variants])
     if options.verbose:
-        compared = [
-            of for each, beside in zip(driven, passive, strict=True) for of in comparison.compared_lines(each.shown, beside)
-        ]
-        for i, of_run in enumerate(compared):
+        rows = [of for each, beside in zip(driven, passive, strict=True) for of in comparison.compared_lines(each.shown, beside)]
+        for i, of_run in enumerate(rows):
             lines += ["", *of_run]
             if measured is not None:
-                rough = run_metrics.driven_roughness(shown[i].vehicle, shown[i].road, time)
-                lines += ["", *run_metrics.metric_lines(shown[i], metrics[i], measured.start, measured.end, rough)]
+                from sim.studies.ride.run_metrics import driven_roughness, metric_lines
+
+                rough = driven_roughness(shown[i].vehicle, shown[i].road, time)
+                lines += ["", *metric_lines(shown[i], measured.metrics[i], measured.start, measured.end, rough)]
     elif not options.brief:
         lines += comparison.short_lines(shown, [name for each in driven for name in each.variants])
         if measured is not None:
-            lines += shared_lines([(run.controller.name, line) for run in shown for line in run_metrics.broken_lines(run)])
-            lines += run_metrics.angle_lines(shown, metrics)
-            lines += run_metrics.expected_lines(shown, metrics) if len(driven) == 1 else []  # of several -v has them
+            from sim.studies.ride.run_metrics import angle_lines, broken_lines, expected_lines
+
+            lines += shared_lines([(run.controller.name, line) for run in shown for line in broken_lines(run)])
+            lines += angle_lines(shown, measured.metrics)
+            lines += expected_lines(shown, measured.metrics) if len(driven) == 1 else []  # of several -v has them
     return lines
