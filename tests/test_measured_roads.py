@@ -129,6 +129,28 @@ def test_every_car_is_in_steady_motion_at_first(kind, damping):
         assert roll == pytest.approx((left - right) / vehicle.parameters["track"], rel=1e-9)
 
 
+def dense(join: str):
+    """A road with a point every 4 mm, five in a timestep at V, rough at every point; or posts that move so."""
+    rng, x = np.random.default_rng(3), np.arange(0, 6, 0.004)
+    z = rng.normal(0, 5e-4, len(x)) + np.interp(x, np.arange(7), rng.normal(0, 2e-3, 7))
+    return Rig(x / V, z[:, None], ("road_displacement",)) if join == "rig" else Profile(x, np.stack([z, z], axis=1), V, join=join)
+
+
+@pytest.mark.parametrize("join", ["straight", "smooth", "rig"])
+def test_points_closer_than_a_step_do_not_alias(join):
+    """Over five points a step MuJoCo moves as the car over the continuous road does, which no step holds."""
+    vehicle, road = car("quarter_car"), dense(join)
+    run = driven(vehicle, road, 0.3)
+    assert run.passed
+    for name in ("sprung_velocity", "unsprung_velocity"):
+        # Holding means turns a wave of w rad/s into 1 - (w h)^2 / 24: 1e-3 at 150 rad/s, above which a hub hardly moves.
+        assert np.abs(run.physics[name] - run.continuous[name]).max() < 2e-3 * run.continuous.scale(name), name
+    t, h = np.arange(-0.01, road.duration + 0.01, 0.0137), 7e-3
+    fine = (np.arange(20000) + 0.5) / 20000 * h - h / 2  # midpoints: lines and cubics to (h / 20000)^2 beside kinks
+    mean = road.departure(t[:, None] + fine, "").mean(axis=1)
+    assert road.mean_departure(t, h, "") == pytest.approx(mean, abs=1e-8)
+
+
 @pytest.mark.parametrize("kind", CORNERS)
 def test_a_climb_has_no_bump(kind):
     """On a steady climb with a bank nothing moves for passive and for a law that measures velocities, and the car climbs."""

@@ -85,9 +85,9 @@ class Profile(MeasuredRoad):
         return self.speed * np.where(at < 0, 0.0, np.where(at > self._end, after, on))
 
     @property
-    def kinks(self) -> tuple[float, ...]:
-        """Every point; of a spline both ends: at its other points a step's quadrature does not see the third derivative jump."""
-        return tuple((self._x / self.speed).tolist()) if self.join == "straight" else (0.0, self.duration)
+    def knots(self) -> Array:
+        """Times of all points [s]."""
+        return self._x / self.speed
 
     @property
     def points(self) -> bytes:

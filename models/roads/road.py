@@ -82,6 +82,13 @@ class Road(ABC):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
 
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns the height at which physics holds it over steps [m], by their middle times t [s], same shape: the one at t.
+
+        A measured road, whose points may be closer than a step, is held at its mean height over the step.
+        """
+        return self.displacement(t, side)
+
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the time derivative of `displacement` [m/s] at times t [s], same shape."""
@@ -310,6 +317,35 @@ class MeasuredRoad(Road):
         return self.start(side)[1] + self.departure_rate(t, side)
 
     @property
+    @abstractmethod
+    def knots(self) -> Array:
+        """Times of the points, ascending [s]; between them `departure` is a line or a cubic."""
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Every point: many of a spline in one step would be too much for its quadrature."""
+        return tuple(self.knots.tolist())
+
+    def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
+        """Returns the mean of `departure` over steps [m], by their middle times t [s], same shape; exact but for rounding."""
+        knots, start, end = self.knots, t - timestep / 2, t + timestep / 2
+
+        def area(a: Array, b: Array) -> Array:
+            """Returns integrals by two points of Gauss, exact for cubics."""
+            middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
+            return (b - a) / 2 * (self.departure(middle - apart, side) + self.departure(middle + apart, side))
+
+        mean = area(start, end) / timestep
+        first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1  # knots inside a step
+        (some,) = np.nonzero(first <= last)
+        if len(some):
+            first, last = first[some], last[some]
+            sums = np.add.reduceat(np.append(area(knots[:-1], knots[1:]), 0.0), np.stack([first, last], axis=-1).ravel())[::2]
+            ends = area(start[some], knots[first]) + area(knots[last], end[some])
+            mean[some] = (ends + np.where(first < last, sums, 0.0)) / timestep
+        return mean
+
+    @property
     def from_start(self) -> "Departure":
         """The road measured from the steady motion."""
         return Departure(self)
@@ -324,6 +360,10 @@ class Departure(DerivedRoad):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height over the steady motion."""
         return self.road.departure(t, side)
+
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns its mean over steps."""
+        return self.road.mean_departure(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns its derivative."""
@@ -356,6 +396,10 @@ class ScaledRoad(DerivedRoad):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied height."""
         return self.factor * self.road.displacement(t, side)
+
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns the multiplied height of the steps."""
+        return self.factor * self.road.held(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied velocity."""
@@ -461,8 +505,12 @@ class RoadInput:
 
     @cached_property
     def midway(self) -> Array:
-        """Heights half a step after the samples [m], where MuJoCo holds the road over the step, shape (T, r)."""
-        return under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time + self.timestep / 2)
+        """Heights at which MuJoCo holds the road over the steps from the samples [m], shape (T, r)."""
+        return self.held_heights(self.time + self.timestep / 2)
+
+    def held_heights(self, middle: Array) -> Array:
+        """Returns heights at which MuJoCo holds the road [m], shape (T, r), over steps with these middle times [s]."""
+        return under_wheels(lambda t, side: self.felt.held(t, self.timestep, side), self.felt, self.vehicle, middle)
 
     @cached_property
     def velocities(self) -> Array:
