@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 
 from models.common.command import chosen, run_command
-from sim.command.drive_options import end_lines, parser, requested_road
+from sim.command.drive_options import end_lines, parser, requested_road, starts_later
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines = titled(
             f"{vehicle.kind.name} over a road: {road.words}; {options.duration:g} s at {options.timestep:g} s", vehicle.source
         )
-        lines += [*end_lines(road, options.duration), *start_lines(runs)]
+        lines += [*end_lines(road, options.duration), *start_lines(runs, starts_later(options))]
         if options.verbose:
             for run, one, compared in zip(runs, measured, comparison.compared_lines(runs, passive), strict=True):
                 lines += ["", *compared, ""]

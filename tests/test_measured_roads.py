@@ -326,6 +326,24 @@ def test_the_start_is_remarked_where_it_counts():
     assert effects[1] is None
 
 
+@pytest.mark.parametrize("name", ["passive", "I"])
+def test_a_motionless_start_has_no_share(name):
+    """Nothing is a share of the rounding that a steady climb leaves, though the road before might have had the crest behind it."""
+    x = np.array([0.0, 10, 20, 40, 60, 80, 100])
+    run = driven(car("quarter_car"), Profile(x, np.minimum(0.08 * x, 3.2)[:, None] * np.ones(2), 10.0), 3.0, name)
+    assert np.abs(run.physics["sprung_acceleration"]).max() < 1e-12
+    assert start_effect([run]) is None
+
+
+def test_earlier_is_advised_where_there_is_a_road(capsys):
+    """A run from the first point of a file on cannot start earlier; one that starts later can."""
+    arguments = ["--controller", "passive", "--road", f"{UNEVEN}", "--duration", "0.5", "--no-logs"]
+    assert main(arguments) == 0
+    assert "; start elsewhere with --from" in prose(capsys.readouterr().out)
+    assert main([*arguments[:3], f"{UNEVEN}:from=2000cm", *arguments[4:]]) == 0
+    assert "start earlier or elsewhere with --from" in prose(capsys.readouterr().out)
+
+
 def test_posts_start_at_rest_where_they_are():
     """Posts of different first heights keep their offsets, and the vehicle stands on them at rest, twisted as they are."""
     vehicle, t = read_vehicle("full_car"), np.arange(0, 1, 0.01)

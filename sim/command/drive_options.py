@@ -106,6 +106,13 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     return road
 
 
+def starts_later(options: argparse.Namespace) -> bool:
+    """True if the vehicle is to start later on a road from a file than at its first point."""
+    from models.roads.choice import driven
+
+    return "from" in driven(split_off(_road_text(options))[0])
+
+
 def end_lines(road: "Road", duration: float) -> list[str]:
     """Returns a line on a road from a file that ends before the run, of this duration [s], or after it."""
     ends = road.duration
