@@ -3,8 +3,8 @@
 import json
 from collections.abc import Sequence
 
-from models.common.command import chosen, run_command
-from sim.command.drive_options import end_lines, parser, requested_road, starts_later
+from models.common.command import chosen, complain, run_command
+from sim.command.drive_options import end_lines, gaps, parser, requested_road, starts_later
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = chosen(vehicle.controller_names, options.controller)
     time = sample_times(vehicle, options.duration, options.timestep)
     road = requested_road(vehicle, options, time)
+    for remark in gaps(road, options.duration):
+        complain(remark)
     check_band(road, options.band, "band" in options.given)
     comparison.check_view(options)
     check_outputs({"picture": options.picture, "logs": options.logs}, vehicle.files)

@@ -249,8 +249,8 @@ def test_from_is_the_rest_of_the_file(tmp_path):
     for side in ("left", "right"):
         assert np.array_equal(found.displacement(t, side), cut.displacement(t, side))
     assert found.describe()["from"] == start
-    whole = f"give a distance from {x[0]:g} to {x[-4]:g} m"
-    for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={x[-3]}"):
+    whole = f"give a distance from {x[0]:g} m to less than {x[-1]:g} m"
+    for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={float(x[-1])!r}"):
         with refused(f"from = {float(text.split('=')[1]):g} m is not on the road; {whole}"):
             choose_road(text, tmp_path)
     with refused("join = 'cubic' is unknown; give one of smooth, straight"):
@@ -310,6 +310,50 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("0,0\n1,0\n2,1e5\n3,0\n", "3 m in steps of 1 m, heights from 0 to 1e+05 m: an rms slope of 8.16e+04, steeper"),
+        ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m: an rms slope of 18.7, steeper than any"),
+        ("0,0\n1,20\n2,-10\n3,0\n", "distances in km, or heights in mm? then say :distance_unit=km or :height_unit=mm"),
+    ],
+)
+def test_no_road_is_that_steep(tmp_path, rows, said):
+    """Numbers in wrong units are told by the slope of what is driven."""
+    (tmp_path / "road.csv").write_text(rows)
+    with refused(said):
+        main(["--controller", "passive", "--road", str(tmp_path / "road.csv"), "--duration", "0.2", "--no-logs"])
+
+
+def test_a_mountain_road_is_driven(tmp_path, capsys):
+    """A road may climb by 700 m in points 50 m apart, and what is not driven may be absurd."""
+    x = np.arange(0.0, 10000, 50)
+    rows = [f"{a},{b}" for a, b in zip(x, 20 + 0.07 * x + np.sin(x), strict=True)]
+    (tmp_path / "pass.csv").write_text("\n".join(["distance [m],altitude [m]", *rows, "9951,8000"]))
+    arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
+    assert main([*arguments, "--from", "9000", "--brief"]) == 0
+    with refused("steeper than any road"):
+        main([*arguments, "--from", "9940"])
+    assert "no point lies" not in capsys.readouterr().err
+
+
+def test_lines_need_two_points(tmp_path, capsys):
+    """Straight lines take two points and a wide gap, which is remarked; a spline takes four and no gap."""
+    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
+    (tmp_path / "flat.csv").write_text("0,0\n1,0\n2,0.02\n3,0\n40,0\n")
+    road = choose_road("road.csv:from=30", tmp_path).build(car("quarter_car"), V, 0, 10.0)
+    assert road.describe()["points"] == 3
+    arguments = ["--controller", "passive", "--no-logs", "--brief", "--duration", "0.5", "--road"]
+    assert main([*arguments, str(tmp_path / "flat.csv")]) == 0
+    assert "no point lies between 3 m and 40 m, where others are 1 m apart" in capsys.readouterr().err
+    assert main([*arguments, str(tmp_path / "road.csv")]) == 0
+    assert "no point lies" not in capsys.readouterr().err
+    with refused("a smooth profile needs at least 4 points, and has 3"):
+        choose_road("road.csv:from=30:join=smooth", tmp_path)
+    with refused("gap from 3 m to 40 m"):
+        choose_road("flat.csv:join=smooth", tmp_path)
 
 
 def test_the_start_is_remarked_where_it_counts():

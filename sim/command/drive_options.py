@@ -106,6 +106,15 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     return road
 
 
+def gaps(road: "Road", duration: float) -> list[str]:
+    """Returns a remark on a wide gap between the points of a road from a file that are driven in a time [s]."""
+    from models.roads.loaded import RoadWithLoads
+    from models.roads.profile import Profile
+
+    alone = road.road if isinstance(road, RoadWithLoads) else road
+    return [f"remark: {remark}"] if isinstance(alone, Profile) and (remark := alone.gap(duration)) else []
+
+
 def starts_later(options: argparse.Namespace) -> bool:
     """True if the vehicle is to start later on a road from a file than at its first point."""
     from models.roads.choice import driven
