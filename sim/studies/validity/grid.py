@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, listing
-from models.common.units import in_unit
+from models.roads.load_choice import setting
 from models.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
@@ -42,7 +42,7 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         name, *numbers = text.split(":")
         if name not in UNITS:
             raise InputError(f"--vary {text}: unknown quantity {name!r}; vary one or two of {listing(UNITS)}, {example}")
-        numbers[:2] = [in_unit(number, UNITS[name], f"--vary {name}") for number in numbers[:2]]
+        numbers[:2] = [setting(f"--vary {name}", number, UNITS[name]) for number in numbers[:2]]
         try:
             low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
             wrong = len(numbers) != 3
