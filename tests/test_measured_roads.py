@@ -333,7 +333,8 @@ def test_a_mountain_road_is_driven(tmp_path, capsys):
     rows = [f"{a},{b}" for a, b in zip(x, 20 + 0.07 * x + np.sin(x), strict=True)]
     (tmp_path / "pass.csv").write_text("\n".join(["distance [m],altitude [m]", *rows, "9951,8000"]))
     arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
-    assert main([*arguments, "--from", "9000", "--brief"]) == 0
+    assert main([*arguments, "--from", "9000", "-v"]) == 0
+    assert "no iri: points are 50 m apart, and ASTM E1926 defines it up to 0.3 m" in prose(capsys.readouterr().out)
     with refused("steeper than any road"):
         main([*arguments, "--from", "9940"])
     assert "no point lies" not in capsys.readouterr().err
@@ -372,7 +373,7 @@ def test_the_start_is_remarked_where_it_counts():
 
 @pytest.mark.parametrize("name", ["passive", "I"])
 def test_a_motionless_start_has_no_share(name):
-    """Nothing is a share of the rounding that a steady climb leaves, though the road before might have had the crest behind it."""
+    """Nothing is a share of the rounding that a steady climb leaves, though a road before it might have moved the car."""
     x = np.array([0.0, 10, 20, 40, 60, 80, 100])
     run = driven(car("quarter_car"), Profile(x, np.minimum(0.08 * x, 3.2)[:, None] * np.ones(2), 10.0), 3.0, name)
     assert np.abs(run.physics["sprung_acceleration"]).max() < 1e-12

@@ -23,7 +23,8 @@ KNOWN = [  # from the constants of scipy
     ("300 lb", "kg", 300 * constants.lb), ("1.2 t", "kg", 1200), ("1222 kg·m²", "kg m2", 1222), ("1 kNm", "N m", 1000),
     ("2 deg", "rad", 2 * constants.degree), ("0.5 g", "m/s2", constants.g / 2), ("5 mg", "m/s2", 5e-3 * constants.g),
     ("5 ms", "s", 5e-3), ("2 min", "s", 120), ("5ms", "ms", 5), ("10 %", "1", 0.1), ("0.252 MN/m", "N/m", 252e3),
-    ("5000 us", "s", 5e-3), ("5 \u00b5s", "s", 5e-6), ("5 \u03bcm", "m", 5e-6), ("3 dm", "m", 0.3), ("1 kHz", "Hz", 1000), ("2 mrad", "rad", 2e-3), ("-.6e2 mm", "m", -0.06), ("7", "m", 7),
+    ("5000 us", "s", 5e-3), ("5 \u00b5s", "s", 5e-6), ("5 \u03bcm", "m", 5e-6), ("3 dm", "m", 0.3),
+    ("1 kHz", "Hz", 1000), ("2 mrad", "rad", 2e-3), ("-.6e2 mm", "m", -0.06), ("7", "m", 7),
 ]  # fmt: skip
 
 

@@ -83,8 +83,8 @@ class Profile(MeasuredRoad):
         if steps[i] <= max(GAP * usual, SHORT):
             return ""
         return (
-            f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight there: "
-            "check that no points are missing"
+            f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
+            "there: check that no points are missing"
         )
 
     def _driven(self, duration: float) -> tuple[Array, Array]:

@@ -178,8 +178,8 @@ def _profile(text: str, speed: float, source: str, form: TableFormat) -> Profile
     spacing = float(np.median(np.diff(distance)))
     if spacing > WIDEST and not (used[0].unit or form.distance_unit):
         raise InputError(
-            f"points are {spacing:.3g} m apart, in metres as no unit is given; distances in mm or cm? then say :distance_unit=mm, "
-            "and :distance_unit=m if they are in m"
+            f"points are {spacing:.3g} m apart, in metres as no unit is given; distances in mm or cm? then say "
+            ":distance_unit=mm, and :distance_unit=m if they are in m"
         )
     return Profile(distance, heights, speed, source)
 

@@ -51,7 +51,11 @@ def parser() -> Parser:
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
     parser.add_number(
-        "--from", None, "m", "where the vehicle starts on a road from a file, in the file's distances", "its first point"
+        "--from",
+        None,
+        "m",
+        "distance at which the vehicle starts on a road from a file, whatever the file's unit",
+        "its first point",
     )
     add_loads(parser, "pushes the body, on a flat road where none is named")
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
@@ -108,11 +112,12 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
 
 def gaps(road: "Road", duration: float) -> list[str]:
     """Returns a remark on a wide gap between the points of a road from a file that are driven in a time [s]."""
-    from models.roads.loaded import RoadWithLoads
     from models.roads.profile import Profile
+    from models.roads.road import Departure
 
-    alone = road.road if isinstance(road, RoadWithLoads) else road
-    return [f"remark: {remark}"] if isinstance(alone, Profile) and (remark := alone.gap(duration)) else []
+    felt = road.from_start
+    profile = felt.road if isinstance(felt, Departure) else None
+    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(duration)) else []
 
 
 def starts_later(options: argparse.Namespace) -> bool:

@@ -17,6 +17,7 @@ from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
 from sim.runs.run import Run
+from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
 SAID = 0.02  # of a peak
@@ -59,7 +60,7 @@ def start_effect(runs: Sequence[Run]) -> StartEffect | None:
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
-        least = roundings(vehicle, None if loop is None else run.controller)
+        least = roundings(vehicle, run.controller if isinstance(run.controller, Controller) else None)
         if loop is not None:
             cut = loop.continuous
             A, C = cut.model.A + cut.model.B @ cut.G, cut.model.C + cut.model.D @ cut.G
