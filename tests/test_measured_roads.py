@@ -22,7 +22,8 @@ from sim.command.drive_options import expected_log, parser
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.linear.sampled_response import continuous_response
-from sim.runs.run import Run, run_controllers, sample_times
+from sim.physics.simulate import MonitoredBatch
+from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from sim.runs.start import start_effect
 from sim.runs.steps import EXACT, compare_steps, motion_of
 from synth.controller.open_loop import LoopModel
@@ -145,6 +146,9 @@ def test_points_closer_than_a_step_do_not_alias(join):
     for name in ("sprung_velocity", "unsprung_velocity"):
         # Holding means turns a wave of w rad/s into 1 - (w h)^2 / 24: 1e-3 at 150 rad/s, above which a hub hardly moves.
         assert np.abs(run.physics[name] - run.continuous[name]).max() < 2e-3 * run.continuous.scale(name), name
+    on = run.prediction.input
+    batch = MonitoredBatch([driver_again(run.prediction, on.time)], [on])  # of a campaign
+    assert batch.midway[:, 0] == pytest.approx(on.midway, abs=1e-15)  # times are rounded otherwise
     t, h = np.arange(-0.01, road.duration + 0.01, 0.0137), 7e-3
     fine = (np.arange(20000) + 0.5) / 20000 * h - h / 2  # midpoints: lines and cubics to (h / 20000)^2 beside kinks
     mean = road.departure(t[:, None] + fine, "").mean(axis=1)
