@@ -310,6 +310,11 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
         assert max(row[f"{name}_peak"] for name in names) == pytest.approx(peak, rel=1e-12)  # sums in another order
     assert len(rows) == 6
     assert campaign(["--verify", str(tmp_path / "out")]) == 0
+    assert "roads.csv" not in capsys.readouterr().err
+    (tmp_path / "roads.csv").write_text("0,0\n1,0\n2,0\n3,0\n40,0\n")
+    (tmp_path / "gap.toml").write_text(text.replace(f'"{UNEVEN}"', '"roads.csv"'))
+    assert campaign([str(tmp_path / "gap.toml"), "--results", str(tmp_path / "gap")]) == 0
+    assert "remark: road 'roads.csv': no point lies between 3 m and 40 m" in capsys.readouterr().err
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])
@@ -337,7 +342,7 @@ def test_a_mountain_road_is_driven(tmp_path, capsys):
     rows = [f"{a},{b}" for a, b in zip(x, 20 + 0.07 * x + np.sin(x), strict=True)]
     (tmp_path / "pass.csv").write_text("\n".join(["distance [m],altitude [m]", *rows, "9951,8000"]))
     arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
-    assert main([*arguments, "--from", "9000", "-v"]) == 0
+    assert main([*arguments, "--from", "9000", "-v", "--vehicle", "half_car", "--load", "brake:g=0.1"]) == 0
     assert "no iri: points are 50 m apart, and ASTM E1926 defines it up to 0.3 m" in prose(capsys.readouterr().out)
     with refused("steeper than any road"):
         main([*arguments, "--from", "9940"])

@@ -66,7 +66,7 @@ class Profile(MeasuredRoad):
             InputError: it is, as in wrong units.
         """
         super().check(vehicle, time)
-        x, z = self._driven(float(time[-1]))
+        x, z = self._driven(self.speed * float(time[-1]))
         slope = float(np.sqrt(np.mean((np.diff(z, axis=0) / np.diff(x)[:, None]) ** 2)))
         if slope > STEEPEST:
             raise InputError(
@@ -75,9 +75,9 @@ class Profile(MeasuredRoad):
                 ":distance_unit=km or :height_unit=mm"
             )
 
-    def gap(self, duration: float) -> str:
-        """Returns a remark on the widest gap between points that are driven in a time [s]; empty without any."""
-        x, _ = self._driven(duration)
+    def gap(self, length: float) -> str:
+        """Returns a remark on the widest gap between points over a driven length [m]; empty without any."""
+        x, _ = self._driven(length)
         steps = np.diff(x)
         i, usual = int(steps.argmax()), float(np.median(steps))
         if steps[i] <= max(GAP * usual, SHORT):
@@ -87,9 +87,9 @@ class Profile(MeasuredRoad):
             "there: check that no points are missing"
         )
 
-    def _driven(self, duration: float) -> tuple[Array, Array]:
-        """Returns distances and heights of the points up to the first one that is not reached in a time [s]."""
-        points = max(2, int(np.searchsorted(self._x, duration * self.speed)) + 1)
+    def _driven(self, length: float) -> tuple[Array, Array]:
+        """Returns distances and heights of the points up to the first one behind a driven length [m]."""
+        points = max(2, int(np.searchsorted(self._x, length)) + 1)
         return self.distance[:points], self.heights[:points]
 
     @property

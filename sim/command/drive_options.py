@@ -117,7 +117,7 @@ def gaps(road: "Road", duration: float) -> list[str]:
 
     felt = road.from_start
     profile = felt.road if isinstance(felt, Departure) else None
-    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(duration)) else []
+    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(road.speed * duration)) else []
 
 
 def starts_later(options: argparse.Namespace) -> bool:
