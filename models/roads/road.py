@@ -78,6 +78,10 @@ class Road(ABC):
         """Returns the loads on a vehicle's body [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
+    def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
+        """Returns the loads that physics holds over steps, by their middle times t [s], see `loads`: those at t."""
+        return self.loads(vehicle, t)
+
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
@@ -328,22 +332,7 @@ class MeasuredRoad(Road):
 
     def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
         """Returns the mean of `departure` over steps [m], by their middle times t [s], same shape; exact but for rounding."""
-        knots, start, end = self.knots, t - timestep / 2, t + timestep / 2
-
-        def area(a: Array, b: Array) -> Array:
-            """Returns integrals by two points of Gauss, exact for cubics."""
-            middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
-            return (b - a) / 2 * (self.departure(middle - apart, side) + self.departure(middle + apart, side))
-
-        mean = area(start, end) / timestep
-        first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1  # knots inside a step
-        (some,) = np.nonzero(first <= last)
-        if len(some):
-            first, last = first[some], last[some]
-            sums = np.add.reduceat(np.append(area(knots[:-1], knots[1:]), 0.0), np.stack([first, last], axis=-1).ravel())[::2]
-            ends = area(start[some], knots[first]) + area(knots[last], end[some])
-            mean[some] = (ends + np.where(first < last, sums, 0.0)) / timestep
-        return mean
+        return means(lambda t: self.departure(t, side), self.knots, t, timestep)
 
     @property
     def from_start(self) -> "Departure":
@@ -412,6 +401,33 @@ class ScaledRoad(DerivedRoad):
     def scaled(self, factor: float) -> "ScaledRoad":
         """Returns the road higher or lower."""
         return ScaledRoad(self.road, self.factor * factor)
+
+
+def means(function: Callable[[Array], Array], knots: Array, t: Array, length: float) -> Array:
+    """Returns means of a function over intervals, same shape as t; exact if it is a line or a cubic between knots.
+
+    Args:
+        function: continuous.
+        knots: ascending, shape (K,).
+        t: middles of the intervals.
+        length: length of each.
+    """
+    start, end = t - length / 2, t + length / 2
+
+    def area(a: Array, b: Array) -> Array:
+        """Returns integrals by two points of Gauss."""
+        middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
+        return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
+
+    mean = area(start, end) / length
+    first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1  # knots inside
+    (some,) = np.nonzero(first <= last)
+    if len(some):
+        first, last = first[some], last[some]
+        sums = np.add.reduceat(np.append(area(knots[:-1], knots[1:]), 0.0), np.stack([first, last], axis=-1).ravel())[::2]
+        ends = area(start[some], knots[first]) + area(knots[last], end[some])
+        mean[some] = (ends + np.where(first < last, sums, 0.0)) / length
+    return mean
 
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
@@ -524,8 +540,8 @@ class RoadInput:
 
     @cached_property
     def held_loads(self) -> Array:
-        """Loads half a step after the samples [N, N m], as MuJoCo holds them over the step, shape (T, l)."""
-        return self.road.loads(self.vehicle, self.time + self.timestep / 2)
+        """Loads as MuJoCo holds them over the steps from the samples [N, N m], shape (T, l)."""
+        return self.road.held_loads(self.vehicle, self.time + self.timestep / 2, self.timestep)
 
     @cached_property
     def held_velocities(self) -> Array:

@@ -11,8 +11,8 @@ over the step, held like a load.
 
 If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
-Loads f on the body (`models/roads/load.py`) are held over a step at their midpoint values, as the road is, and enter as
-u does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
+Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
+does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
 (`synth/controller/open_loop.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,

@@ -5,7 +5,7 @@ It agrees with the analysis to the integrator's own error (RK4's, to the fourth 
 - the road is a mocap body that MuJoCo holds over a step, so it is put at `RoadInput.midway`: its height midway through the
   step, and of a measured road the mean height over the step;
 - signals are read with the road's height at the sample;
-- loads on the body are held over a step at their value midway through it, and signals at its start are under that load;
+- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals at its start are under that load;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
