@@ -382,7 +382,11 @@ def test_a_table_in_a_file_is_the_table_in_its_place(tmp_path, name, content, fo
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, x\n", "line 3, column 2: 'x' is no finite number; give a .csv file"),
         ("a.csv", "velocity [m/s], force [N]\n-1, -10\n1, nan\n", "line 3, column 2: 'nan' is no"),
         ("a.csv", "velocity [m/s], force [N]\n", "no line of numbers; give a .csv file"),
-        ("a.csv", "deflection [m], force [N]\n-1, -10\n1, 10\n", "unknown key 'deflection'"),
+        (
+            "a.csv",
+            "deflection [m], force [N]\n-1, -10\n1, 10\n",
+            "a.csv: has the columns deflection, force; give velocity and force",
+        ),
         ("a.dpr", DPR.replace("FORCE = 'newton'", ""), "[UNITS] has no FORCE; give one of"),
         ("a.dpr", DPR.replace("'mm'", "'furlong'"), "[UNITS] has LENGTH = 'furlong'; give one of"),
         ("a.dpr", DPR.replace("[CURVE]", "[CURVES]"), "has no block [CURVE]"),

@@ -155,6 +155,19 @@ def test_error_is_of_the_fourth_order(paper, designer):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)  # the next order
 
 
+def test_a_blow_within_a_step_is_felt(paper):
+    """A file's blow of 0.3 ms that no middle of a step meets has its whole impulse."""
+    blow = History("blow.csv", np.array([0.0, 0.01005, 0.0102, 0.01035]), {"heave": np.array([0.0, 0.0, 1e4, 0.0])})
+    run = run_controllers(paper, [designed(paper, "passive")], RoadWithLoads(Flat(20.0), [blow]), sample_times(paper, 0.1, 1e-3))[
+        0
+    ]
+    assert run.passed
+    impulse = run.continuous["sprung_velocity"] * paper.parameters["sprung_mass"]
+    assert np.abs(impulse).max() == pytest.approx(1e4 * 0.15e-3, rel=0.01)  # the damper takes some of it within a step
+    late = run.continuous["sprung_velocity"] - run.physics["sprung_velocity"]
+    assert np.abs(late).max() < 0.01 * np.abs(run.continuous["sprung_velocity"]).max()  # the blow is spread over the step
+
+
 @pytest.mark.parametrize(
     ("kind", "text"),
     [("quarter_car", "bump + payload:mass=40"), ("quarter_car_accelerometer", "flat + lift:force=300:rise=0.0305:hold=0.1")],

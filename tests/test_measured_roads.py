@@ -22,7 +22,8 @@ from sim.command.drive_options import expected_log, parser
 from sim.drive import main
 from sim.inspect.__main__ import main as inspect
 from sim.linear.sampled_response import continuous_response
-from sim.runs.run import Run, run_controllers, sample_times
+from sim.physics.simulate import MonitoredBatch
+from sim.runs.run import Run, driver_again, run_controllers, sample_times
 from sim.runs.start import start_effect
 from sim.runs.steps import EXACT, compare_steps, motion_of
 from synth.controller.open_loop import LoopModel
@@ -129,6 +130,31 @@ def test_every_car_is_in_steady_motion_at_first(kind, damping):
         assert roll == pytest.approx((left - right) / vehicle.parameters["track"], rel=1e-9)
 
 
+def dense(join: str):
+    """A road with a point every 4 mm, five in a timestep at V, rough at every point; or posts that move so."""
+    rng, x = np.random.default_rng(3), np.arange(0, 6, 0.004)
+    z = rng.normal(0, 5e-4, len(x)) + np.interp(x, np.arange(7), rng.normal(0, 2e-3, 7))
+    return Rig(x / V, z[:, None], ("road_displacement",)) if join == "rig" else Profile(x, np.stack([z, z], axis=1), V, join=join)
+
+
+@pytest.mark.parametrize("join", ["straight", "smooth", "rig"])
+def test_points_closer_than_a_step_do_not_alias(join):
+    """Over five points a step MuJoCo moves as the car over the continuous road does, which no step holds."""
+    vehicle, road = car("quarter_car"), dense(join)
+    run = driven(vehicle, road, 0.3)
+    assert run.passed
+    for name in ("sprung_velocity", "unsprung_velocity"):
+        # Holding means turns a wave of w rad/s into 1 - (w h)^2 / 24: 1e-3 at 150 rad/s, above which a hub hardly moves.
+        assert np.abs(run.physics[name] - run.continuous[name]).max() < 2e-3 * run.continuous.scale(name), name
+    on = run.prediction.input
+    batch = MonitoredBatch([driver_again(run.prediction, on.time)], [on])  # of a campaign
+    assert batch.midway[:, 0] == pytest.approx(on.midway, abs=1e-15)  # times are rounded otherwise
+    t, h = np.arange(-0.01, road.duration + 0.01, 0.0137), 7e-3
+    fine = (np.arange(20000) + 0.5) / 20000 * h - h / 2  # midpoints: lines and cubics to (h / 20000)^2 beside kinks
+    mean = road.departure(t[:, None] + fine, "").mean(axis=1)
+    assert road.mean_departure(t, h, "") == pytest.approx(mean, abs=1e-8)
+
+
 @pytest.mark.parametrize("kind", CORNERS)
 def test_a_climb_has_no_bump(kind):
     """On a steady climb with a bank nothing moves for passive and for a law that measures velocities, and the car climbs."""
@@ -227,8 +253,8 @@ def test_from_is_the_rest_of_the_file(tmp_path):
     for side in ("left", "right"):
         assert np.array_equal(found.displacement(t, side), cut.displacement(t, side))
     assert found.describe()["from"] == start
-    whole = f"give a distance from {x[0]:g} to {x[-4]:g} m"
-    for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={x[-3]}"):
+    whole = f"give a distance from {x[0]:g} m to less than {x[-1]:g} m"
+    for text in ("road.csv:from=3", "road.csv:from=1e4", f"road.csv:from={float(x[-1])!r}"):
         with refused(f"from = {float(text.split('=')[1]):g} m is not on the road; {whole}"):
             choose_road(text, tmp_path)
     with refused("join = 'cubic' is unknown; give one of smooth, straight"):
@@ -284,10 +310,60 @@ def test_a_campaign_over_measured_roads(tmp_path, capsys):
         assert max(row[f"{name}_peak"] for name in names) == pytest.approx(peak, rel=1e-12)  # sums in another order
     assert len(rows) == 6
     assert campaign(["--verify", str(tmp_path / "out")]) == 0
+    assert "roads.csv" not in capsys.readouterr().err
+    (tmp_path / "roads.csv").write_text("0,0\n1,0\n2,0\n3,0\n40,0\n")
+    (tmp_path / "gap.toml").write_text(text.replace(f'"{UNEVEN}"', '"roads.csv"'))
+    assert campaign([str(tmp_path / "gap.toml"), "--results", str(tmp_path / "gap")]) == 0
+    assert "remark: road 'roads.csv': no point lies between 3 m and 40 m" in capsys.readouterr().err
     (tmp_path / "twice.toml").write_text(text.replace(":join=smooth", ":join=straight"))
     with pytest.raises(InputError, match="are the same"):
         campaign([str(tmp_path / "twice.toml"), "--results", str(tmp_path / "no")])
     capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("0,0\n1,0\n2,1e5\n3,0\n", "3 m in steps of 1 m, heights from 0 to 1e+05 m: an rms slope of 8.16e+04, steeper"),
+        ("0,0\n.001,.02\n.002,-.01\n.003,0\n4,0\n", "heights from -0.01 to 0.02 m: an rms slope of 18.7, steeper than any"),
+        ("0,0\n1,20\n2,-10\n3,0\n", "distances in km, or heights in mm? then say :distance_unit=km or :height_unit=mm"),
+    ],
+)
+def test_no_road_is_that_steep(tmp_path, rows, said):
+    """Numbers in wrong units are told by the slope of what is driven."""
+    (tmp_path / "road.csv").write_text(rows)
+    with refused(said):
+        main(["--controller", "passive", "--road", str(tmp_path / "road.csv"), "--duration", "0.2", "--no-logs"])
+
+
+def test_a_mountain_road_is_driven(tmp_path, capsys):
+    """A road may climb by 700 m in points 50 m apart, and what is not driven may be absurd."""
+    x = np.arange(0.0, 10000, 50)
+    rows = [f"{a},{b}" for a, b in zip(x, 20 + 0.07 * x + np.sin(x), strict=True)]
+    (tmp_path / "pass.csv").write_text("\n".join(["distance [m],altitude [m]", *rows, "9951,8000"]))
+    arguments = ["--controller", "passive", "--road", str(tmp_path / "pass.csv"), "--no-logs", "--duration", "1"]
+    assert main([*arguments, "--from", "9000", "-v", "--vehicle", "half_car", "--load", "brake:g=0.1"]) == 0
+    assert "no iri: points are 50 m apart, and ASTM E1926 defines it up to 0.3 m" in prose(capsys.readouterr().out)
+    with refused("steeper than any road"):
+        main([*arguments, "--from", "9940"])
+    assert "no point lies" not in capsys.readouterr().err
+
+
+def test_lines_need_two_points(tmp_path, capsys):
+    """Straight lines take two points and a wide gap, which is remarked; a spline takes four and no gap."""
+    (tmp_path / "road.csv").write_text("distance [m],height [m]\n0,0\n20,0.1\n40,0.1\n100,0.1\n")
+    (tmp_path / "flat.csv").write_text("0,0\n1,0\n2,0.02\n3,0\n40,0\n")
+    road = choose_road("road.csv:from=30", tmp_path).build(car("quarter_car"), V, 0, 10.0)
+    assert road.describe()["points"] == 3
+    arguments = ["--controller", "passive", "--no-logs", "--brief", "--duration", "0.5", "--road"]
+    assert main([*arguments, str(tmp_path / "flat.csv")]) == 0
+    assert "no point lies between 3 m and 40 m, where others are 1 m apart" in capsys.readouterr().err
+    assert main([*arguments, str(tmp_path / "road.csv")]) == 0
+    assert "no point lies" not in capsys.readouterr().err
+    with refused("a smooth profile needs at least 4 points, and has 3"):
+        choose_road("road.csv:from=30:join=smooth", tmp_path)
+    with refused("gap from 3 m to 40 m"):
+        choose_road("flat.csv:join=smooth", tmp_path)
 
 
 def test_the_start_is_remarked_where_it_counts():
@@ -302,6 +378,24 @@ def test_the_start_is_remarked_where_it_counts():
     assert effects[0] is not None
     assert effects[0].share > 0.02
     assert effects[1] is None
+
+
+@pytest.mark.parametrize("name", ["passive", "I"])
+def test_a_motionless_start_has_no_share(name):
+    """Nothing is a share of the rounding that a steady climb leaves, though a road before it might have moved the car."""
+    x = np.array([0.0, 10, 20, 40, 60, 80, 100])
+    run = driven(car("quarter_car"), Profile(x, np.minimum(0.08 * x, 3.2)[:, None] * np.ones(2), 10.0), 3.0, name)
+    assert np.abs(run.physics["sprung_acceleration"]).max() < 1e-12
+    assert start_effect([run]) is None
+
+
+def test_earlier_is_advised_where_there_is_a_road(capsys):
+    """A run from the first point of a file on cannot start earlier; one that starts later can."""
+    arguments = ["--controller", "passive", "--road", f"{UNEVEN}", "--duration", "0.5", "--no-logs"]
+    assert main(arguments) == 0
+    assert "; start elsewhere with --from" in prose(capsys.readouterr().out)
+    assert main([*arguments[:3], f"{UNEVEN}:from=2000cm", *arguments[4:]]) == 0
+    assert "start earlier or elsewhere with --from" in prose(capsys.readouterr().out)
 
 
 def test_posts_start_at_rest_where_they_are():

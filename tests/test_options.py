@@ -150,7 +150,11 @@ REFUSED = [
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3", "--vary", "speed:3:30:20"], "name:low:high:count"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.3:0.02:20", "--vary", "speed:3:30:20"], "low < high"),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0:0.3:20", "--vary", "speed:3:30:20"], "low < high"),
-    ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:nan:20", "--vary", "speed:3:30:20"], "low < high"),
+    (
+        "sim.envelope",
+        ["--controller", "I", "--vary", "height:0.02:nan:20", "--vary", "speed:3:30:20"],
+        "height = 'nan' is not a finite number",
+    ),
     ("sim.envelope", ["--controller", "I", "--vary", "height:0.02:0.3:2.5", "--vary", "speed:3:30:20"], "name:low:high:count"),
     (
         "sim.envelope",

@@ -208,7 +208,7 @@ GOOD = "time [s],front [mm],rear [mm]\n0,0,0\n1,1,1\n2,2,2\n3,3,3\n"
         (GOOD.replace("2,2,2", "2,2"), "line 4 has 2 column(s), and line 2 has 3"),
         (GOOD.replace("2,2,2", "2,two,2"), "line 4, column 2: 'two' is no finite number"),
         (GOOD.replace("2,2,2", "2,nan,2"), "line 4, column 2: 'nan' is no finite number"),
-        (GOOD.replace("2,2,2", "1,2,2"), "time falls or repeats, 1 s, then 1 s (line 3 and line 4)"),
+        (GOOD.replace("2,2,2", "1,2,2"), "time 1 s is repeated (line 3 and line 4); keep one of the two points"),
         (GOOD.replace("3,3,3", "30,3,3"), "there is a gap from 2 s to 30 s (line 4 and line 5)"),
         (GOOD.replace("3,3,3", "3,3,3000"), "line 5 lies 3 m from where its post begins; 2 m are allowed"),
         (GOOD.replace("3,3,3\n", ""), "a time history needs at least 4 points, and has 3"),

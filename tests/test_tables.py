@@ -9,7 +9,6 @@ from models.common.errors import InputError
 from models.common.files import parse_toml
 from models.common.table import BOTH, find_table
 from models.common.units import LENGTH
-from models.roads import profile_file
 from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history
 from models.suspension.curve_file import with_tables
@@ -61,9 +60,8 @@ def read(caller: str, text: str, folder) -> np.ndarray:
 
 
 @pytest.mark.parametrize("caller", in_the_suite(("rig", "family"), CALLERS))
-def test_every_dialect_is_the_same_table(caller, tmp_path, monkeypatch):
+def test_every_dialect_is_the_same_table(caller, tmp_path):
     """Separators, decimal commas, quotes, comments, line ends, a BOM, units beside or below names: the same floats, every bit."""
-    monkeypatch.setattr(profile_file, "STEEPEST", np.inf)
     scales = [IN_SI[UNITS.get(name, "")] for name in CALLERS[caller]]
     expected, seen = NUMBERS[:, : len(scales)] * scales, 0
     for mark, decimal, quotes, comments, units, (bom, end) in itertools.product(

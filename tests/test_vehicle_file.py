@@ -198,7 +198,10 @@ ADDED = {
         ("suspension_stroke = 0.1\nstop_stiffness = [1.0, 1.0, 1.0, 1.0]", "has 4 coefficients", "k_3 x^3"),
         ("suspension_stroke = 0.1\nstop_stiffness = [[1e5]]", "is not a number", "N/m"),
         ("[limits.rear]\nsuspension_stroke = 0.1", "limits.rear", "no sections, for there is one suspension"),
-        ('suspension_stroke = "0.1"\nstop_stiffness = 1e5', "'0.1' is not a number"),
+        (
+            'suspension_stroke = "0.1"\nstop_stiffness = 1e5',
+            "suspension_stroke = '0.1' has no unit; add it, as in \"1.5 m\", or leave the quotes out",
+        ),
         ("suspension_stroke = true\nstop_stiffness = 1e5", "suspension_stroke = True"),
         ("suspension_stroke = -0.1\nstop_stiffness = 1e5", "suspension_stroke = -0.1", "from 1e-06"),
         ("suspension_stroke = 0.1", "suspension_stroke", "stop_stiffness", "both"),

@@ -22,7 +22,9 @@ KNOWN = [  # from the constants of scipy
     ("1.5 kN s/m", "N s/m", 1500), ("1.5Ns/mm", "N s/m", 1500), ("1500 N/(m/s)", "N s/m", 1500), ("2 kN*s/m", "N s/m", 2000),
     ("300 lb", "kg", 300 * constants.lb), ("1.2 t", "kg", 1200), ("1222 kg·m²", "kg m2", 1222), ("1 kNm", "N m", 1000),
     ("2 deg", "rad", 2 * constants.degree), ("0.5 g", "m/s2", constants.g / 2), ("5 mg", "m/s2", 5e-3 * constants.g),
-    ("5 ms", "s", 5e-3), ("2 min", "s", 120), ("5ms", "ms", 5), ("10 %", "1", 0.1), ("-.6e2 mm", "m", -0.06), ("7", "m", 7),
+    ("5 ms", "s", 5e-3), ("2 min", "s", 120), ("5ms", "ms", 5), ("10 %", "1", 0.1), ("0.252 MN/m", "N/m", 252e3),
+    ("5000 us", "s", 5e-3), ("5 \u00b5s", "s", 5e-6), ("5 \u03bcm", "m", 5e-6), ("3 dm", "m", 0.3),
+    ("1 kHz", "Hz", 1000), ("2 mrad", "rad", 2e-3), ("-.6e2 mm", "m", -0.06), ("7", "m", 7),
 ]  # fmt: skip
 
 
@@ -33,16 +35,29 @@ def test_sizes_of_units(text, unit, value):
 
 
 @pytest.mark.parametrize(("text", "unit", "said"), [
-    ("380 N", "kg", "key = '380 N' has the unit 'N', and a unit of kg is expected; give \"380 kg\""),
-    ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', and a unit of m is expected; give \"3 m\""),
-    ("5 m", "1", "key = '5 m' has the unit 'm', and a pure number is expected; give \"5\""),
+    ("380 N", "kg", "key = '380 N' has the unit 'N', and a unit of kg is expected, as in \"1.5 kg\""),
+    ("3 furlong", "m", "key = '3 furlong' has the unknown unit 'furlong', and a unit of m is expected, as in \"1.5 m\""),
+    ("5 m", "1", "key = '5 m' has the unit 'm', and a pure number is expected; leave the unit out, as in \"1.5\""),
     ("heavy", "kg", "key = 'heavy' is not a number; give a number in kg, or one with its unit"),
-    ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', and a unit of m/s is expected; give \"3 m/s\""),
+    ("3 m/s/s", "m/s", "key = '3 m/s/s' has the unit 'm/s/s', and a unit of m/s is expected, as in \"1.5 m/s\""),
+    ("504,5 kg", "kg", "key = '504,5 kg' has a decimal comma; write a decimal point, as in \"1.5 kg\""),
+    ("200 Hz", "s", "key = '200 Hz' has the unit 'Hz', and a unit of s is expected, as in \"1.5 s\""),
+    ("2 kg", "g", "key = '2 kg' has the unit 'kg', and a unit of g is expected, as in \"1.5 g\""),
 ])  # fmt: skip
 def test_wrong_units(text, unit, said):
     """An unknown unit, or one of another dimension, is refused in a line with what was found, what is expected and an example."""
     with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
         quantity(text, unit, "key")
+
+
+@pytest.mark.parametrize(("delay", "said"), [
+    ('"0.5"', "delay = '0.5' has no unit; add it, as in \"1.5 s\", or leave the quotes out"),
+    ('"0,5 ms"', "delay = '0,5 ms' has a decimal comma; write a decimal point, as in \"1.5 s\""),
+])  # fmt: skip
+def test_a_text_in_a_file_needs_its_unit(delay, said):
+    """A number in quotes in a vehicle file has its unit, and no decimal comma."""
+    with pytest.raises(InputError, match=re.escape(said)):
+        parse_vehicle(re.sub("<.* = (.*)>", r"\1", CAR) + f"[implementation]\nsample_period = 0.005\ndelay = {delay}\n")
 
 
 CAR = """type = "quarter_car"
@@ -111,7 +126,7 @@ def test_vehicle_file(text):
     for pair in PAIR.finditer(text):
         wrong = f'{text[: pair.start()]}"3 kg2"{text[pair.end() :]}'
         with pytest.raises(
-            InputError, match=r"^\[.*\] \w+ = '3 kg2' has the unit 'kg2', and a (unit of .*|pure number) is expected; "
+            InputError, match=r"^\[.*\] \w+ = '3 kg2' has the unit 'kg2', and a (unit of .*|pure number) is expected"
         ):
             parse_vehicle(PAIR.sub(lambda other: other[2], wrong))
 
@@ -125,7 +140,7 @@ def test_options(capsys):
     assert written[0] == main_of("sim.drive")([*arguments, "--road", plain, "--speed", "10"])
     first, second = json.loads(written[1]), json.loads(capsys.readouterr().out)
     assert first["runs"] == second["runs"]
-    with refused(match=r"argument --speed: '5 kg' has the unit 'kg', and a unit of m/s is expected; give \"5 m/s\"; see"):
+    with refused(match=r"argument --speed: '5 kg' has the unit 'kg', and a unit of m/s is expected, as in \"1.5 m/s\"; see"):
         main_of("sim.drive")([*arguments, "--speed", "5 kg"])
     with refused(match=r"depth = '6 s' has the unit 's', and a unit of m is expected"):
         choose_road("pothole:depth=6 s")

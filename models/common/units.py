@@ -35,6 +35,9 @@ WORDS: Mapping[str, str] = {  # other names of units, in small letters
     }.items() for word in words.split()},
     "n m": "N m", "kn m": "kN m",
 }  # fmt: skip
+PREFIXES = {"M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6}  # signs: micro, mu
+PREFIXED = ("m", "s", "N", "Hz", "J", "rad")  # no gram: g is the acceleration
+COMMA = re.compile(r"\s*[+-]?\d*,\d")
 QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(.*?)\s*")  # a number and its unit
 FACTOR = re.compile(r"(\D+?|1)\^?([2-9]?)")
 SIGNS = str.maketrans({"²": "2", "³": "3", "·": " ", "*": " "})
@@ -57,22 +60,37 @@ def quantity(text: str, unit: str, what: str = "") -> float:
     """
     match, pure = QUANTITY.fullmatch(text), unit in ("", "-", "1")
     said = f"{what} = {quoted(text)}" if what else quoted(text)
+    if COMMA.match(text):
+        raise InputError(f"{said} has a decimal comma; write a decimal point, as in {_example(unit)}")
     if match is None:
         raise InputError(f"{said} is not a number; give a number{'' if pure else f' in {unit}, or one with its unit'}")
     number, written = match.groups()
     size, wanted = _size(written or unit), _size(unit)
     if written and (size is None or wanted is None or size[1] != wanted[1]):
         unknown = "the unknown unit" if size is None else "the unit"
-        expected = "a pure number" if pure else f"a unit of {unit}"
-        example = number if pure else f"{number} {unit}"
-        raise InputError(f'{said} has {unknown} {quoted(written)}, and {expected} is expected; give "{example}"')
+        expected = "a pure number is expected; leave the unit out" if pure else f"a unit of {unit} is expected"
+        raise InputError(f"{said} has {unknown} {quoted(written)}, and {expected}, as in {_example(unit)}")
     return float(Fraction(number) * size[0] / wanted[0]) if size and wanted and written else float(number)
 
 
 def in_unit(value: Any, unit: str, what: str) -> Any:
-    """Returns the number of a text with a number and a unit, as `quantity` does; any other value as it is."""
+    """Returns the number of a text with a number and a unit, as `quantity` does; another text or value as it is.
+
+    Raises:
+        InputError: see `quantity`, or the number has no unit.
+    """
     match = QUANTITY.fullmatch(value) if isinstance(value, str) else None
-    return quantity(value, unit, what) if match and match[2] else value
+    if match is None and not (isinstance(value, str) and COMMA.match(value)):
+        return value
+    number = quantity(value, unit, what)
+    if match and not match[2]:
+        raise InputError(f"{what} = {quoted(value)} has no unit; add it, as in {_example(unit)}, or leave the quotes out")
+    return number
+
+
+def _example(unit: str) -> str:
+    """Returns a quantity of a unit, in quotes."""
+    return '"1.5"' if unit in ("", "-", "1") else f'"1.5 {unit}"'
 
 
 def _size(unit: str) -> tuple[Fraction, tuple[int, ...]] | None:
@@ -98,4 +116,7 @@ def _unit(name: str) -> tuple[Fraction, tuple[int, ...]] | None:
         for known in (name, usual):
             if known in sizes:
                 return Fraction(repr(sizes[known])), powers
+    if name[1:] in PREFIXED and name[0] in PREFIXES:
+        size = _size(name[1:])
+        return size and (size[0] * Fraction(repr(PREFIXES[name[0]])), size[1])
     return _size(usual) if usual != name.lower() else None

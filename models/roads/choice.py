@@ -112,7 +112,7 @@ def driven(text: str) -> dict[str, float | str]:
     """Returns the settings of a file's road that its description repeats: where it begins [m], and how points are joined."""
     file = FILE.fullmatch(text)
     given = settings(file["settings"], (*TABLE, *DRIVEN)) if file else {}
-    return {name: setting(name, given[name]) if name == "from" else given[name] for name in DRIVEN if name in given}
+    return {name: setting(name, given[name], "m") if name == "from" else given[name] for name in DRIVEN if name in given}
 
 
 def _choose(text: str, folder: Path) -> RoadChoice:
@@ -163,7 +163,7 @@ def _begun(text: str, given: Mapping[str, str], road: Measured) -> Measured:
     if "from" not in given:
         return road
     try:
-        return road.begun_at(setting("from", given["from"]))
+        return road.begun_at(setting("from", given["from"], "m"))
     except InputError as error:
         raise InputError(f"road {text!r}: {error}") from error
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.roads.profile import START, Profile
-from models.roads.road import Road, track_width
+from models.roads.road import Departure, Road, track_width
 from models.roads.spectrum import Spectrum, coherency
 from models.vehicle.vehicle import Vehicle
 
@@ -185,6 +185,7 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
     """
     if not road.laid:
         return ()
+    road = _without_loads(road)
     width = track_width(vehicle)
     step, tracks = _sampled(road, min(distance, LONGEST), ("left", "right") if width else ("left",))
     if step > COARSEST * (1 + EVEN) or len(tracks) * step <= SHORTEST:
@@ -197,6 +198,20 @@ def roughness_of(road: Road, vehicle: Vehicle, distance: float) -> tuple[Roughne
         return tuple(Roughness(name, iri) for name, iri in values.items())
     expected = _expected(spectrum, len(tracks) * step, tuple(values))
     return tuple(Roughness(name, iri, *expected[name]) for name, iri in values.items())
+
+
+def why_none(road: Road) -> str:
+    """Returns a note that a road from a file has no IRI as its points are too far apart; empty for other roads."""
+    profile = _without_loads(road)
+    step = float(np.median(np.diff(profile.distance))) if isinstance(profile, Profile) else 0.0
+    coarse = f"no iri: points are {step:.3g} m apart, and ASTM E1926 defines it up to {COARSEST:g} m"
+    return coarse if step > COARSEST * (1 + EVEN) else ""
+
+
+def _without_loads(road: Road) -> Road:
+    """Returns a measured road without its loads; others as they are."""
+    felt = road.from_start
+    return felt.road if isinstance(felt, Departure) else road
 
 
 def white_slope(iri: float, low: float, high: float) -> float:

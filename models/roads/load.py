@@ -69,6 +69,10 @@ class Load(ABC):
             kind: of the vehicle, whose links may carry some of it to the wheels; None for the force and moments alone.
         """
 
+    def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+        """Returns what physics holds over steps, by their middle times t [s], see `over`: the values at t."""
+        return self.over(t, p, kind)
+
     @abstractmethod
     def scaled(self, factor: float) -> "Load":
         """Returns the load multiplied by a factor."""

@@ -16,6 +16,7 @@ from models.common.units import FORCE, MOMENT, TIME, quantity
 from models.kinds.kind import Parameters, VehicleKind
 from models.roads.load import HEAVE, LOADS, PITCH, ROLL, Load
 from models.roads.load import UNITS as SETTING_UNITS
+from models.roads.road import means
 from models.vehicle.names import LOAD_SYNTAX, is_load_file
 
 NAMES = {"heave": HEAVE, "pitch": PITCH, "roll": ROLL}
@@ -70,6 +71,13 @@ class History(Load):
     def over(self, t: Array, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
         """Returns the interpolated values; see `Load`."""
         return {NAMES[name]: np.interp(t, self.time, column) for name, column in self.columns.items()}
+
+    def held(self, t: Array, timestep: float, p: Parameters, kind: VehicleKind | None = None) -> Mapping[str, Array]:
+        """Returns means over the steps, as points may be closer."""
+        return {
+            NAMES[name]: means(lambda at, column=column: np.interp(at, self.time, column), self.time, t, timestep)
+            for name, column in self.columns.items()
+        }
 
     def scaled(self, factor: float) -> "History":
         """Returns the history larger or smaller."""

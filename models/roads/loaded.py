@@ -1,6 +1,6 @@
 """Roads with loads on the vehicle's body. Both begin at the same time 0."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +52,13 @@ class RoadWithLoads(DerivedRoad):
         Raises:
             InputError: the vehicle has no such motion.
         """
+        return self._sum(vehicle, t, lambda load: load.over(t, vehicle.parameters, vehicle.kind))
+
+    def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
+        """Returns the sum of the loads that are held; see `Road`."""
+        return self._sum(vehicle, t, lambda load: load.held(t, timestep, vehicle.parameters, vehicle.kind))
+
+    def _sum(self, vehicle: Vehicle, t: Array, values_of: Callable[[Load], Mapping[str, Array]]) -> Array:
         names = [load.name for load in vehicle.kind.loads]
         total = np.zeros((len(t), len(names)))
         for load in self.on_body:
@@ -62,7 +69,7 @@ class RoadWithLoads(DerivedRoad):
                         f"load {load.label!r} is one for a vehicle that {WAYS[name]}, and a {vehicle.kind.name} only {able}; "
                         "take another load, or vehicle"
                     )
-            for name, values in load.over(t, vehicle.parameters, vehicle.kind).items():
+            for name, values in values_of(load).items():
                 total[:, names.index(name)] += values
         return total
 

@@ -46,7 +46,7 @@ class Surface:
         """Returns the surface from a distance on [m].
 
         Raises:
-            InputError: it does not reach there, or has too few cross-sections behind it.
+            InputError: it does not reach there.
         """
         u, z = begun_at(start, self.u, self.z)
         return replace(self, u=u, z=z)

@@ -12,13 +12,15 @@ from models.common.arrays import Array
 from models.common.checks import check_fields, check_shape
 from models.common.errors import InputError, quoted
 from models.roads.road import LIMITS, MeasuredRoad, check_numbers
+from models.vehicle.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-GAP = 10.0  # largest spacing over the median one; in a wider gap the line would be invented
-HIGHEST = 100.0  # m, largest height over the first point
-FEWEST = 4  # points
+GAP = 10.0  # largest spacing over the median one; in a wider gap a spline would be invented, and points may be missing
+SHORT = 5.0  # m, of a gap that is no doubt drawn by its ends
+STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
+FEWEST = 4  # points of a spline
 START = 11.0  # m, whose mean slope is that of the start and of the golden car's (ASTM E1926)
 ROUNDING = 8 * float(np.finfo(float).eps)  # of a height and of the start's slope, over the largest height
 JOINS = ("straight", "smooth")
@@ -40,8 +42,8 @@ class Profile(MeasuredRoad):
         join: "straight" or "smooth".
 
     Raises:
-        InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points, or
-            an unknown join.
+        InputError: distances that do not ascend, numbers that are not finite, too few points, an unknown join, or a gap in a
+            spline.
     """
 
     distance: Array
@@ -53,9 +55,42 @@ class Profile(MeasuredRoad):
     def __post_init__(self) -> None:
         check_fields(self)
         check_numbers("profile", self, {"speed": LIMITS["speed"]})
-        check_points(self.distance, self.heights)
         if self.join not in JOINS:
             raise InputError(f"profile join = {quoted(self.join)} is unknown; give {' or '.join(JOINS)}")
+        check_points(self.distance, self.heights, smooth=self.join == "smooth")
+
+    def check(self, vehicle: Vehicle, time: Array) -> None:
+        """Checks the profile as any road, and that what is driven is no steeper than a road can be.
+
+        Raises:
+            InputError: it is, as in wrong units.
+        """
+        super().check(vehicle, time)
+        x, z = self._driven(self.speed * float(time[-1]))
+        slope = float(np.sqrt(np.mean((np.diff(z, axis=0) / np.diff(x)[:, None]) ** 2)))
+        if slope > STEEPEST:
+            raise InputError(
+                f"{x[-1] - x[0]:.4g} m in steps of {np.median(np.diff(x)):.3g} m, heights from {z.min():.4g} to {z.max():.4g} m: "
+                f"an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
+                ":distance_unit=km or :height_unit=mm"
+            )
+
+    def gap(self, length: float) -> str:
+        """Returns a remark on the widest gap between points over a driven length [m]; empty without any."""
+        x, _ = self._driven(length)
+        steps = np.diff(x)
+        i, usual = int(steps.argmax()), float(np.median(steps))
+        if steps[i] <= max(GAP * usual, SHORT):
+            return ""
+        return (
+            f"no point lies between {x[i]:g} m and {x[i + 1]:g} m, where others are {usual:g} m apart; the road is straight "
+            "there: check that no points are missing"
+        )
+
+    def _driven(self, length: float) -> tuple[Array, Array]:
+        """Returns distances and heights of the points up to the first one behind a driven length [m]."""
+        points = max(2, int(np.searchsorted(self._x, length)) + 1)
+        return self.distance[:points], self.heights[:points]
 
     @property
     def duration(self) -> float:
@@ -85,9 +120,9 @@ class Profile(MeasuredRoad):
         return self.speed * np.where(at < 0, 0.0, np.where(at > self._end, after, on))
 
     @property
-    def kinks(self) -> tuple[float, ...]:
-        """Every point; of a spline both ends: at its other points a step's quadrature does not see the third derivative jump."""
-        return tuple((self._x / self.speed).tolist()) if self.join == "straight" else (0.0, self.duration)
+    def knots(self) -> Array:
+        """Times of all points [s]."""
+        return self._x / self.speed
 
     @property
     def points(self) -> bytes:
@@ -117,7 +152,7 @@ class Profile(MeasuredRoad):
     def turned(self, length: float) -> "Profile | None":
         """Returns the first stretch [m], turned by half a turn about the first point, where it ends; None if it is too short."""
         points = int(np.searchsorted(self._x, length, side="right"))
-        if points < FEWEST:
+        if points < (2 if self.join == "straight" else FEWEST):
             return None
         distance, heights = self.distance[:points][::-1], self.heights[:points][::-1]
         return replace(self, distance=2 * self.distance[0] - distance, heights=2 * self.heights[0] - heights)
@@ -176,59 +211,62 @@ def begun_at(start: float, distance: Array, heights: Array) -> tuple[Array, Arra
         heights: [m], shape (P, K).
 
     Raises:
-        InputError: the road does not reach there, or has too few points behind it.
+        InputError: the road does not reach there.
     """
     rest = distance > start
-    if not distance[0] <= start or rest.sum() < FEWEST - 1:
-        last = distance[-min(FEWEST, len(distance))]
-        raise InputError(f"from = {start:g} m is not on the road; give a distance from {distance[0]:g} to {last:g} m")
+    if not distance[0] <= start < distance[-1]:
+        first, last = distance[0], distance[-1]
+        raise InputError(f"from = {start:g} m is not on the road; give a distance from {first:g} m to less than {last:g} m")
     here = [np.interp(start, distance, track) for track in heights.T]
     return np.concatenate([[start], distance[rest]]), np.concatenate([[here], heights[rest]])
 
 
-def check_points(distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}") -> None:
+def check_points(
+    distance: Array, heights: Array, where: Callable[[int], str] = lambda i: f"point {i + 1}", smooth: bool = False
+) -> None:
     """Checks that points make a profile.
 
     Args:
         distance: [m], shape (P,).
         heights: of the left and the right track [m], shape (P, 2).
         where: index -> what a message calls the point.
+        smooth: True for a spline, which needs more points, without gaps.
 
     Raises:
-        InputError: distances that do not ascend or leave a gap, numbers that are not finite, absurd heights, too few points.
+        InputError: distances that do not ascend, numbers that are not finite, too few points, or a gap in a spline.
     """
     check_shape("heights", heights, (len(distance), 2), "as there are so many distances, and a left and a right track")
-    check_ascending("profile", distance, heights, where, "distance", "m")
-    rises = heights - heights[0]  # a road begins at its first height, be that of the sea or of the bench
-    for i in np.flatnonzero(np.abs(rises).max(axis=1) > HIGHEST)[:1]:
-        raise InputError(
-            f"{where(i)} lies {np.abs(rises[i]).max():g} m from the height of the first; {HIGHEST:g} m are allowed. Heights in "
-            "mm? then say :height_unit=mm"
-        )
+    check_ascending("smooth profile" if smooth else "profile", distance, heights, where, "distance", "m", smooth)
 
 
-def check_ascending(what: str, x: Array, heights: Array, where: Callable[[int], str], axis: str, unit: str) -> None:
-    """Checks that points are enough, finite, and ascend without a gap.
+def check_ascending(
+    what: str, x: Array, heights: Array, where: Callable[[int], str], axis: str, unit: str, smooth: bool = True
+) -> None:
+    """Checks that points are enough, finite, and ascend; those of a spline without a gap.
 
     Args:
         what: what they make, for messages.
         x: distance or time, shape (P,); axis: which of them; unit: its unit.
         heights: [m], shape (P, K).
         where: index -> what a message calls the point.
+        smooth: True for a spline.
 
     Raises:
         InputError: they are not.
     """
-    if len(x) < FEWEST:
-        raise InputError(f"a {what} needs at least {FEWEST} points, and has {len(x)}; give more")
+    fewest = FEWEST if smooth else 2
+    if len(x) < fewest:
+        raise InputError(f"a {what} needs at least {fewest} points, and has {len(x)}; give more")
     for i in np.flatnonzero(~np.isfinite(x) | ~np.all(np.isfinite(heights), axis=1))[:1]:
         raise InputError(f"{where(i)} is not finite: {axis} {x[i]:g}, heights {' '.join(f'{z:g}' for z in heights[i][:8])}")
     steps = np.diff(x)
     for i in np.flatnonzero(steps <= 0)[:1]:
-        there = f"{axis} falls or repeats, {x[i]:g} {unit}, then {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
-        raise InputError(f"{there}; sort the points")
+        if steps[i] == 0:
+            raise InputError(f"{axis} {x[i]:.12g} {unit} is repeated ({where(i)} and {where(i + 1)}); keep one of the two points")
+        there = f"{axis} falls from {x[i]:.12g} {unit} to {x[i + 1]:.12g} {unit} ({where(i)} and {where(i + 1)})"
+        raise InputError(f"{there}; sort the points by {axis}")
     usual = float(np.median(steps))
-    for i in np.flatnonzero(steps > GAP * usual)[:1]:
+    for i in np.flatnonzero(smooth & (steps > GAP * usual))[:1]:
         there = f"there is a gap from {x[i]:g} {unit} to {x[i + 1]:g} {unit} ({where(i)} and {where(i + 1)})"
         raise InputError(f"{there}: more than {GAP:g} times the usual step of {usual:g} {unit}; fill it, or cut the {what} there")
 
@@ -252,7 +290,7 @@ def read_points(content: bytes, what: str) -> tuple[list[str], Array]:
         InputError: the content is wrong.
     """
     head, _, rest = content.partition(b"\n")
-    if rest.count(b"\n") < FEWEST:
+    if rest.count(b"\n") < 2:
         raise InputError(f"no points of a {what}")
     try:
         names, table = (

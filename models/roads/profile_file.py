@@ -106,8 +106,7 @@ def choose_columns(headings: Sequence[Heading], columns: Sequence[int]) -> tuple
 
 
 WHOLE, PADDED = re.compile(r"[+-]?\d+"), re.compile(r"0\d")  # cells that may be decimals behind a decimal comma
-STEEPEST = 1.0  # rms slope; the roughest class of ISO 8608 has a half
-WIDEST = 20.0  # m between points; wheels drive over the road between them as well
+WIDEST = 20.0  # m between points; if no unit is given, wider ones may be in another
 
 FORMAT = "give two columns, distance and height [m], or three, distance, left and right"
 
@@ -176,7 +175,12 @@ def _profile(text: str, speed: float, source: str, form: TableFormat) -> Profile
         _check_commas(table, columns[1:], max(metres) == UNITS["m"])
     distance, heights = points[:, 0] * distances, points[:, [1, -1]] * [metres[0], metres[-1]]
     check_points(distance, heights, lambda i: f"line {lines[i]}")
-    _check_units(distance, heights)
+    spacing = float(np.median(np.diff(distance)))
+    if spacing > WIDEST and not (used[0].unit or form.distance_unit):
+        raise InputError(
+            f"points are {spacing:.3g} m apart, in metres as no unit is given; distances in mm or cm? then say "
+            ":distance_unit=mm, and :distance_unit=m if they are in m"
+        )
     return Profile(distance, heights, speed, source)
 
 
@@ -190,18 +194,3 @@ def _check_commas(table: NumberTable, columns: Sequence[int], in_metres: bool) -
                 f"line {number}: {','.join(row)!r} is a distance and two heights, or one height with a decimal comma; "
                 "say :separator=comma for two heights, or separate columns by ;"
             )
-
-
-def _check_units(distance: np.ndarray, heights: np.ndarray) -> None:
-    """Refuses numbers that can only be in other units."""
-    spacing = float(np.median(np.diff(distance)))
-    length, low, high = float(distance[-1] - distance[0]), float(heights.min()), float(heights.max())
-    described = f"{length:.4g} m long in steps of {spacing:.3g} m, heights from {low:.4g} to {high:.4g} m"
-    if spacing > WIDEST:
-        raise InputError(f"{described}: too coarse for a road; distances in mm or cm? then say :distance_unit=mm")
-    slope = float(np.sqrt(np.mean((np.diff(heights, axis=0) / np.diff(distance)[:, None]) ** 2)))
-    if slope > STEEPEST:
-        raise InputError(
-            f"{described}: an rms slope of {slope:.3g}, steeper than any road; distances in km, or heights in mm? then say "
-            ":distance_unit=km or :height_unit=mm"
-        )

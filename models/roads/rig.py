@@ -94,9 +94,9 @@ class Rig(MeasuredRoad):
         return np.where(on, self._splines[self._index(side)](np.clip(t, 0.0, self.duration), 1), 0.0)
 
     @property
-    def kinks(self) -> tuple[float, ...]:
-        """Both ends. At the other points only the third derivative jumps: a step's quadrature does not see it."""
-        return (0.0, self.duration)
+    def knots(self) -> Array:
+        """Times of all points [s]."""
+        return self.time - self.time[0]
 
     @property
     def points(self) -> bytes:

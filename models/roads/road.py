@@ -78,9 +78,20 @@ class Road(ABC):
         """Returns the loads on a vehicle's body [N, N m] at times t [s], shapes (T,) and (T, l), in the order of its kind's."""
         return np.zeros((len(t), len(vehicle.kind.loads)))
 
+    def held_loads(self, vehicle: Vehicle, t: Array, timestep: float) -> Array:
+        """Returns the loads that physics holds over steps, by their middle times t [s], see `loads`: those at t."""
+        return self.loads(vehicle, t)
+
     @abstractmethod
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height under the first wheel of a side [m] at times t [s], same shape. See `Wheel.side`, and `track_of`."""
+
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns the height at which physics holds it over steps [m], by their middle times t [s], same shape: the one at t.
+
+        A measured road, whose points may be closer than a step, is held at its mean height over the step.
+        """
+        return self.displacement(t, side)
 
     @abstractmethod
     def velocity(self, t: Array, side: str = "") -> Array:
@@ -310,6 +321,20 @@ class MeasuredRoad(Road):
         return self.start(side)[1] + self.departure_rate(t, side)
 
     @property
+    @abstractmethod
+    def knots(self) -> Array:
+        """Times of the points, ascending [s]; between them `departure` is a line or a cubic."""
+
+    @property
+    def kinks(self) -> tuple[float, ...]:
+        """Every point: many of a spline in one step would be too much for its quadrature."""
+        return tuple(self.knots.tolist())
+
+    def mean_departure(self, t: Array, timestep: float, side: str) -> Array:
+        """Returns the mean of `departure` over steps [m], by their middle times t [s], same shape; exact but for rounding."""
+        return means(lambda t: self.departure(t, side), self.knots, t, timestep)
+
+    @property
     def from_start(self) -> "Departure":
         """The road measured from the steady motion."""
         return Departure(self)
@@ -324,6 +349,10 @@ class Departure(DerivedRoad):
     def displacement(self, t: Array, side: str = "") -> Array:
         """Returns the height over the steady motion."""
         return self.road.departure(t, side)
+
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns its mean over steps."""
+        return self.road.mean_departure(t, timestep, side)
 
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns its derivative."""
@@ -357,6 +386,10 @@ class ScaledRoad(DerivedRoad):
         """Returns the multiplied height."""
         return self.factor * self.road.displacement(t, side)
 
+    def held(self, t: Array, timestep: float, side: str = "") -> Array:
+        """Returns the multiplied height of the steps."""
+        return self.factor * self.road.held(t, timestep, side)
+
     def velocity(self, t: Array, side: str = "") -> Array:
         """Returns the multiplied velocity."""
         return self.factor * self.road.velocity(t, side)
@@ -368,6 +401,33 @@ class ScaledRoad(DerivedRoad):
     def scaled(self, factor: float) -> "ScaledRoad":
         """Returns the road higher or lower."""
         return ScaledRoad(self.road, self.factor * factor)
+
+
+def means(function: Callable[[Array], Array], knots: Array, t: Array, length: float) -> Array:
+    """Returns means of a function over intervals, same shape as t; exact if it is a line or a cubic between knots.
+
+    Args:
+        function: continuous.
+        knots: ascending, shape (K,).
+        t: middles of the intervals.
+        length: length of each.
+    """
+    start, end = t - length / 2, t + length / 2
+
+    def area(a: Array, b: Array) -> Array:
+        """Returns integrals by two points of Gauss."""
+        middle, apart = (a + b) / 2, (b - a) / math.sqrt(12)
+        return (b - a) / 2 * (function(middle - apart) + function(middle + apart))
+
+    mean = area(start, end) / length
+    first, last = np.searchsorted(knots, start, side="right"), np.searchsorted(knots, end) - 1  # knots inside
+    (some,) = np.nonzero(first <= last)
+    if len(some):
+        first, last = first[some], last[some]
+        sums = np.add.reduceat(np.append(area(knots[:-1], knots[1:]), 0.0), np.stack([first, last], axis=-1).ravel())[::2]
+        ends = area(start[some], knots[first]) + area(knots[last], end[some])
+        mean[some] = (ends + np.where(first < last, sums, 0.0)) / length
+    return mean
 
 
 def delays(road: Road, vehicle: Vehicle) -> list[float]:
@@ -461,8 +521,12 @@ class RoadInput:
 
     @cached_property
     def midway(self) -> Array:
-        """Heights half a step after the samples [m], where MuJoCo holds the road over the step, shape (T, r)."""
-        return under_wheels(self.felt.displacement, self.felt, self.vehicle, self.time + self.timestep / 2)
+        """Heights at which MuJoCo holds the road over the steps from the samples [m], shape (T, r)."""
+        return self.held_heights(self.time + self.timestep / 2)
+
+    def held_heights(self, middle: Array) -> Array:
+        """Returns heights at which MuJoCo holds the road [m], shape (T, r), over steps with these middle times [s]."""
+        return under_wheels(lambda t, side: self.felt.held(t, self.timestep, side), self.felt, self.vehicle, middle)
 
     @cached_property
     def velocities(self) -> Array:
@@ -476,8 +540,8 @@ class RoadInput:
 
     @cached_property
     def held_loads(self) -> Array:
-        """Loads half a step after the samples [N, N m], as MuJoCo holds them over the step, shape (T, l)."""
-        return self.road.loads(self.vehicle, self.time + self.timestep / 2)
+        """Loads as MuJoCo holds them over the steps from the samples [N, N m], shape (T, l)."""
+        return self.road.held_loads(self.vehicle, self.time + self.timestep / 2, self.timestep)
 
     @cached_property
     def held_velocities(self) -> Array:

@@ -36,7 +36,7 @@ def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     files = []
     for path, entry in _asked(parse_toml(text)):
         try:
-            table, comment, file = _read(entry, folder)
+            table, comment, file = _read(entry, folder, _argument(path))
         except InputError as error:
             raise InputError(f"{_words(path)}: {error}") from error
         files.append(file)
@@ -67,6 +67,13 @@ def _words(path: tuple[str, ...]) -> str:
     return f"[{'.'.join(path[:-1])}] {path[-1]}"
 
 
+def _argument(path: tuple[str, ...]) -> str:
+    """Returns the quantity over which an entry's force is; empty for a parameter of an own name."""
+    if path[0] == "actuators" or "damping" in path[-1]:
+        return "velocity"
+    return "deflection" if "stiffness" in path[-1] else ""
+
+
 def _changed(data: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
     """Returns a copy of nested tables with another value at a path of keys."""
     first, *rest = path
@@ -92,8 +99,12 @@ def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table:
     raise InputError(f'{_words(path)}: its file is not named on a line of its own; write {name} = {{ file = "NAME.csv" }} on one')
 
 
-def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, Path]:
-    """Returns the table of a file, as TOML has it; a comment with its source; and the file."""
+def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, Any], str, Path]:
+    """Returns the table of a file, as TOML has it; a comment with its source; and the file.
+
+    Args:
+        over: "velocity" or "deflection", which the file must have; empty for any.
+    """
     file = entry["file"]
     if not isinstance(file, str) or not file:
         raise InputError(f"file = {quoted(file)} is no file's name; {GIVE}")
@@ -101,6 +112,8 @@ def _read(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], str, 
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file
     table, content = read_content(path, "curve", TEXT, GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
+    if over and over not in table:
+        raise InputError(f"curve {path}: has the columns {listing(table)}; give {over} and force")
     return table, origin(file, content), path
 
 

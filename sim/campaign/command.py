@@ -43,6 +43,9 @@ def run_campaign(options: argparse.Namespace) -> int:
         InputError: a bad campaign file or results folder, options that do not go together, or a disk that is full.
     """
     campaign = read_campaign(options.file)
+    for road in campaign.roads:
+        if road.profile is not None and (remark := road.profile.gap(max(campaign.speeds) * campaign.duration)):
+            complain(f"remark: road {road.text!r}: {remark}")
     request = requested(campaign, options.best, options.subject_to or (), options.save)
     outputs = {"picture": options.picture, "save": options.save}
     check_outputs(

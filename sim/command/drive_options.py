@@ -67,7 +67,11 @@ def add_road(parser: Parser, default: str) -> None:
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random road (default: 0)")
     parser.add_argument("--road", metavar="ROAD", help=f"another road: {ROAD_SYNTAX}".replace("%", "%%"))
     parser.add_number(
-        "--from", None, "m", "where the vehicle starts on a road from a file, in the file's distances", "its first point"
+        "--from",
+        None,
+        "m",
+        "distance at which the vehicle starts on a road from a file, whatever the file's unit",
+        "its first point",
     )
     parser.add_number("--speed", 20.0, "m/s", "forward speed of the vehicle, or with its unit, as in 90km/h")
 
@@ -114,6 +118,23 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     except InputError as error:
         raise InputError(f"road {choice.text!r}: {error}") from error
     return road
+
+
+def gaps(road: "Road", duration: float) -> list[str]:
+    """Returns a remark on a wide gap between the points of a road from a file that are driven in a time [s]."""
+    from models.roads.profile import Profile
+    from models.roads.road import Departure
+
+    felt = road.from_start
+    profile = felt.road if isinstance(felt, Departure) else None
+    return [f"remark: {remark}"] if isinstance(profile, Profile) and (remark := profile.gap(road.speed * duration)) else []
+
+
+def starts_later(options: argparse.Namespace) -> bool:
+    """True if the vehicle is to start later on a road from a file than at its first point."""
+    from models.roads.choice import driven
+
+    return "from" in driven(split_off(_road_text(options))[0])
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:

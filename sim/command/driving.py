@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.common.arrays import Array
-from models.common.command import chosen_of
+from models.common.command import chosen_of, complain
 from models.common.errors import InputError
 from models.common.printed import say, titled
 from models.figures.outputs import check_outputs, written, written_lines
@@ -17,7 +17,7 @@ from models.roads.road import Road
 from models.vehicle.names import logged_variant, run_without, variant
 from models.vehicle.vehicle import Vehicle, read_vehicle
 from sim.command import comparison
-from sim.command.drive_options import end_lines
+from sim.command.drive_options import end_lines, gaps, starts_later
 from sim.runs.report import half_step_object, run_object, shared_lines, summary_lines
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.ride.standing import standing_lines, standings_object
@@ -134,6 +134,8 @@ def drive(
         from sim.studies.ride.step_response import check_band
 
         check_band(road, options.band, "band" in options.given)
+        for remark in gaps(road, options.duration):
+            complain(remark)
     comparison.check_view(options)
     files = tuple(file for vehicle in vehicles.values() for file in vehicle.files)
     check_outputs({"picture": options.picture, "csv": options.csv, "logs": options.logs}, files, options.json)
@@ -309,7 +311,8 @@ def _above(
 
         lines += end_lines(road, options.duration)
         for each in driven:
-            lines += start_lines([run for run in each.shown if run.controller.name not in each.variants])
+            built = [run for run in each.shown if run.controller.name not in each.variants]
+            lines += start_lines(built, starts_later(options))
     if options.verbose:
         rows = [of for each, beside in zip(driven, passive, strict=True) for of in comparison.compared_lines(each.shown, beside)]
         for i, of_run in enumerate(rows):

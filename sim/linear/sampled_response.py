@@ -1,18 +1,18 @@
 """The linear response, exact in two ways: of the sampled loop that MuJoCo runs, and of the paper's continuous closed loop.
 
-Sampled. The controller is held over a step, and so is the road: at its midpoint height, where `sim.physics` puts it. With
-xi = x - Bw z_r, the state that does not jump when the road does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step
-everything on the right but xi is constant:
+Sampled. The controller is held over a step, and so is the road: at its midpoint height, and a measured road at its mean height
+over the step (`RoadInput.midway`), where `sim.physics` puts it. With xi = x - Bw z_r, the state that does not jump when the road
+does, (29) becomes xi' = A xi + B u + (A Bw + Br) z_r, and over a step everything on the right but xi is constant:
 
-    xi[k+1] = Phi xi[k] + Gamma [u[k]; z_r(t_k + h/2)],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
+    xi[k+1] = Phi xi[k] + Gamma [u[k]; held z_r],    x[k] = xi[k] + Bw z_r(t_k),    u[k] = K C_y x[k].
 
 If tyres damp, Bw is J + Bt (`models/kinds/linear_model.py`). J takes its place here, and Bt pushes by the road's mean velocity
 over the step, held like a load.
 
 If a damper or a spring has a curve, every step is as in `sim.linear.nonlinear_elements`, and the rest stays.
 
-Loads f on the body (`models/roads/load.py`) are held over a step at their midpoint values, as the road is, and enter as
-u does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
+Loads f on the body (`models/roads/load.py`) are held over a step as the road is, those of files at their means, and enter as u
+does, with Bl in the place of B. A law with states, and a measured acceleration, make the vehicle larger
 (`synth/controller/open_loop.py`), and the formulas stay as they are.
 
 Continuous. x' = A_G x + Bw z_r'(t) + Br z_r(t) with A_G = A + B K C_y. Over a step,

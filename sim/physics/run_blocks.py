@@ -111,7 +111,7 @@ class BatchInputs:
         vehicles: N vehicles of the same kind that read out alike, see `reads_out`.
         controllers: N controllers, all linear, all in Python, all semi-active, or all played.
         now: road heights at the samples [m], shape (T, N, r).
-        midway: the same half a step later, where MuJoCo holds them.
+        midway: heights at which MuJoCo holds them over the steps.
         timestep: [s].
         edges: block k has the samples from `edges[k]` up to `edges[k + 1]`; the first is 0, the last at most T.
         undelayed: second controllers without `[implementation]`, whose forces are added to those of the first, or None.

@@ -2,9 +2,10 @@
 
 It agrees with the analysis to the integrator's own error (RK4's, to the fourth power of the step), because
 
-- the road is a mocap body that MuJoCo holds over a step, so it is put at its height midway through the step;
+- the road is a mocap body that MuJoCo holds over a step, so it is put at `RoadInput.midway`: its height midway through the
+  step, and of a measured road the mean height over the step;
 - signals are read with the road's height at the sample;
-- loads on the body are held over a step at their value midway through it, and signals at its start are under that load;
+- loads on the body are held over a step at `RoadInput.held_loads`, as the road is, and signals at its start are under that load;
 - the controller is sampled: it reads the signals once a step, and its force is held.
 """
 
@@ -20,7 +21,7 @@ from models.common.threads import cores, side_by_side
 from models.kinds.signals import Signal, kept_signals
 from models.laws.linear import LinearLaw
 from models.laws.python_law import Programmed
-from models.roads.road import RoadInput, under_wheels
+from models.roads.road import Departure, RoadInput, under_wheels
 from models.vehicle.limits_and_implementation import steps_per_sample
 from models.vehicle.vehicle import Vehicle
 from sim.physics.drivers import Failure, RunDriver, steps_ahead
@@ -185,7 +186,7 @@ class MonitoredBatch:
 
     Attributes:
         now: heights of the roads under the wheels at the samples [m], shape (T, N, r).
-        midway: the same half a step later, where MuJoCo holds them.
+        midway: heights at which MuJoCo holds them over the steps.
         ends: detector of the ends of their linear regime in the blocks so far.
         held: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
@@ -203,6 +204,8 @@ class MonitoredBatch:
         heights = np.empty((len(halves), len(vehicles), len(vehicles[0].kind.wheels)))
         for i, road in enumerate(inputs):
             heights[:, i] = under_wheels(road.felt.displacement, road.felt, road.vehicle, halves)
+            if isinstance(road.felt, Departure):
+                heights[1::2, i] = road.held_heights(halves[1::2])
         self.now, self.midway = heights[: 2 * len(time) : 2], heights[1 : 2 * len(time) : 2]
         self.held = held_on(inputs)
         self.velocities: Array | None = None

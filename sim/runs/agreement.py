@@ -331,7 +331,7 @@ def lift_off_intervals(vehicle: Vehicle, physics: Response) -> tuple[tuple[float
 def _first_loose(met: RoadInput, physics: Response) -> float:
     """Returns the first sample [s] before which a tyre may have been off the road within a step; infinite without one.
 
-    MuJoCo holds the road at its height in the middle of a step, so there a tyre is shorter or longer than at the samples. The
+    MuJoCo holds the road at one height over a step, so within it a tyre is shorter or longer than at the samples. The
     curvature of a hub's path within a step, as RK4's stages see it, is bounded by its second difference.
     """
     vehicle, first, physics = met.vehicle, np.inf, from_steady(met, physics)

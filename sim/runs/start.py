@@ -17,10 +17,11 @@ from models.roads.road import Departure, RoadInput
 from sim.linear.forced_response import forced_response
 from sim.linear.sampled_response import roundings
 from sim.runs.run import Run
+from synth.controller.controller import Controller
 
 RUN_IN = 10.0  # s, of the turned road at most
 SAID = 0.02  # of a peak
-ROUNDED = 1e3  # times the effect of rounding on a state: less is none
+ROUNDED = 1e3  # times the effect of rounding on a state or a signal: less is none
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ def start_effect(runs: Sequence[Run]) -> StartEffect | None:
     for run in runs:
         A, C, loop = model.A, model.C, run.prediction.loop
         physics = run.physics.until(max(run.broke_off[1], h) if run.broke_off else np.inf)
+        least = roundings(vehicle, run.controller if isinstance(run.controller, Controller) else None)
         if loop is not None:
             cut = loop.continuous
             A, C = cut.model.A + cut.model.B @ cut.G, cut.model.C + cut.model.D @ cut.G
@@ -66,19 +68,23 @@ def start_effect(runs: Sequence[Run]) -> StartEffect | None:
         for signal in (name for name, weight in vehicle.performance.items() if weight and name in model.outputs):
             k = int(np.abs(physics[signal]).argmax())
             left = float(np.abs(C[model.outputs.index(signal)] @ linalg.expm(A * (k * h)) @ state))
-            if (peak := physics.scale(signal)) > 0:
+            if (peak := float(physics.peak(signal))) > ROUNDED * least[signal]:  # else it is rounding, as in a motionless run
                 effects.append(StartEffect(left / peak, run.controller.name, signal, k * h))
     worst = max(effects, key=lambda effect: effect.share)
     return worst if worst.share > SAID else None
 
 
-def start_lines(runs: Sequence[Run]) -> list[str]:
-    """Returns a remark on the effect of the start on a peak, if it exceeds 2 %."""
+def start_lines(runs: Sequence[Run], later: bool) -> list[str]:
+    """Returns a remark on the effect of the start on a peak, if it exceeds 2 %.
+
+    Args:
+        later: True if the runs start later than the file does, so that they can start earlier.
+    """
     effect = start_effect(runs)
     if effect is None:
         return []
     peak = f"the peak of {effect.controller}'s {effect.signal} at {effect.time:.3g} s"
     return wrapped(
         f"remark: the road before the start is unknown, and may have changed {peak} by {percent(effect.share)}; "
-        "drive over more of the road before, or start elsewhere with --from"
+        f"start {'earlier or ' if later else ''}elsewhere with --from"
     )

@@ -12,7 +12,7 @@ from models.common.checks import Index
 from models.common.errors import InputError
 from models.common.printed import Column, Shown, cells, finite, json_object, percent, table, titles, wrapped
 from models.kinds.links import left_out
-from models.roads.iri import TRACKS, Roughness, roughness_of
+from models.roads.iri import TRACKS, Roughness, roughness_of, why_none
 from models.roads.road import Road, delays, track_width
 from models.vehicle.vehicle import Vehicle
 from sim.runs.run import Run
@@ -263,6 +263,8 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
         ]
         rows += ["road", *(_row(name, one, shown) for name, one in roads)]
         notes.append(ABOUT_IRI)
+    elif without := why_none(run.road):
+        notes.append(without)
     for metric in metrics_of(run.vehicle, run.road.loaded):
         if metric.source != source:
             rows.append(source := metric.source)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.common.errors import InputError, listing
-from models.common.units import in_unit
+from models.roads.load_choice import setting
 from models.roads.road import LIMITS, LOWEST, Bump
 
 UNITS = {"height": "m", "length": "m", "speed": "m/s"}
@@ -39,13 +39,13 @@ def read_axes(texts: Sequence[str]) -> tuple[GridAxis, ...]:
         raise InputError(f"a map has one axis or two, {len(texts)} given; vary one or two of {listing(UNITS)}, {example}")
     axes = []
     for text in texts:
-        name, *numbers = text.split(":")
+        name, *parts = text.split(":")
         if name not in UNITS:
             raise InputError(f"--vary {text}: unknown quantity {name!r}; vary one or two of {listing(UNITS)}, {example}")
-        numbers[:2] = [in_unit(number, UNITS[name], f"--vary {name}") for number in numbers[:2]]
+        limits = [setting(f"--vary {name}", part, UNITS[name]) for part in parts[:2]]
         try:
-            low, high, count = float(numbers[0]), float(numbers[1]), int(numbers[2])
-            wrong = len(numbers) != 3
+            (low, high), count = limits, int(parts[2])
+            wrong = len(parts) != 3
         except (ValueError, IndexError):
             wrong, low, high, count = True, 0.0, 0.0, 0
         if wrong:
