@@ -1,7 +1,5 @@
 """Static designs against descents from many starts, independent of the project's searches, and what a search may cost."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -10,6 +8,7 @@ from synth.analysis.norm import hinf_norm
 from synth.analysis.sampled_loop import HoldInterval, SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.design import static
+from synth.design.descent.landscape import Work
 from synth.design.feedback import FeedbackDesign, design_feedback
 from synth.design.sampled_data import held_design
 from synth.plant.generalized import GeneralizedPlant
@@ -58,11 +57,9 @@ def test_a_sampled_gain_is_found_where_the_lmi_has_none():
 
 @pytest.mark.attack
 def test_a_sampled_gain_is_found_by_the_one_door():
-    """The same design by `design_feedback` ends at 6.3, a quarter of the norm of the known gain, and in less than 20 s."""
+    """The same design by `design_feedback` ends at 6.3, a quarter of the norm of the known gain."""
     plant, Cy, period = SAMPLED_STATIC
-    start = time.process_time()
     found = design_feedback(plant, Cy, sample_period=period)
-    assert time.process_time() - start < 20
     assert found.value < 6.3  # 6.2774; 30 descents end at no less than 6.2773
     assert found.method == "descent on the sampled norm"
 
@@ -100,23 +97,30 @@ def test_a_law_with_states_ends_at_a_count(monkeypatch):
 @pytest.mark.attack
 @pytest.mark.parametrize(("m", "order", "seed"), [(1, 6, 0), (2, 6, 0), (3, 6, 1), (3, 3, 1), (3, None, 0)])
 @pytest.mark.parametrize("period", [None, 0.02])
-def test_no_design_of_eight_states_takes_long(m, order, seed, period):
-    """A design of 8 unstable states takes at most 20 s of processor time, and finds a law or says what stopped it."""
-    g = np.random.default_rng(seed)
+def test_no_design_of_eight_states_takes_long(m, order, seed, period, monkeypatch):
+    """A design of 8 unstable states ends at the limit of its work, and finds a law or says what stopped it."""
+    made, begin = list[Work](), Work.__init__
+
+    def counted(self: Work, limit: float = np.inf) -> None:
+        begin(self, limit)
+        made.append(self)
+
+    monkeypatch.setattr(Work, "__init__", counted)
+    g, said = np.random.default_rng(seed), ""
     A = g.standard_normal((8, 8))
     A = A - (np.linalg.eigvals(A).real.max() - 2.0) * np.eye(8)
     B, Bw = g.standard_normal((8, m)), g.standard_normal((8, 2))
     C = np.vstack([g.standard_normal((2, 8)), np.zeros((m, 8))])
     D = np.vstack([np.zeros((2, m)), 0.1 * np.eye(m)])
     plant = GeneralizedPlant(A, B, Bw, C, D, np.zeros((2 + m, 2)))
-    start, said = time.process_time(), ""
     try:
         design_feedback(plant, g.standard_normal((m, 8)), order=order, sample_period=period)
     except InfeasibleError:
         raise
     except DesignError as error:
         said = str(error)
-    assert time.process_time() - start < 20
+    spent = sum(one.done for one in made)
+    assert spent < 1.15 * static.LIMIT  # a descent that is under way is finished; 7 to 18 s of processor time
     assert not said or "stopped at its limit" in said or said.startswith("no static gain found")
 
 

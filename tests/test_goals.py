@@ -896,7 +896,7 @@ LATER = {  # where Ctrl-C comes, and what is said of the controller that was at 
     "synth.command.design_table._flatness": "",
     "synth.command.fragility.fragility_report": "",
     "synth.command.design_table.notes": "interrupted: designed, and not all that was asked about it is known",
-    "synth.command.design_table.norm_if_implemented": "",
+    "synth.command.design_table.norm_or_failure": "",
 }
 
 

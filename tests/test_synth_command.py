@@ -333,7 +333,7 @@ def test_cross_check(capsys, vehicle):
         assert each["theirs"] == pytest.approx(each["ours"] * (1 + each["apart"]), rel=1e-12)
     main(["--vehicle", vehicle, "--cross-check", "--controller", "I"])
     said = re.search(
-        r"optimum of \(25\) is (.*), ours (.*), .* apart; our gain attains (.*) there", prose(capsys.readouterr().out)
+        r"optimum of \(25\) is (.*), ours (.*), .* apart; our gain attains (\S*) there,", prose(capsys.readouterr().out)
     )
     assert said is not None
     assert [float(number) for number in said.groups()] == pytest.approx(

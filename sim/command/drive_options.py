@@ -134,7 +134,7 @@ def starts_later(options: argparse.Namespace) -> bool:
     """True if the vehicle is to start later on a road from a file than at its first point."""
     from models.roads.choice import driven
 
-    return "from" in driven(split_off(_road_text(options))[0])
+    return "from" in driven(split_off(road_text(options))[0])
 
 
 def end_lines(road: "Road", duration: float) -> list[str]:

@@ -31,7 +31,7 @@ from synth.analysis.sampled_loop import SampledDataProblem
 from synth.analysis.sampled_norm import sampled_norm
 from synth.analysis.stability import stabilisability_failures, static_feedback_obstructions
 from synth.design.descent.landscape import Landscape, Work
-from synth.design.descent.refine import Refinement, from_some, refine
+from synth.design.descent.refine import Refinement, from_some, lowered, refine
 from synth.design.fallback import NOT_FROM_THESE
 from synth.design.static import GainSearch, bounded_work
 from synth.design.two_step import LARGEST_GAIN, NO_GAIN, no_gain, state_path
@@ -60,12 +60,13 @@ def norm_of(problem: SampledDataProblem, K: Array, near: float) -> float:
     return sampled_norm(problem.loop(K), near).value
 
 
-def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) -> tuple[Array, float]:
+def descended(problem: SampledDataProblem, known: Sequence[Array], near: float, work: Work) -> tuple[Array, float]:
     """The best gain that descent finds, and its norm, infinite where no start is stable.
 
     Args:
         known: gains to start from, shapes (m, q); the line through the first is searched.
         near: a guess of the norm.
+        work: counts the norms.
     """
     nothing = np.zeros((problem.plant.B.shape[1], len(problem.Cy)))
     line = [sign * share * K for K in known[:1] for sign, shares in ((-1, SHARES), (1, SHARES[::-1])) for share in shares]
@@ -76,7 +77,7 @@ def descended(problem: SampledDataProblem, known: Sequence[Array], near: float) 
     starts += [(norm_of(problem, K, near), K) for K in known[1:]]
     best = sorted(starts, key=lambda start: start[0])[:STARTS]
     return min(
-        (down(problem, K, norm) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
+        (down(problem, K, norm, work) for norm, K in best if np.isfinite(norm)), key=lambda end: end[1], default=(nothing, np.inf)
     )
 
 
@@ -98,16 +99,17 @@ def searched(problem: SampledDataProblem, level: float, known: Array | None, wor
         return np.zeros(search.landscape.shape), np.inf
     K = search.landscape.gain(search.widened(search.best(candidates)).x)
     norm = norm_of(problem, K, level)
-    return down(problem, K, norm) if np.isfinite(norm) else (K, norm)
+    return down(problem, K, norm, work) if np.isfinite(norm) else (K, norm)
 
 
-def down(problem: SampledDataProblem, K: Array, norm: float) -> tuple[Array, float]:
-    """Descends from a stable K by `refine` on the plants of falling levels."""
+def down(problem: SampledDataProblem, K: Array, norm: float, work: Work | None = None) -> tuple[Array, float]:
+    """Descends from a stable K on the plants of falling levels, as `refine` does, until the work is over."""
     for _ in range(DESCENTS):
         plant = problem.at(norm)
         if plant is None:
             break
-        moved = refine(plant, problem.rows, K, problem.Dyw(norm)).gain
+        Cy, Dyw = problem.rows, problem.Dyw(norm)
+        moved = lowered(Landscape(plant, Cy, Dyw, work=work), plant, Cy, K, Dyw).gain
         reached = norm_of(problem, moved, norm)
         if not reached < norm:
             break
@@ -245,9 +247,9 @@ def _gain(
         for start in (K, *known):
             height = norm_of(problem, start, near)
             if np.isfinite(height) and not _at_the_limit(problem, reached):
-                moved, reached = min((moved, reached), down(problem, start, height), key=lambda end: end[1])
+                moved, reached = min((moved, reached), down(problem, start, height, work), key=lambda end: end[1])
         if least < reached:
-            moved, reached = min((moved, reached), descended(problem, [*known, K], near), key=lambda end: end[1])
+            moved, reached = min((moved, reached), descended(problem, [*known, K], near, work), key=lambda end: end[1])
         if _may_fall(problem, reached):
             moved, reached = _lower(problem, moved, reached, far, work)
         quietly = not problem.noise.size
@@ -258,7 +260,7 @@ def _gain(
     else:
         if K is not None:
             failure = DesignError("the loop of the gain that was found is not stable: rounding leaves none that is")
-        moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near)
+        moved, reached = descended(problem, [start for start in (*known, undelayed, K) if start is not None], near, work)
         if _may_fall(problem, reached):
             moved, reached = _lower(problem, moved, reached, far, work)
         if not np.isfinite(reached):

@@ -64,7 +64,7 @@ MISSED = 3  # until so many in a row have another,
 HALVINGS = 10  # and then halved to the smallest that has it, to a thousandth
 AT_LIMIT = 0.5  # of the limit; an entry this large was stopped by it
 NARROWER = (0.1, 0.01)  # of the limit, for searches that begin where the first one did not end
-LIMIT = 3.5e4  # norms of loops of 8 states: about 14 s of processor time
+LIMIT = 3e4  # norms of loops of 8 states: 7 to 18 s of processor time
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,7 +86,11 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
     K = real_matrix(K, "K", str(shape))
     if K.shape != shape:
         raise InputError(f"K has shape {K.shape}; expected {shape}: a row for each force, a column for each measured signal")
-    landscape = Landscape(plant, Cy, Dyw)
+    return lowered(Landscape(plant, Cy, Dyw), plant, Cy, K, Dyw)
+
+
+def lowered(landscape: Landscape, plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None) -> Refinement:
+    """Returns the result of `refine` on the landscape of these matrices; no stage begins once its work is over."""
     x = start = landscape.point(K)
     before, _ = landscape.norm(x)
     if not np.isfinite(before):
@@ -97,6 +101,8 @@ def refine(plant: GeneralizedPlant, Cy: Array, K: Array, Dyw: Array | None = Non
     norm, refused = before, None
     # First without any growth, then twofold at a time.
     for stage in range(STAGES):
+        if landscape.work.over:
+            break
         allowed = size if stage == 0 else 2 * size
         moved, reached = along_edges(landscape, x, np.full(len(x), allowed), ROUNDS)
         growth = float(np.abs(moved).max()) / size if size else 1.0
