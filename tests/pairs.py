@@ -176,6 +176,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "adjustable dampers with curves are not exported",
     "is not stable at a timestep of",
     "unknown controller 'passive'; give --controller with one of",
+    "has no gain, so there is no loop",
 )
 IN_FILE = [name for name in FEATURES if name not in ("road", "load", "command")]
 
