@@ -131,7 +131,6 @@ OWNERS = {
     "pyarrow": {
         "sim/campaign/store.py",
         "sim/campaign/verify.py",
-        "sim/command/comparison.py",
         "sim/recording/rerun_contents.py",
     },
     "ray": {"sim/campaign/workers.py"},

@@ -84,11 +84,7 @@ class Parser(argparse.ArgumentParser):
         start = namespace or argparse.Namespace()
         start.given = set()
         start.command_line = shlex.join(["python", "-m", self.module, *args])
-        options = super().parse_args(args, start)
-        from models.common import memory  # no help page needs it
-
-        memory.check()
-        return options
+        return super().parse_args(args, start)
 
     def error(self, message: str) -> NoReturn:
         """Raises bad options as one line; exit code 2."""
@@ -307,11 +303,8 @@ def _ended_by(error: BaseException) -> int:
     if isinstance(error, InputError):
         complain(str(error))
         return BAD_INPUT
-    from models.common import memory
-
-    if memory.is_short(error):
-        limited = f": {memory.words()}; raise the limit" if math.isfinite(memory.limit()) else "; free some"
-        complain(f"out of memory{limited}, or ask for less at once")
+    if isinstance(error, MemoryError):
+        complain("out of memory; free some, or ask for less at once")
         return BAD_INPUT
     if type(error).__module__.partition(".")[0] == "mujoco":  # its FatalError
         complain(f"MuJoCo gave up ({error}); give it a vehicle or a road nearer to what it can do, or a shorter timestep")

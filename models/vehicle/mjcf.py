@@ -14,7 +14,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from models.common import memory
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
 from models.common.files import MIB, TEXT, open_plain
@@ -118,8 +117,6 @@ def _compiled(vehicle: Vehicle, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _said(error: Exception) -> str:
-    if memory.is_short(error):
-        raise MemoryError from error
     return " ".join(str(error).split())
 
 

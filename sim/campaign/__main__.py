@@ -44,9 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.verify is not None and options.exported is not None:
         raise InputError("--verify drives a controller as its campaign did, and finds the code there; leave --as out")
     from sim.campaign.command import check_results, run_campaign
-    from sim.command.comparison import leave_out_pandas
 
-    leave_out_pandas()
     return run_campaign(options) if options.verify is None else check_results(options)
 
 

@@ -6,7 +6,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from models.common import interrupt, memory
+from models.common import interrupt
 from models.common.command import complain, versions
 from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
@@ -27,7 +27,6 @@ from sim.campaign.verify import Verified, verify
 from sim.campaign.workers import Rows, cluster, run_batches
 from sim.physics import RUNS_AT_ONCE
 
-LEAST_MEMORY, MEMORY_OF_WORKER = 750_000_000, 250_000_000  # bytes of address space; with less, MuJoCo may end the process
 FINISHED = "give a folder of a finished campaign's results"
 LEFT_OUT = (
     "of the runs that were drawn {count} are of laws in Python and were not driven again: their code is run only for a campaign "
@@ -55,7 +54,6 @@ def run_campaign(options: argparse.Namespace) -> int:
     if options.ray is not None and "workers" in options.given:
         raise InputError("--workers are threads of this machine, and --ray has workers of its own; leave one of them out")
     workers = options.workers or cores()
-    memory.check(LEAST_MEMORY + workers * MEMORY_OF_WORKER, " or give fewer --workers" if workers > 1 else "")
     with cluster(options.ray) if options.ray is not None else nullcontext(), locked(folder):
         stage = Stages("designs", "runs", "results")
         stage("designs")

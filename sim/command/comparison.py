@@ -5,7 +5,6 @@ import math
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,37 +145,6 @@ def _first(claims: Sequence[str]) -> str:
 LOGS = "logs, for Rerun, and for Foxglove and Lichtblick, with .layout.json beside it"
 
 
-class _NoPandas:
-    """A finder of modules that finds every one but pandas as it would be found without it."""
-
-    @staticmethod
-    def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
-        """None, which leaves a module to the other finders."""
-        if name == "pandas":
-            raise ModuleNotFoundError("No module named 'pandas'", name=name)
-        return None
-
-
-def leave_out_pandas() -> None:
-    """Keeps Arrow from importing pandas where nothing else has imported it.
-
-    For its first array, of whatever, Arrow imports pandas to know its types, and asks no second time. There is no setting for
-    that, and Rerun makes its arrays itself. So the first one is made here, while pandas is not to be found. Afterwards
-    `import pandas` is as before, and so is Arrow's `to_pandas`. Only pandas' objects are taken for other sequences until then.
-    A command makes none of them; a library must not decide that, so commands call this, and `sim.recording` does not.
-    """
-    if "pandas" in sys.modules:
-        return
-    import pyarrow
-
-    finder = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    try:
-        pyarrow.array([])
-    finally:
-        sys.meta_path.remove(finder)
-
-
 def recorded(
     options: argparse.Namespace,
     vehicle: Vehicle,
@@ -195,11 +163,8 @@ def recorded(
     nothing: dict[str, str | None] = {"mcap": None, "layout": None, "rerun": None}
     if options.logs is None:
         return nothing
-    from sim.recording.files import rerun_fits
     from sim.recording.run_records import record_runs
 
-    if rerun_fits():
-        leave_out_pandas()
     return {**nothing, **record_runs(options.logs, options.command_line, vehicle, controllers, runs(), result)}
 
 
@@ -239,15 +204,15 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequenc
     """Returns lines with the recorded files and how to open them; empty if nothing was recorded.
 
     Args:
-        brief: True for a line on a missing file alone.
+        brief: True for no lines.
         runs: recorded runs; of more than `FEW` nothing is said but the files.
     """
     paths = {name: Path(path) for name, path in logs.items() if path}
-    if not paths:
+    if not paths or brief:
         return []
-    from sim.recording.files import left_out_lines, opening_lines
+    from sim.recording.files import opening_lines
 
-    return left_out_lines(paths) if brief else ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths)]
+    return ["", *([LOGS] if len(runs) <= FEW else []), *opening_lines(paths)]
 
 
 def check_view(options: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from models.common import interrupt, memory
+from models.common import interrupt
 from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError
 from models.common.files import made_folder
@@ -23,12 +23,6 @@ Stem = Annotated[
         lambda value: 0 < len(value) <= 120 and value.isprintable() and not {"/", "\\"} & {*value},
     ),
 ]
-ROOM_OF_RERUN = 2**30  # bytes of address space; Rerun ends the process where it finds too little, and no one could say why
-
-
-def rerun_fits() -> bool:
-    """Returns True if a limit of the address space leaves room for Rerun."""
-    return memory.room() >= ROOM_OF_RERUN
 
 
 def record(
@@ -50,7 +44,7 @@ def record(
         attachments: (media type, content) by name; only in the MCAP file, as Rerun files have no attachments.
 
     Returns:
-        Paths of the files: `mcap`, `layout` and, unless a limit of the address space leaves too little room for it, `rerun`.
+        Paths of the files: `mcap`, `layout` and `rerun`.
 
     Raises:
         InputError: the folder cannot be made, files cannot be written in it, or two runs have the same name.
@@ -66,38 +60,21 @@ def record(
     try:
         # In the same folder, so that the final renames move no data.
         with made_folder(folder, "logs"), tempfile.TemporaryDirectory(dir=folder, prefix=f".{stem}-") as temporary:
-            kinds = SUFFIXES if rerun_fits() else ("mcap", "layout")
-            written = {kind: Path(temporary, f"run.{SUFFIXES[kind]}") for kind in kinds}
+            written = {kind: Path(temporary, f"run.{suffix}") for kind, suffix in SUFFIXES.items()}
             write_mcap(written["mcap"], runs, metadata, attachments)
             written["layout"].write_text(foxglove_layout(runs), encoding="utf-8", newline="\n")
-            if "rerun" in written:
-                from sim.recording.rerun_writer import write_rrd
+            from sim.recording.rerun_writer import write_rrd
 
-                try:
-                    write_rrd(written["rerun"], runs, metadata)
-                except (OSError, RuntimeError, MemoryError) as error:
-                    if memory.limit() >= memory.AMPLE or not memory.is_short(error):
-                        raise
-                    del written["rerun"]  # `left_out_lines` says why
+            write_rrd(written["rerun"], runs, metadata)
             with interrupt.uninterrupted():
                 return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error
 
 
-def left_out_lines(paths: Mapping[str, Path]) -> list[str]:
-    """Returns a line that says why a recording has no Rerun file; empty if it has one."""
-    if "rerun" in paths:
-        return []
-    return [f"  no .rrd file, as {memory.words()}, which is too little for Rerun; raise the limit to have one"]
-
-
 def opening_lines(paths: Mapping[str, Path]) -> list[str]:
     """Returns the commands that open each file of a recording."""
-    return [
-        *([Whole(f"  rerun {pasted_path(paths['rerun'])}")] if "rerun" in paths else left_out_lines(paths)),
-        Whole(f"  {pasted_path(paths['mcap'])}"),
-    ]
+    return [Whole(f"  rerun {pasted_path(paths['rerun'])}"), Whole(f"  {pasted_path(paths['mcap'])}")]
 
 
 def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str, Path]:
