@@ -200,7 +200,12 @@ class Designer:
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
             return self._pushing.design(name, zero_l, on_progress)
-        return self.judged(self._design(name, zero_l, on_progress))
+        try:
+            return self.judged(self._design(name, zero_l, on_progress))
+        except InputError as error:
+            if f"{name!r}" in str(error) or f".{name}]" in str(error):
+                raise
+            raise type(error)(f"controller {name!r}: {error}") from error
 
     def judged(self, controller: Controller) -> Controller:
         """Returns a controller with what is proved of it for the errors that its section weights by frequency, if any."""
