@@ -179,6 +179,7 @@ REFUSALS = (  # what is no fault of a file, and which command it does not go wit
     "has no gain, so there is no loop",
     "cannot be stabilised from what is measured",
     "dampers beside force actuators are not exported",
+    "gives noise without sample_period",
     "has an entry beyond 1e+15",
     "has an entry that is not finite",
 )

@@ -95,6 +95,12 @@ loads = { heave_load = <1 kN = 1000.0> }
 measured = ["suspension_deflection"]
 pid = { kp = -9000.0, ki = -900.0, kd = -900.0, filter = <10 ms = 0.01> }
 anti_windup = <2 Hz = 12.566370614359172>
+[controllers.e]
+measured = ["suspension_deflection"]
+order = "full"
+fastest_pole = <80 Hz = 502.6548245743669>
+[payload]
+mass = <0.15 t = 150.0>
 """
 DAMPED = """[curves.suspension_stiffness]
 deflection = [<-50 mm = -0.05>, 0.0, <50 mm = 0.05>]

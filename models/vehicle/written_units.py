@@ -14,6 +14,7 @@ LIMITS = {**STOPS, "actuator_force": "N", "actuator_bandwidth": "rad/s", "*": ST
 CURVE = {"velocity": "m/s", "deflection": "m", "force": "N", "friction": "N", "friction_velocity": "m/s", "fit_error": "1"}
 LIMIT_OF_DAMPER = {"": "N s/m", **CURVE}
 DAMPER = {"c_min": LIMIT_OF_DAMPER, "c_max": LIMIT_OF_DAMPER, "bandwidth": "rad/s"}
+PAYLOAD = {"mass": "kg", "x": "m", "z": "m"}
 SKY = ("sky_damping", "ground_damping", "heave_damping", "pitch_damping", "roll_damping")
 
 
@@ -36,7 +37,7 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
     controller = {
         **dict.fromkeys(SKY, "N s/m"), "crossover": "rad/s", "sample_period": "s", "preview": "s", "anti_windup": "1/s",
         "loads": {"*": "N", PITCH_LOAD.name: "N m", ROLL_LOAD.name: "N m"}, "pid": {"filter": "s"}, "tolerance": "1",
-        "minimise": {"band": "Hz"}, "bounds": bound,
+        "minimise": {"band": "Hz"}, "bounds": bound, "fastest_pole": "rad/s",
     }  # fmt: skip
     units = {
         "parameters": {parameter.name: parameter.unit for parameter in kind.parameters},
@@ -44,6 +45,7 @@ def in_si(data: Mapping[str, Any], kind: VehicleKind) -> dict[str, Any]:
         "implementation": {"sample_period": "s", "noise": signals, "quantisation": signals},
         "curves": {"*": CURVE},
         "actuators": {**DAMPER, "*": DAMPER},
+        "payload": {**PAYLOAD, "*": PAYLOAD},
         "controllers": {"*": controller},
     }
     converted = {name: _in_si(section, units.get(name), (name,)) for name, section in data.items()}

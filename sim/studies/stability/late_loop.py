@@ -79,9 +79,11 @@ class LateLoop:
             return complex(w @ samples[:, k] + (z ** (late - 1.0 - self.delay) * asked[k - late]).sum())
 
         start, end = first // self.held, samples.shape[1] - 1
-        began, ended, expected = mode(start), mode(end), z ** (end - start)
+        z = np.complex128(z)  # a mode that grows fast overflows to infinity, where Python's complex numbers raise
+        with np.errstate(over="ignore", invalid="ignore"):
+            began, ended, expected = mode(start), mode(end), z ** (end - start)
         change = abs(abs(expected) - 1)
-        if not began or not ended or not change:
+        if not (began and ended and change and np.isfinite([began, ended, expected]).all()):
             return math.nan, math.inf
         rate = math.log(abs(ended / began)) / ((end - start) * self.held * self.timestep)
         return rate, abs(ended / began - expected) / change
