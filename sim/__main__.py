@@ -20,7 +20,7 @@ COMMANDS = (  # name, its purpose, the options that one reaches for first
     ("sim.campaign", "simulate thousands of roads and vehicles", "--best --results --verify"),
     ("sim.report", "write a one-page report about a vehicle file", "--out --quick --figures"),
     ("sim.gallery", "compare with published results", "NAME"),
-    ("sim.inspect", "check that a log still supports its results", "--csv --kinds"),
+    ("sim.inspect", "recompute a logged run and check its results", "--csv --kinds"),
 )
 EPILOG = """
 Most commands take --vehicle FILE and --controller NAME. All take --json, and
