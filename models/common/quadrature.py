@@ -51,7 +51,7 @@ class Band:
         It is accurate for any t [s]: on a panel f is the polynomial through its nodes. The integral of P_l(x) exp(j a x) from -1
         to 1 is 2 j^l j_l(a), with the Legendre polynomial P_l and the spherical Bessel function j_l.
         """
-        from models.common.lean_scipy import special  # takes a tenth of a second
+        from scipy import special  # takes a tenth of a second
 
         share, middle = self.share.reshape(-1, ORDER), self.omega.reshape(-1, ORDER).mean(axis=1)
         half, degrees = np.pi * share.sum(axis=1), np.arange(ORDER)  # the weights' sum is 2

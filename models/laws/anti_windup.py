@@ -11,10 +11,10 @@ the states.
 """
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.lean_scipy import linalg
 from models.laws.linear import LinearLaw
 
 SLACK = 1e-6  # a pole of A - L C further beyond the circle shows that rounding has spoilt L; smaller rates times T are refused

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
 from models.common.checks import Positive, check
 from models.common.errors import InputError
-from models.common.lean_scipy import linalg
 
 FEWER = "of at most"  # begins what is said of a law with fewer states than it may have
 MATRICES = ("A", "B", "C", "D")

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError
-from models.common.lean_scipy import linalg
 from models.laws.linear import LARGEST, MOST_STATES, PREVIEW_MATRICES
 from models.laws.python_law import checked_preview, samples_ahead
 

@@ -39,7 +39,7 @@ def coherency(n: Array, width: float) -> Array:
         n: spatial frequencies [cycle/m].
         width: between the tracks, b [m].
     """
-    from models.common.lean_scipy import special  # a tenth of a second
+    from scipy import special  # a tenth of a second
 
     x = 2 * np.pi * np.asarray(n) * width
     return np.where(x > 0, x * special.k1(np.where(x > 0, x, 1.0)), 1.0)

@@ -56,7 +56,7 @@ class Distribution:
         """Returns the quantiles for shares from 0 to 1."""
         if self.shape == "uniform":
             return self.a + (self.b - self.a) * quantile
-        from models.common.lean_scipy import special
+        from scipy import special
 
         cut = special.ndtr(-WIDEST)
         return self.a + self.b * special.ndtri(cut + (1 - 2 * cut) * quantile)

@@ -332,7 +332,7 @@ def worst_sinusoid(vehicle: Vehicle, response: Callable[[Array], Array], highest
     gains = gain(omega)
     best = WorstSinusoid(float(gains.max()), float(omega[gains.argmax()]))
     peaks = 1 + np.flatnonzero((gains[1:-1] >= gains[:-2]) & (gains[1:-1] >= gains[2:]) & (gains[1:-1] > 0.9 * best.gain))
-    from models.common.lean_scipy import optimize  # half a second
+    from scipy import optimize  # half a second
 
     for i in peaks:
         refined: Any = optimize.minimize_scalar(

@@ -294,6 +294,6 @@ def _root(line: Array, start: float, end: float, bound: float, side: int) -> flo
 
     if past(start) >= 0:
         return start
-    from models.common.lean_scipy import optimize  # half a second
+    from scipy import optimize  # half a second
 
     return optimize.root_scalar(past, bracket=(start, end), method="brentq", xtol=1e-15).root

@@ -22,10 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.common.lean_scipy import optimize
 from synth.controller.disk_margin import DiskMargin, disk_margin
 from synth.controller.loop_transfer import LoopTransfer
 

@@ -117,7 +117,7 @@ def _amplitude(vehicle: Vehicle, controller: Controller, wheel: int, omega: Arra
 
 def _worst(vehicle: Vehicle, controller: Controller, wheel: int, highest: float, timestep: float) -> float:
     """The frequency at which that is largest, up to the highest [Hz], in rad/s."""
-    from models.common.lean_scipy import optimize  # half a second
+    from scipy import optimize  # half a second
 
     omega = 2 * np.pi * np.geomspace(LOWEST, highest, GRID)
     at = int(np.argmax(_amplitude(vehicle, controller, wheel, omega, timestep, linalg.expm)))

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import special
 
 from models.common.arrays import Array
-from models.common.lean_scipy import special
 
 LEVELS = np.linspace(0.0, 12.0, 1201)  # over sigma; no run is long enough to exceed them
 BIN = 1 / 64  # width of a bin of a coarse spectrum [Hz]; a running mean over 1 s forgets within 64 s

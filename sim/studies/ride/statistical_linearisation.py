@@ -47,9 +47,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from models.common.arrays import Array
-from models.common.lean_scipy import special
 from models.common.quadrature import sample_band
 from models.roads.spectrum import Spectrum, longest_panel, sources
 from models.suspension.curve import ForceCurve

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import optimize
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.lean_scipy import optimize
 from models.kinds.kind import Variation, VehicleKind
 from models.roads.road import Bump, RoadInput
 from models.vehicle.vehicle import Vehicle

@@ -13,10 +13,10 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy import optimize
 from scipy.linalg import lapack
 
 from models.common.arrays import Array
-from models.common.lean_scipy import optimize
 from synth.design.descent.coordinates import balanced_coordinates
 from synth.design.descent.landscape import Landscape
 from synth.plant.numerics import up_to_rounding

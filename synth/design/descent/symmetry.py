@@ -10,10 +10,9 @@ smallest.
 """
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
 
 from models.common.arrays import Array
-from models.common.lean_scipy import optimize
 from synth.design.descent.landscape import Landscape
 from synth.lmi.unobservable import output_nulling_subspace
 from synth.plant.generalized import GeneralizedPlant

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
 from models.common.arrays import Array
-from models.common.lean_scipy import optimize
 from models.laws.linear import LinearLaw
 from synth.design.uncertainty.structured_bound import best_scales, structured_bound
 from synth.design.uncertainty.structured_loop import StructuredLoop, StructuredPlant

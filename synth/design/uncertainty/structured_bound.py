@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import optimize
 
 from models.common.arrays import Array
-from models.common.lean_scipy import optimize
 from synth.analysis.band_norm import exceeds
 from synth.analysis.norm import Gain, largest_singular_values, level_crossings
 from synth.analysis.stability import is_stable

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
 from models.common.arrays import Array
 from models.common.checks import Positive
-from models.common.lean_scipy import optimize
 from models.laws.linear import LinearLaw
 from synth.analysis.bounding import bounding_x
 from synth.analysis.certificate import eta_of
