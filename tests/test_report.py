@@ -332,7 +332,9 @@ def test_what_is_left_out_is_said(tmp_path, capsys):
     assert main([*options, "--brief"]) == 0, "nor is noise refused that only one of the others measures"
     rest = ("state_printed", "I_printed", "II_printed")
     assert "accelerated" in read_vehicle(tmp_path / "car.toml").controller_names
-    assert "Not on this page, though in the vehicle file: <code>state_printed</code>" in (tmp_path / "car.html").read_text(encoding="utf-8")
+    assert "Not on this page, though in the vehicle file: <code>state_printed</code>" in (tmp_path / "car.html").read_text(
+        encoding="utf-8"
+    )
     out = capsys.readouterr().out
     assert out.endswith("  *: the best; %: against passive; MuJoCo, the paper's bump\n")
     assert "norms" not in out
