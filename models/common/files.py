@@ -336,6 +336,36 @@ TABLE = 64 * MIB  # of a measured road
 Content = TypeVar("Content")
 
 
+@contextmanager
+def reading(path: Path, purpose: str, give: str = "give another file") -> Iterator[None]:
+    """Turns any error that a library raises in this block into an InputError with the path, the purpose and the library's words.
+
+    Args:
+        path: the file that the block reads.
+        purpose: what the file is for, such as "road profile".
+        give: what to do instead, for the message.
+
+    Raises:
+        InputError: the block failed. An InputError of the block keeps its own words, after the purpose and the path.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{purpose} {path}: {error}") from error
+    except FileNotFoundError as error:
+        reason = "is a link to nothing" if path.is_symlink() else "there is no such file"
+        raise InputError(f"{purpose} {path}: {reason}; {give}") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{purpose} {path}: is a folder, not a file; {give}") from error
+    except OSError as error:
+        raise InputError(f"{purpose} {path}: cannot be read ({error.strerror or error}); {give}") from error
+    except UnicodeDecodeError as error:
+        reason = f"not a text file in UTF-8 ({error.reason} at byte {error.start})"
+        raise InputError(f"{purpose} {path}: {reason}; save it as UTF-8, or {give}") from error
+    except Exception as error:
+        raise InputError(f"{purpose} {path}: {error or type(error).__name__}; {give}") from error
+
+
 def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
     """Returns the content of a plain file.
 

@@ -121,10 +121,7 @@ def best_scales(M: Array, errors: int, start: Array | None = None, enough: float
     y = x[first:] - x[:1] if first else x
     best = size(y), y
     if len(y) == 1 and best[0] > enough:
-        found = optimize.minimize_scalar(
-            lambda one: size(np.array([one])), bounds=(-FURTHEST, FURTHEST), method="bounded", options={"xatol": CLOSE}
-        )
-        y = np.array([found.x])
+        y = np.atleast_1d(optimize.fminbound(lambda scale: size(np.array([scale])), -FURTHEST, FURTHEST, xtol=CLOSE, disp=0))
         best = min(best, (size(y), y), key=lambda one: one[0])
     for power in POWERS if len(y) > 1 else ():
         if best[0] <= enough:
