@@ -13,30 +13,11 @@ Public names, imported when they are first used; all units are SI:
 All other names may move without notice.
 """
 
-import os
-import sys
-
-if sys.argv and os.path.basename(sys.argv[0]) in ("-m", "roadproof", "roadproof.exe"):
-    # A command begins. Whatever is imported from here on, also for `quiet_start`, takes longer than a hand on Ctrl-C.
-    from _signal import SIGINT, signal  # pyright: ignore[reportMissingImports] - `signal` itself imports a dozen modules
-
-    def _leave(number: int, frame: object) -> None:
-        try:
-            os.write(2, b"roadproof: interrupted\n")
-        finally:
-            os._exit(130)
-
-    try:  # noqa: SIM105 - `contextlib` takes long, too
-        signal(SIGINT, _leave)
-    except ValueError:  # not the main thread
-        pass
-
-from typing import TYPE_CHECKING
-
 from models.common.lazy import attach
 
 USUAL_TIMESTEP = 1e-3  # s, of a run, and so a controller's sample period by default
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:  # what type checkers and editors see
     from models.common.errors import InputError
     from models.kinds import signals

@@ -12,32 +12,21 @@ Whatever else a module holds may move without notice.
 """
 
 import sys
-from importlib.util import find_spec
-from os.path import dirname, join
 
-if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != dirname(__path__[0]):
-    sys.path.append(sys.path.pop(0))  # the user's folder comes last: its models.py is not ours
+try:
+    from models.common.lazy import attach
+except Exception as error:  # a file or a folder of the user's has the name of a package of ours
+    from importlib.util import find_spec
 
-for _name in ("models", "synth"):
-    _spec = find_spec(_name)
-    _where = [] if _spec is None else [*(_spec.submodule_search_locations or ())]
-    if _spec is not None and join(dirname(__path__[0]), _name) not in _where:
-        _line = (
-            f"{_spec.origin or _where[0]} hides Roadproof's package {_name!r}; rename it, or run commands as in: roadproof bump"
-        )
-        if sys.argv[:1] != ["-m"]:
-            raise ImportError(_line)
-        sys.stderr.write(f"roadproof: {_line}\n")
-        raise SystemExit(2)
+    _spec = find_spec("models")
+    _place = "nothing" if _spec is None else _spec.origin or next(iter(_spec.submodule_search_locations or ()))
+    _line = f"{_place} hides Roadproof's package 'models'; rename it, or run commands as in: roadproof bump"
+    if sys.argv[:1] != ["-m"]:
+        raise ImportError(_line) from error
+    sys.stderr.write(f"roadproof: {_line}\n")
+    raise SystemExit(2) from error
 
-from models.common.interrupt import quiet_start
-
-quiet_start()
-
-from typing import TYPE_CHECKING
-
-from models.common.lazy import attach
-
+TYPE_CHECKING = False
 if TYPE_CHECKING:  # what type checkers and editors see
     from sim.recording.files import record
     from sim.recording.run_records import run_log

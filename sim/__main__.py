@@ -1,12 +1,15 @@
 """`roadproof`, or `python -m sim`: the table of commands, with the purpose of each."""
 
-import runpy
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.__main__")
+
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from models.common import interrupt
-from models.common.command import Parser, run_command, versions
+from models.common.command import Parser, versions
 from models.common.errors import InputError, listing
 
 COMMANDS = (  # name, its purpose, the options that one reaches for first
@@ -33,6 +36,7 @@ examples:
   roadproof bump --controller I
   roadproof bump --help
 """
+PACKAGES = ("synth", "sim.campaign", "sim.report", "sim.inspect")  # commands that are a package, not a module
 VERBS = {name.rpartition(".")[2]: name for name, _, _ in COMMANDS}  # as `roadproof` has them
 
 
@@ -42,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         InputError: any option but --help.
     """
+    words = sys.argv[1:] if arguments is None else arguments
+    if words and not words[0].startswith("-"):
+        raise InputError(f"unknown command {words[0]!r}; roadproof has {listing(VERBS)}")
     parser = Parser("sim", "\n".join(table()), EPILOG)
     parser.add_argument("--version", action="store_true", help="print the versions of Roadproof and of its packages")
     options = parser.parse_args(arguments)
@@ -63,23 +70,10 @@ def table() -> list[str]:
 
 def roadproof() -> NoReturn:
     """Runs the installed `roadproof`: `roadproof bump ...` is `python -m sim.bump ...`, and without a verb `python -m sim`."""
-    words = sys.argv[1:]
-    sys.argv[0] = "-m"
+    from models.common.cli import run
+
     Parser.by_verb = True
-    interrupt.quiet_start()
-    if words and words[0] in VERBS:
-        del sys.argv[1]
-        runpy.run_module(VERBS[words[0]], run_name="__main__", alter_sys=True)
-        sys.exit(0)
-    if words and not words[0].startswith("-"):
-        run_command(_unknown)
-    run_command(main)
-
-
-def _unknown() -> int:
-    """Refuses a verb."""
-    raise InputError(f"unknown command {sys.argv[1]!r}; roadproof has {listing(VERBS)}")
-
-
-if __name__ == "__main__":
-    run_command(main)
+    if len(sys.argv) > 1 and sys.argv[1] in VERBS:
+        command = VERBS[sys.argv.pop(1)]
+        run(f"{command}.__main__" if command in PACKAGES else command)
+    run("sim.__main__")

@@ -1,8 +1,12 @@
 """`python -m sim.bump`: controllers over a bump, in MuJoCo and in linear analysis, compared and logged."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.bump")
+
 from collections.abc import Sequence
 
-from models.common.command import run_command
 from sim.command.bump_options import checked_road, parser, words
 
 
@@ -16,7 +20,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.command.driving import drive
 
     return drive(options, checked_road, words)
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -1,8 +1,12 @@
 """`python -m sim.drive`: controllers over one road of any kind, in MuJoCo and in linear analysis, compared and measured."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.drive")
+
 from collections.abc import Sequence
 
-from models.common.command import run_command
 from sim.command.drive_options import parser, requested_road
 
 
@@ -16,7 +20,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.command.driving import drive
 
     return drive(options, requested_road, lambda road: road.words, rides=True)
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -1,12 +1,16 @@
 """`python -m sim.envelope`: the map of validity, over one or two of a bump's height, length and the speed."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.envelope")
+
 import functools
 import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from models.common import interrupt
-from models.common.command import complain, one_chosen, run_command
+from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from models.vehicle.names import PLUS
@@ -36,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from sim.runs.run import sample_times
     from sim.studies.validity.edges import edge_lines, edges, edges_object, travel_line
     from sim.studies.validity.grid import UNITS, grid, read_axes
-    from sim.studies.validity.regime_map import InterruptedMap, loaded, validity
+    from sim.studies.validity.regime_map import loaded, validity
     from sim.studies.validity.report import compared_lines, envelope_lines, envelope_object, loads_object, write_csv
     from synth.vehicle.designer import Designer
 
@@ -58,12 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stage("design")
     controller = Designer(vehicle, search=False).design(name)
     say_false_claims([controller])
-    try:
-        cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
-    except InterruptedMap as interruption:
-        cells = interruption.cells
-        if not cells.done.any():
-            raise
+    cells = validity(vehicle, controller, bumps, time, stage.counted("map", len(bumps), "cells"), loads)
     stage("picture and logs")
     fixed = {name: getattr(options, name) for name in UNITS if name not in {axis.name for axis in axes}}
     along, found = edges(cells, axes, proportional=not (loads or vehicle.is_curved))
@@ -89,9 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines.append(f"UNSTABLE loop; every run grows: {controller.certificate.own.words.removeprefix('unstable: ')}")
         ends = [*edge_lines(along, found, fixed), *travel_line(vehicle, cells)]
         say([*lines, *written_lines(outputs), *log_lines(logs), "", *ends, "", *envelope_lines(cells, options.threshold)])
-    if not cells.done.all():
-        complain(f"{interrupt.word()} after {int(cells.done.sum())} of {len(bumps)} cells; they are kept")
-        return interrupt.code()
     return 0 if cells.as_predicted else 1
 
 
@@ -107,7 +103,7 @@ def _nearest_runs(
 
     nearest, used = {}, cells.used.max(axis=-1)
     for end in (-1, *range(len(END_NAMES))):
-        mine = np.flatnonzero(cells.done & (cells.first == end))
+        mine = np.flatnonzero(cells.first == end)
         if len(mine):
             i = mine[used[mine].argmax() if end < 0 else used[mine].argmin()]
             (nearest[nearest_run(controller.name, end)],) = run_controllers(
@@ -129,7 +125,3 @@ def _check(vehicle: "Vehicle", bumps: "Sequence[Bump]", time: "Array", threshold
         raise InputError(
             f"the longest bump takes {longest.duration:.3g} s, more than the run of {time[-1]:g} s; give a longer --duration"
         )
-
-
-if __name__ == "__main__":
-    run_command(main)

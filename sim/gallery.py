@@ -1,9 +1,14 @@
 """`python -m sim.gallery`: numbers that others printed, beside what comes out here."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.gallery")
+
 import json
 from collections.abc import Sequence
 
-from models.common.command import Parser, run_command
+from models.common.command import Parser
 from models.common.printed import Stages, say
 
 EPILOG = """
@@ -13,7 +18,7 @@ all its printed digits. Where it differs, the row says why. The grid's number is
 the samples of the source's own plot. `sim.report --gallery` is a page of it.
 
 exit code: 0 every number is reproduced or differs for a reason, 1 some does not,
-2 bad input, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal
+2 bad input, 130 interrupted
 
 examples:
   python -m sim.gallery
@@ -55,7 +60,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         say([*(line for each in results for line in entry_lines(*each)), *last_lines(results)])
     return 1 if any(one.wrong for _, numbers in results for one in numbers) else 0
-
-
-if __name__ == "__main__":
-    run_command(main)

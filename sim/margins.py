@@ -1,5 +1,10 @@
 """`python -m sim.margins`: how much gain, phase, delay, sample period and error a loop bears, predicted and found in MuJoCo."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.margins")
+
 import functools
 import json
 import math
@@ -7,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from models.common.command import one_chosen, run_command
+from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from sim.command.margins_options import late_run, parser
@@ -182,7 +187,3 @@ def _which_loop(vehicle: "Vehicle") -> str:
     blur = f"{how.noise_text} is left out" if how.has_measurement_noise else ""
     follow = "margins hold only while the adjustable dampers of [actuators] give the commanded force" if vehicle.dampers else ""
     return "; ".join(filter(None, (loop, totals, blur, follow, "norms of other vehicles are of the ideal loop", lines)))
-
-
-if __name__ == "__main__":
-    run_command(main)

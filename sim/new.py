@@ -1,10 +1,15 @@
 """`python -m sim.new`: writes a commented vehicle file, to be filled in with the numbers of a car."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.new")
+
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.common.command import Parser, run_command
+from models.common.command import Parser
 from models.common.errors import InputError
 
 TEMPLATES = Path(__file__).parents[1] / "models" / "templates"
@@ -55,7 +60,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"  python -m synth --vehicle {name}")
     print(f"  python -m sim.drive --vehicle {name} --class C --controller all")
     return 0
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -1,10 +1,14 @@
 """`python -m sim.sweep`: the paper's Fig. 3, measured: frequency responses and the H-infinity norm, in MuJoCo and in analysis."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.sweep")
+
 import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from models.common.command import run_command
 from models.common.errors import InputError
 from models.common.printed import Stages, say, titled
 from sim.command.road_options import left_out_lines, omitted_controllers
@@ -127,7 +131,3 @@ def _worst_runs(vehicle: "Vehicle", sweeps: "Sequence[Sweep | DescribingFunction
         road = worst_road(one.worst_omega, options)
         (runs[one.controller.name],) = run_controllers(vehicle, [one.controller], road, time)
     return runs
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -1,11 +1,16 @@
 """`python -m synth`: the design table of a vehicle file, and how good every controller of it is."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("synth.__main__")
+
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from models.common.command import ALL, chosen, complain, run_command
+from models.common.command import ALL, chosen, complain
 from models.common.errors import InputError, listing
 from synth.command.options import parse_options
 
@@ -72,7 +77,3 @@ def _names(vehicle: "Vehicle", options: Namespace) -> list[str]:
     if options.refine and list(names) == ["passive"]:
         raise InputError("--refine: passive has no gain to refine; name another controller, or leave --refine out")
     return list(names)
-
-
-if __name__ == "__main__":
-    run_command(main)

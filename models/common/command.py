@@ -1,23 +1,18 @@
-"""Shared parts of all commands: option parsing, one-line errors, exit codes, Ctrl-C, and versions of packages."""
+"""Shared parts of all commands: option parsing, one-line errors, and versions of packages."""
 
 import argparse
 import functools
-import gc
-import io
 import math
-import os
 import re
 import shlex
 import sys
-import threading
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
-from models.common import interrupt
-from models.common.errors import InputError, listing, one_line, quoted
+from models.common.cli import TRACEBACK
+from models.common.errors import InputError, listing, one_line
 from models.common.printed import WIDTH, command, show, wrapped
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")
@@ -42,10 +37,7 @@ def _versions() -> dict[str, str]:
     return versions_by_name
 
 
-BAD_INPUT = 2
-GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
 ALL = "all"  # in place of a controller's name
-_kept: list[TextIO] = []  # stdout after `keep_stdout`
 
 
 class Parser(argparse.ArgumentParser):
@@ -70,6 +62,7 @@ class Parser(argparse.ArgumentParser):
         self.register("action", None, _Once)
         self.register("action", "store", _Once)
         self.register("action", "store_true", _Flag)
+        self.add_argument(TRACEBACK, action="store_true", help="show where an error comes from, for a report of it")
 
     def _called(self, text: str) -> str:
         """Returns a text in which commands are named as this one was called: `roadproof bump`, or `python -m sim.bump`."""
@@ -270,98 +263,10 @@ class _Flag(argparse.Action):
         setattr(namespace, self.dest, True)
 
 
-def run_command(main: Callable[[], int]) -> NoReturn:
-    """Runs a command and exits with the code that it returns, with 2 on bad input, or with the code of a signal."""
-    interrupt.enable_interrupts()
-    interrupt.hide_numpy_warnings()
-    gc.set_threshold(GARBAGE)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names may contain letters that the terminal lacks
-    try:
-        _check_encoding(sys.argv[1:])
-        code = main()
-        if sys.stdout:  # closed, as in `>&-`, it is None
-            sys.stdout.flush()
-    except (Exception, KeyboardInterrupt) as error:
-        code = _ended_by(error)
-    interrupt.ignore_from_now_on()
-    for stream in (sys.stdout, sys.stderr):
-        if stream:  # else Python flushes at exit; if that fails, as without a terminal, it exits with 120
-            _flushed(stream)
-    if _kept:
-        sys.stdout = sys.stderr  # for output of user code at Python's exit
-    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
-        os._exit(code)  # Python would wait for threads of user code, maybe for ever; ours have ended
-    sys.exit(code)
-
-
-def _ended_by(error: BaseException) -> int:
-    """Prints why a command ended and returns its exit code. Re-raises unexpected errors."""
-    if interrupt.is_interrupt(error):
-        complain(interrupt.word())
-        return interrupt.code()
-    if isinstance(error, InputError):
-        complain(str(error))
-        return BAD_INPUT
-    if isinstance(error, MemoryError):
-        complain("out of memory; free some, or ask for less at once")
-        return BAD_INPUT
-    if type(error).__module__.partition(".")[0] == "mujoco":  # its FatalError
-        complain(f"MuJoCo gave up ({error}); give it a vehicle or a road nearer to what it can do, or a shorter timestep")
-        return BAD_INPUT
-    if isinstance(error, BrokenPipeError):  # the reader has gone, as in `| head`
-        return 0
-    if isinstance(error, UnicodeEncodeError) and sys.getfilesystemencoding() != "utf-8":
-        complain(f"{quoted(error.object)} cannot be written in this locale's encoding, {error.encoding}; set LC_ALL=C.UTF-8")
-        return BAD_INPUT
-    if isinstance(error, OSError):  # a full disk
-        complain(f"cannot write the output: {error.strerror or error}; mend that or write it elsewhere")
-        return BAD_INPUT
-    raise error
-
-
-def keep_stdout() -> None:
-    """Reserves stdout for the command: all other output to it, from Python or compiled code, goes to stderr from now on.
-
-    It has no effect if the package is used as a library.
-    """
-    before = sys.stdout
-    if _kept or interrupt.interrupt_pending() is None or not isinstance(before, io.TextIOWrapper):
-        return
-    before.flush()
-    raw = os.fdopen(os.dup(before.fileno()), "wb")
-    os.dup2(sys.stderr.fileno() if sys.stderr else os.open(os.devnull, os.O_WRONLY), before.fileno())
-    sys.stdout = io.TextIOWrapper(raw, encoding=before.encoding, errors=before.errors, line_buffering=before.line_buffering)
-    _kept.append(sys.stdout)
-
-
 def complain(message: str) -> None:
     """Prints a message to stderr as one printable line."""
-    if sys.stderr:  # closed, as in `2>&-`, it is None
-        with suppress(OSError):  # its terminal has ended
-            show("")  # clears the progress
-            print(f"roadproof: {one_line(message)}", file=sys.stderr)
-
-
-def _flushed(stream: TextIO) -> None:
-    try:
-        stream.flush()
-    except OSError:
-        _forget(stream)
-
-
-def _forget(stream: TextIO) -> None:
-    """Redirects a broken stream to the null device, so that Python's own flush at exit succeeds."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _check_encoding(arguments: Sequence[str]) -> None:
-    """Refuses arguments that are not UTF-8: logs hold the command line."""
-    for argument in arguments:
-        try:
-            argument.encode()
-        except UnicodeEncodeError:
-            raise InputError(f"argument {argument!r} is not text in UTF-8; rename the file") from None
+    show("")  # clears the progress
+    print(f"roadproof: {one_line(message)}", file=sys.stderr)
 
 
 def _page(text: str) -> str:

@@ -7,11 +7,14 @@ use these names.
 import importlib
 import sys
 import types
-from collections.abc import Callable, Mapping
-from typing import Any
+
+TYPE_CHECKING = False  # the import of `typing` takes some milliseconds
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import Any
 
 
-def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def attach(package: str, modules: "Mapping[str, str]") -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
     """Returns `__getattr__`, `__dir__` and `__all__` of a package.
 
     Args:
@@ -19,7 +22,7 @@ def attach(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], An
     """
     where = {name: module for module, names in modules.items() for name in names.split() or [module.rpartition(".")[2]]}
 
-    def get(name: str) -> Any:
+    def get(name: str) -> "Any":
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = importlib.import_module(where[name])

@@ -1,9 +1,14 @@
 """`python -m sim.campaign FILE`: every combination of what a file names, in MuJoCo, beside its linear prediction."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.campaign.__main__")
+
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.common.command import Parser, run_command
+from models.common.command import Parser
 from models.common.errors import InputError
 from sim.campaign import HERE, MOST_RUNS
 from sim.command.road_options import add_exported
@@ -17,7 +22,7 @@ the reason. The campaign goes on with the same file of the law only; --verify ru
 vehicle of your own, only if FILE is named as well.
 Interrupted, by Ctrl-C, kill -9 or a power cut, and started again, it goes on where it was, and loses a few seconds of work.
 exit code: 0 every run is there (with --verify: the results are what the campaign comes to), 1 --verify found a fault, or nothing
-is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted, 143 by SIGTERM, 129 by the end of its terminal:
+is within the limits of --subject-to, 2 bad input or a full disk, 130 interrupted:
 what is done is kept
 
 examples:
@@ -95,7 +100,3 @@ def _parser() -> Parser:
         "a table for every road and speed: rms, 95 %%, prediction", "print only which controller is best at what, over all runs"
     )
     return parser
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -6,7 +6,6 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from models.common import interrupt
 from models.common.command import complain, versions
 from models.common.errors import InputError, listing
 from models.common.files import TEXT, read_text
@@ -75,8 +74,8 @@ def run_campaign(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             stage.end()
             left = sum(stop - start for start, stop in store.missing())
-            complain(f"{interrupt.word()}: {plan.count - left} of {plan.count} runs are kept; start it again to go on")
-            return interrupt.code()
+            message = f"interrupted: {plan.count - left} of {plan.count} runs are kept; start it again to go on"
+            raise KeyboardInterrupt(message) from None
         stage("results")
         store.finish()
         entries, standings = summarise(plan, store), compare(plan, store)

@@ -13,7 +13,6 @@ from typing import Any
 
 import filelock
 
-from models.common import interrupt
 from models.common.errors import InputError, first_few, quoted
 from models.common.files import MIB, made_folder, read_text, whole_file
 from models.laws.linear import MATRICES, PREVIEW_MATRICES
@@ -236,7 +235,7 @@ def locked(folder: Path) -> Iterator[None]:
             yield
         finally:
             lock.release()
-            with interrupt.uninterrupted(), contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):
                 if not (folder / NAME).exists():
                     (folder / LOCK).unlink()
 

@@ -18,7 +18,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from models.common import interrupt
 from models.common.errors import InputError
 from models.common.files import MIB, open_plain, read_bytes, whole_file
 from sim.campaign.columns import Column
@@ -167,7 +166,7 @@ class Store:
         pq.write_table(table.combine_chunks(), buffer)
         content = buffer.getvalue()
         path = self.folder / f"part-{start:09d}-{stop:09d}-{self._checksum(start, stop, content)}.parquet"
-        with interrupt.uninterrupted(work_goes_on=True), whole_file(path, "results", FULL) as beside:
+        with whole_file(path, "results", FULL) as beside:
             beside.write_bytes(content)
         self._parts = sorted([*self._parts, Part(start, stop, path)], key=lambda part: part.start)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EPILOG = """
 exit code: 0 physics breaks first what linear analysis predicts, 1 it does not, 2 bad input,
-130 interrupted, 143 by SIGTERM, 129 by the end of its terminal: what is done is kept
+130 interrupted
 
 examples:
   python -m sim.envelope --controller I --vary height:0.02:0.3:20 --vary speed:3:30:20 --picture envelope.png

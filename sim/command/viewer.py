@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -65,7 +66,7 @@ def _reason(said: bytes) -> str:
 
 
 def serve_viewer(recording: Path) -> None:
-    """Serves the web viewer on a recording until Ctrl-C, SIGTERM or the end of the terminal, and leaves no process behind.
+    """Serves the web viewer on a recording until Ctrl-C or SIGTERM, and leaves no process behind.
 
     Says on stderr where it is, as stdout is for the result.
 
@@ -85,6 +86,7 @@ def serve_viewer(recording: Path) -> None:
         str(recording),
     ]
     source = urllib.parse.quote(f"rerun+http://{LOOPBACK}:{data}/proxy", safe="")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it, too, ends the web viewer
     try:
         with _ended_with(command) as process:
             _wait_until_up(process, f"http://{LOOPBACK}:{page}")

@@ -1,11 +1,16 @@
 """`python -m sim.inspect`: what logs are, and whether they still prove what they claim; each from the log alone."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.inspect.__main__")
+
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from models.common.command import Parser, complain, run_command
+from models.common.command import Parser, complain
 from models.common.errors import InputError
 from models.common.printed import Whole, say, wrapped
 
@@ -123,7 +128,3 @@ def _parser() -> Parser:
         "--json", action="store_true", help="print one JSON object and nothing else; of several logs {logs, proves}"
     )
     return parser
-
-
-if __name__ == "__main__":
-    run_command(main)

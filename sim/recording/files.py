@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-from models.common import interrupt
 from models.common.checks import AT_LEAST_ONE, Must
 from models.common.errors import InputError
 from models.common.files import made_folder
@@ -66,8 +65,7 @@ def record(
             from sim.recording.rerun_writer import write_rrd
 
             write_rrd(written["rerun"], runs, metadata)
-            with interrupt.uninterrupted():
-                return _published(written, folder, stem)
+            return _published(written, folder, stem)
     except OSError as error:
         raise _not_writable(folder, error) from error
 

@@ -1,5 +1,10 @@
 """`python -m sim.report`: everything about a vehicle file and its controllers on one page that can be mailed."""
 
+if __name__ == "__main__":
+    from models.common.cli import run
+
+    run("sim.report.__main__")
+
 import argparse
 import datetime
 import json
@@ -12,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from models.common.command import Parser, chosen_of, run_command
+from models.common.command import Parser, chosen_of
 from models.common.errors import InputError
 from models.common.printed import Stages, Whole, say, some_sentences
 from models.vehicle.names import PLUS, without_copies
@@ -339,7 +344,3 @@ def _others(page: "Page", folder: Path) -> list[str]:
         if path.suffix.lower() in (".csv", ".svg", ".png") and not path.name.startswith(".")
     }
     return sorted(there - own)
-
-
-if __name__ == "__main__":
-    run_command(main)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError
-from models.common.interrupt import Parts, uninterrupted
 from models.common.printed import Stages, Whole, on_a_screen, say, table, titled
 from models.figures.outputs import check_outputs, written_lines
 from models.vehicle.vehicle import Vehicle
@@ -29,7 +28,6 @@ from synth.command.table import (
     undamped,
     verdict_lines,
 )
-from synth.controller.controller import InterruptedDesign
 from synth.controller.law_margins import law_margins, names_of_warnings, warning_lines
 from synth.controller.problem import measurements
 from synth.controller.report import (
@@ -71,7 +69,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         asked = [name for name in names if _designs(vehicle, name, options)]
         ahead = [name for name in asked if name in vehicle.controllers and vehicle.controllers[name].preview]
         check_save(options.save, vehicle, [name for name in asked if name not in ahead] or asked)
-    designer, parts = Designer(vehicle), Parts()
+    designer = Designer(vehicle)
     stage = Stages(*(f"controller {name}" for name in names), FREE)
     if options.check:
         from synth.command.check import check
@@ -79,120 +77,102 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         rows = check(designer, options.controller)
     else:
         rows = []
-        with parts.part("designs"):
-            for name in names:
-                stage(f"controller {name}")
-                try:
-                    rows.append(_row(designer, name, options, stage))
-                except InterruptedDesign as stopped:
-                    rows.append(_built(vehicle, _kept(designer, stopped)))
+        for name in names:
+            stage(f"controller {name}")
+            try:
+                rows.append(_row(designer, name, options, stage))
+            except InputError as error:  # of one section, which hides no other
+                if len(names) == 1:
                     raise
-                except InputError as error:  # of one section, which hides no other
-                    if len(names) == 1:
-                        raise
-                    rows.append(Row(name, None, (), (str(error),)))
-                rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
-    if parts.cut and not rows:
-        raise KeyboardInterrupt
-    if (
-        options.cross_check
-        and not parts.cut
-        and not any(row.witness for row in rows)
-        and not any(row.controller is None for row in rows)
-    ):
+                rows.append(Row(name, None, (), (str(error),)))
+            rows[-1] = _bounded(designer, _built(vehicle, rows[-1]))
+    if options.cross_check and not any(row.witness or row.controller is None for row in rows):
         raise InputError(
             "--cross-check has nothing to solve: no controller asked for comes from an LMI problem without filters; ask for one"
         )
-    if options.fragility and not parts.cut:
+    if options.fragility:
         from synth.command.fragility import fragility_report
 
-        with parts.part("fragility"):
-            for i, row in enumerate(rows):
-                rows[i] = replace(row, fragile=fragility_report(vehicle, row.controller))
+        rows = [replace(row, fragile=fragility_report(vehicle, row.controller)) for row in rows]
     stage(FREE)
-    moved = {}
-    with parts.part("what else is said"):
-        moved = {} if options.check or parts.cut else _flatness(designer, rows)
-    with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
-        rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
-        rows = [replace(row, margins=law_margins(vehicle, row.controller)) if row.controller is not None else row for row in rows]
-        passive = expected_ride(vehicle, designer.design("passive"))
-        designs = [row.controller for row in rows if row.controller is not None]
-        saved = bool(options.save) and not (parts.cut and not any(each.designed and each.measured for each in designs))
-        if saved:
-            from synth.command.save import save
+    moved = {} if options.check else _flatness(designer, rows)
+    rows = [replace(row, ride=expected_ride(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+    rows = [replace(row, margins=law_margins(vehicle, row.controller)) if row.controller is not None else row for row in rows]
+    passive = expected_ride(vehicle, designer.design("passive"))
+    designs = [row.controller for row in rows if row.controller is not None]
+    saved = bool(options.save)
+    if saved:
+        from synth.command.save import save
 
-            save(options.save, vehicle, designs, {row.name: row.sampled_below for row in rows})
-        drawn = bool(options.picture) and _drawn(vehicle, rows, options.picture)
-        limit = designer.beyond_control
-        stage.end()
-        if options.json:
-            result = {
-                "vehicle": vehicle.kind.name,
-                "controllers": [row_object(row) for row in rows],
-                "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
-                "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": "m/s2", "passive": passive},
-                "flat": {"gamma": FLAT, "gain_down_up": moved},
-                "saved": str(options.save) if saved else None,
-                **({"picture": str(options.picture) if drawn else None} if options.picture else {}),
-            }
-            print(json.dumps(result, allow_nan=False))
+        save(options.save, vehicle, designs, {row.name: row.sampled_below for row in rows})
+    drawn = bool(options.picture) and _drawn(vehicle, rows, options.picture)
+    limit = designer.beyond_control
+    stage.end()
+    if options.json:
+        result = {
+            "vehicle": vehicle.kind.name,
+            "controllers": [row_object(row) for row in rows],
+            "invariant_limit": {"norm": limit.gamma, "frequency": limit.limit_at} if limit.gamma else None,
+            "expected_ride": {"road_class": ROAD_CLASS, "speed": SPEED, "unit": "m/s2", "passive": passive},
+            "flat": {"gamma": FLAT, "gain_down_up": moved},
+            "saved": str(options.save) if saved else None,
+            **({"picture": str(options.picture) if drawn else None} if options.picture else {}),
+        }
+        print(json.dumps(result, allow_nan=False))
+    else:
+        lines = titled(vehicle.kind.name, vehicle.source)
+        full, asked = options.verbose, bool(options.given & ASKED)
+        promised = any(row.controller is not None and row.controller.specifications for row in rows)
+        if asked and len(rows) > 1 and not full:
+            lines += answer_lines(rows, checked=bool(options.check))
         else:
-            lines = titled(vehicle.kind.name, vehicle.source)
-            full, asked = options.verbose, bool(options.given & ASKED)
-            promised = any(row.controller is not None and row.controller.specifications for row in rows)
-            if asked and len(rows) > 1 and not full:
-                lines += answer_lines(rows, checked=bool(options.check))
-            else:
-                for row in rows:
-                    lines += (
-                        ["", *detail_lines(row, vehicle)]
-                        if full
-                        else short_lines(row, gains=not promised, checked=bool(options.check))
-                    )
-            margins = {row.name: row.margins for row in rows if row.margins is not None} if not (full or asked) else {}
-            warnings, before = warning_lines(margins), lines
-            lines = []
-            if options.fragility and not full:
-                from synth.command.fragility import short_lines as fragile_lines
+            for row in rows:
+                lines += (
+                    ["", *detail_lines(row, vehicle)]
+                    if full
+                    else short_lines(row, gains=not promised, checked=bool(options.check))
+                )
+        margins = {row.name: row.margins for row in rows if row.margins is not None} if not (full or asked) else {}
+        warnings, before = warning_lines(margins), lines
+        lines = []
+        if options.fragility and not full:
+            from synth.command.fragility import short_lines as fragile_lines
 
-                lines += fragile_lines({row.name: row.fragile for row in rows if row.fragile is not None})
-            lines += [*([""] if full else []), _limit(limit, designer.plant)]
-            if moved and full:
-                of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
-                share = f"{100 * FLAT:g} % more of {of}"
-                lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
-                lines += table([(state, *_range(*values)) for state, values in moved.items()])
-            refined, limits = refine_lines(rows, options.vehicle, full) if full or not asked else [], lines
-            lines = []
-            if saved:
-                from synth.command.save import left_out_lines
+            lines += fragile_lines({row.name: row.fragile for row in rows if row.fragile is not None})
+        lines += [*([""] if full else []), _limit(limit, designer.plant)]
+        if moved and full:
+            of = "the ideal loop's gamma, which a sampled design is not for," if designer.vehicle.sampled else "gamma"
+            share = f"{100 * FLAT:g} % more of {of}"
+            lines.append(f"flat: for {share} the state feedback's largest gain on each state, by itself, may be")
+            lines += table([(state, *_range(*values)) for state, values in moved.items()])
+        refined, limits = refine_lines(rows, options.vehicle, full) if full or not asked else [], lines
+        lines = []
+        if saved:
+            from synth.command.save import left_out_lines
 
-                ahead = [one.name for one in designs if one.preview is not None]
-                lines += ["", "saved", Whole(f"  {options.save}"), *left_out_lines(ahead)]
-            if options.picture:
-                lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
-            about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
-            given = ", every force given" if vehicle.dampers else ""
-            rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given) if full or not asked else []
-            unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
-            shown = {
-                "gains": before,
-                "warnings": warnings,
-                "limit": limits,
-                "refine": refined,
-                "files and table": [*lines, "", *table_lines(rows)],
-                "about": about,
-                "rides": [*rides, *unnamed],
-                "more": [] if full else [MORE],
-                "verdict": ["", *verdict_lines(rows)],
-            }
-            if not full:
-                shorter = {"about": [], "more": [MORE_WITH_ABOUT]} if about else {}
-                shown = on_a_screen(shown, (shorter, {"refine": []}, {"warnings": names_of_warnings(margins)}, {"more": []}))
-            say([line for part in shown.values() for line in part])
-    if parts.cut:
-        raise KeyboardInterrupt
+            ahead = [one.name for one in designs if one.preview is not None]
+            lines += ["", "saved", Whole(f"  {options.save}"), *left_out_lines(ahead)]
+        if options.picture:
+            lines += written_lines({"picture": options.picture}) if drawn else ["", "no picture: no loop is stable"]
+        about = [*ideal_lines(vehicle, designs), *sampled_lines(vehicle), *filter_lines(vehicle), *twist_lines(vehicle)]
+        given = ", every force given" if vehicle.dampers else ""
+        rides = ride_lines(rows, passive, f"class {ROAD_CLASS}, {SPEED:g} m/s", given) if full or not asked else []
+        unnamed = [] if options.controller or options.check else semi_active_lines(vehicle)
+        shown = {
+            "gains": before,
+            "warnings": warnings,
+            "limit": limits,
+            "refine": refined,
+            "files and table": [*lines, "", *table_lines(rows)],
+            "about": about,
+            "rides": [*rides, *unnamed],
+            "more": [] if full else [MORE],
+            "verdict": ["", *verdict_lines(rows)],
+        }
+        if not full:
+            shorter = {"about": [], "more": [MORE_WITH_ABOUT]} if about else {}
+            shown = on_a_screen(shown, (shorter, {"refine": []}, {"warnings": names_of_warnings(margins)}, {"more": []}))
+        say([line for part in shown.values() for line in part])
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -201,13 +181,6 @@ def _designs(vehicle: Vehicle, name: str, options: Namespace) -> bool:
     if name == "passive":
         return False
     return options.refine or name == "state" or vehicle.controllers[name].law is None
-
-
-def _kept(designer: Designer, stopped: InterruptedDesign) -> Row:
-    """Returns the table row of a design that was interrupted."""
-    controller = designer.judged(stopped.controller)
-    notes_of = (*notes(controller), stopped.said)
-    return Row(controller.name, controller, notes_of, (*controller.certificate.failures, *controller.unmet_specifications))
 
 
 def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Row:
@@ -222,23 +195,20 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
         return Row(name, None, (), (str(error),))
     said: tuple[str, ...] = ()
     witness = None
-    try:
-        if options.prove:
-            from synth.command.check import proved
+    if options.prove:
+        from synth.command.check import proved
 
-            controller, said = proved(designer, controller)
-        failures = (*controller.certificate.failures, *controller.unmet_specifications)
-        if undamped(controller):  # of the vehicle alone nobody claims that it is damped
-            failures = tuple(each for each in failures if each != controller.certificate.stability.words)
-        if options.cross_check:
-            from synth.command.cross_check import cross_check
+        controller, said = proved(designer, controller)
+    failures = (*controller.certificate.failures, *controller.unmet_specifications)
+    if undamped(controller):  # of the vehicle alone nobody claims that it is damped
+        failures = tuple(each for each in failures if each != controller.certificate.stability.words)
+    if options.cross_check:
+        from synth.command.cross_check import cross_check
 
-            witness = cross_check(designer, controller, options.zero_l)
-            failures += witness.failures if witness is not None else ()
-        worth = designer.worth_refining(controller)
-        return Row(name, controller, (*notes(controller), *said), failures, worth, witness, answers=said)
-    except KeyboardInterrupt as error:
-        raise InterruptedDesign(controller, "interrupted: designed, and not all that was asked about it is known") from error
+        witness = cross_check(designer, controller, options.zero_l)
+        failures += witness.failures if witness is not None else ()
+    worth = designer.worth_refining(controller)
+    return Row(name, controller, (*notes(controller), *said), failures, worth, witness, answers=said)
 
 
 def _built(vehicle: Vehicle, row: Row) -> Row:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from models.common.command import one_chosen
 from models.common.errors import InputError
 from models.common.files import together
-from models.common.interrupt import uninterrupted
 from models.common.printed import Stages, Whole, say, titled, wrapped
 from models.figures.outputs import check_outputs, written, written_lines
 from models.figures.picture import write_picture
@@ -53,32 +52,29 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
         else:
             say([f"controller {name}", f"  NOT DESIGNED: {error}"])
         return 1
-    with uninterrupted(work_goes_on=True):  # it takes a moment, and all of the work is in it
-        numbers = _numbers(trade_off, options.point) if options.save else []
-        stage("the picture")
-        with together():
-            if options.picture:
-                write_picture(front_figure(trade_off), options.picture)
-            if options.csv:
-                write_csv(trade_off, options.csv)
-            if options.save:
-                save(
-                    options.save,
-                    vehicle,
-                    [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers],
-                )
-        stage.end()
-        saved = str(options.save) if options.save else None
-        if options.json:
-            result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
-            print(json.dumps(result, allow_nan=False))
-        else:
-            shown = ["", *front_lines(trade_off)] if options.verbose else short_lines(trade_off)
-            lines = [*titled(vehicle.kind.name, vehicle.source), *shown, *written_lines(outputs)]
-            lines += ["", "saved", Whole(f"  {saved}")] if saved else []
-            say([*lines, "", *(part for line in sentences(trade_off) for part in wrapped(line, hang=4))])
-    if trade_off.interrupted:
-        raise KeyboardInterrupt
+    numbers = _numbers(trade_off, options.point) if options.save else []
+    stage("the picture")
+    with together():
+        if options.picture:
+            write_picture(front_figure(trade_off), options.picture)
+        if options.csv:
+            write_csv(trade_off, options.csv)
+        if options.save:
+            save(
+                options.save,
+                vehicle,
+                [replace(trade_off.points[i - 1].controller, name=f"{name}_{SAVED}_{i}") for i in numbers],
+            )
+    stage.end()
+    saved = str(options.save) if options.save else None
+    if options.json:
+        result = {"vehicle": vehicle.kind.name, **front_object(trade_off), **written(outputs), "saved": saved}
+        print(json.dumps(result, allow_nan=False))
+    else:
+        shown = ["", *front_lines(trade_off)] if options.verbose else short_lines(trade_off)
+        lines = [*titled(vehicle.kind.name, vehicle.source), *shown, *written_lines(outputs)]
+        lines += ["", "saved", Whole(f"  {saved}")] if saved else []
+        say([*lines, "", *(part for line in sentences(trade_off) for part in wrapped(line, hang=4))])
     return 1 if trade_off.unproved else 0
 
 

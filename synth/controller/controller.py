@@ -266,19 +266,6 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
         )
 
 
-class InterruptedDesign(KeyboardInterrupt):
-    """Ctrl-C during a design, with the controller found so far.
-
-    Attributes:
-        controller: certified.
-        said: how it differs from the finished design.
-    """
-
-    def __init__(self, controller: Controller, said: str) -> None:
-        super().__init__()
-        self.controller, self.said = controller, said
-
-
 def verify_record(posed: Problem, entry: ControllerEntry) -> tuple[Certificate, tuple[str, ...]]:
     """Recomputes the certificate of a law from the given proofs. Returns it with the claims that fail, in words.
 

@@ -16,7 +16,7 @@ from models.vehicle.controllers import NOMINAL, ControllerEntry, DesignCondition
 from models.vehicle.vehicle import Vehicle
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound, SampledBound
-from synth.controller.controller import Controller, InterruptedDesign, certify_law, on_readings, verify_record
+from synth.controller.controller import Controller, certify_law, on_readings, verify_record
 from synth.controller.problem import Problem, generalized_plant, plant_states, problem
 from synth.controller.report import false_norm, norm_if_implemented, remaining_false_claims
 from synth.design.fallback import two_steps_or_descent
@@ -303,30 +303,19 @@ class Designer:
     def _named(
         self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]
     ) -> Controller:
-        """Returns a controller that is designed in another way than by two steps.
-
-        Raises:
-            InterruptedDesign: by Ctrl-C, with the best law of fewer states.
-        """
-        fewer: list[Controller] = []
+        """Returns a controller that is designed in another way than by two steps."""
 
         def on_found(law: LinearLaw) -> None:
             from synth.analysis.bounding import certify_tightly
 
             law = law if by_force else on_readings(law, posed)
             certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
-            fewer[:] = [Controller(entry.name, entry.measured, law, True, certificate, hardware=entry.hardware)]
             on_progress(certificate.norm.value, True)
 
         by_force = entry.structure is not None and entry.structure.rows is not None
-        try:
-            if by_force and entry.structure is not None:
-                return self._structured(entry, entry.structure, posed, lower_bound, on_found)
-            return self._on_states(entry, posed, lower_bound, on_found)
-        except KeyboardInterrupt as error:
-            if not fewer:
-                raise
-            raise InterruptedDesign(fewer[0], "interrupted: the best law of fewer states until then") from error
+        if by_force and entry.structure is not None:
+            return self._structured(entry, entry.structure, posed, lower_bound, on_found)
+        return self._on_states(entry, posed, lower_bound, on_found)
 
     def _on_states(
         self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_found: Callable[[LinearLaw], None]

@@ -18,9 +18,9 @@ from synth.analysis.bounding import certify_tightly
 from synth.analysis.certificate import Certificate
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import Specification
-from synth.controller.controller import Controller, InterruptedDesign
+from synth.controller.controller import Controller
 from synth.controller.problem import Problem, measurements, problem
-from synth.design.multi_objective.design import InterruptedSearch, MultiObjectiveDesign, improved_goal
+from synth.design.multi_objective.design import MultiObjectiveDesign, improved_goal
 from synth.design.multi_objective.objectives import BoundedSignal
 from synth.design.multi_objective.plant_goals import norms_of, posed_goals
 from synth.design.multi_objective.problem import FamilyMember, MeasuredPlant, MultiObjectiveProblem
@@ -181,28 +181,14 @@ def goals_design(
 
     Raises:
         DesignError: no controller was found.
-        InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
     problem = goal_problem(vehicle, entry, goals)
     # Said of every family, minimised where that is asked for.
     bests = with_individual_optima(problem) if goals.family else problem
-    stopped = ""
-    try:
-        design = run_search(bests if goals.over == REGRET else problem, on_progress)
-    except InterruptedSearch as error:
-        design, stopped = error.incumbent, "interrupted: the best within all bounds until then"
-    try:
-        controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
-    except KeyboardInterrupt as error:
-        controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design, judged=False)
-        raise InterruptedDesign(controller, "interrupted: of its promises none is proved") from error
-    if stopped:
-        raise InterruptedDesign(controller, stopped)
-    try:
-        cost = () if goals.structure is None else cost_of_structure(problem, design, on_progress)
-        return replace(controller, remarks=(*controller.remarks, *cost))
-    except KeyboardInterrupt as error:
-        raise InterruptedDesign(controller, "interrupted: what its structure costs is not known") from error
+    design = run_search(bests if goals.over == REGRET else problem, on_progress)
+    controller = _controller(vehicle, entry, goals, posed, lower_bound, bests, design)
+    cost = () if goals.structure is None else cost_of_structure(problem, design, on_progress)
+    return replace(controller, remarks=(*controller.remarks, *cost))
 
 
 def _controller(
@@ -213,9 +199,8 @@ def _controller(
     lower_bound: LowerBound,
     problem: MultiObjectiveProblem,
     design: MultiObjectiveDesign,
-    judged: bool = True,
 ) -> Controller:
-    """The controller of a gain, certified, with what it keeps where that is judged."""
+    """Returns the controller of a gain, certified, with the specifications that it keeps."""
     law = static_law(design.gain)
     certificate = certify_tightly(*posed.closed_loop(law), lower_bound, by_itself=posed.plant)
     return Controller(
@@ -226,7 +211,7 @@ def _controller(
         certificate=certificate,
         remarks=(*remarks(design), *_beside(goals, certificate)),
         hardware=entry.hardware,
-        specifications=Verification(vehicle, entry, goals, problem, design.gain).promises() if judged else (),
+        specifications=Verification(vehicle, entry, goals, problem, design.gain).promises(),
     )
 
 

@@ -22,7 +22,7 @@ from models.vehicle.weighted_errors import WeightedErrors
 from synth.analysis.bounding import certify_tightly
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.specification import ROBUST_PERFORMANCE, ROBUST_STABILITY, Specification, digits
-from synth.controller.controller import Controller, InterruptedDesign, on_readings
+from synth.controller.controller import Controller, on_readings
 from synth.controller.problem import generalized_plant, plant_states
 from synth.design.full_order.by_name import named_design
 from synth.design.uncertainty.robust_design import Design, RobustDesign, robust_design
@@ -78,9 +78,6 @@ def robust_controller(
     Args:
         nominal: the one for the norm; it is returned if no other is better.
         on_progress: called with the robust performance so far, and True.
-
-    Raises:
-        InterruptedDesign: by Ctrl-C, with the best so far.
     """
     assert entry.errors is not None, "it has weights"
     posed = nominal.problem(vehicle)
@@ -113,12 +110,9 @@ def robust_controller(
             best[:] = [found]
         on_progress(found.gamma, True)
 
-    try:
-        full = robust_design(structured, designs(FULL, None), first, on_turn)
-        if entry.structure is not None:
-            robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
-    except KeyboardInterrupt as error:
-        raise InterruptedDesign(with_law(best[0]), "interrupted: the best robust performance until then") from error
+    full = robust_design(structured, designs(FULL, None), first, on_turn)
+    if entry.structure is not None:
+        robust_design(structured, designs("order", entry.structure), first, on_turn, full.law)
     return with_law(best[0])
 
 

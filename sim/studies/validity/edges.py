@@ -45,7 +45,7 @@ def edges(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> tuple[s
     """
     along, *others = sorted(axes, key=lambda axis: axis.name != "height")
     lines: dict[float, list[int]] = {}
-    for i in np.flatnonzero(cells.done).tolist():
+    for i in range(len(cells.bumps)):
         lines.setdefault(getattr(cells.bumps[i], others[0].name) if others else 0.0, []).append(i)
     found = []
     for value, mine in sorted(lines.items()):
@@ -113,7 +113,7 @@ def _part(part: tuple[str, float, float], unit: str, first: bool) -> str:
 def travel_line(vehicle: Vehicle, cells: Cells) -> list[str]:
     """Returns a line on how far a suspension without bump stops moves where nothing breaks; empty if every one has stops."""
     suspensions = vehicle.kind.suspensions
-    whole = cells.travel[cells.done & (cells.first < 0)]
+    whole = cells.travel[cells.first < 0]
     if not len(whole) or len(vehicle.limits.stops(suspensions)) == len(suspensions):
         return []
     return [f"no bump stops in the file: where nothing breaks a suspension moves up to {1e3 * whole.max():.3g} mm"]

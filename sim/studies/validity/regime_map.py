@@ -35,17 +35,16 @@ from synth.controller.controller import Controller, has_anti_windup
 from synth.controller.open_loop import LoopModel
 
 ENOUGH = 0.99  # of the cells have to break as predicted; the others lie at a boundary
-MOST_AT_ONCE = 64  # runs in a batch: more hardly save time, and an interruption loses the batches at work
+MOST_AT_ONCE = 64  # runs in a batch: more hardly save time
 EDGE = 0.01  # relative height; a cell whose prediction changes within that lies at a boundary
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of the map, N of them, in the order of their bumps. Of a run that did not happen all is NaN, or -1, or 0.
+    """Cells of the map, N of them, in the order of their bumps.
 
     Attributes:
         bumps: one per cell.
-        done: whether it was run, shape (N,).
         error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
         first: what broke first in physics, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,).
         time: when [s], infinite for never, shape (N,).
@@ -60,7 +59,6 @@ class Cells:
     """
 
     bumps: tuple[Bump, ...]
-    done: Array
     error: Array
     first: Array
     time: Array
@@ -73,14 +71,13 @@ class Cells:
     travel: Array
 
     def counted(self, noun: str) -> str:
-        """Describes the number of cells that were run, and of those requested if that is more."""
-        done, wanted = int(self.done.sum()), len(self.bumps)
-        return f"{done} {noun}" if done == wanted else f"{done} {noun} (of {wanted} asked)"
+        """Describes the number of cells."""
+        return f"{len(self.bumps)} {noun}"
 
     @property
     def short(self) -> str:
         """Describes the share of missing force of adjustable dampers; empty if no force is missing."""
-        some = self.missing[self.done & (self.missing > 0)]
+        some = self.missing[self.missing > 0]
         if not len(some):
             return ""
         least, most = (percent(float(share)) for share in (some.min(), some.max()))
@@ -90,34 +87,22 @@ class Cells:
     @property
     def agrees(self) -> Array:
         """Returns True for cells whose first event in physics is the predicted one, shape (N,)."""
-        return self.done & (self.first == self.predicted)
+        return self.first == self.predicted
 
     @property
     def agreement(self) -> float:
-        """Share of the cells run whose prediction was right."""
-        return float(self.agrees.sum() / max(self.done.sum(), 1))
+        """Share of the cells whose prediction was right."""
+        return float(self.agrees.mean())
 
     @property
     def unexplained(self) -> int:
         """Cells whose prediction was wrong though they lie at no boundary."""
-        return int(np.sum(self.done & ~self.agrees & ~self.edge))
+        return int(np.sum(~self.agrees & ~self.edge))
 
     @property
     def as_predicted(self) -> bool:
         """Returns True if the first event is the predicted one in all but a few cells, and those are at a boundary."""
         return self.agreement >= ENOUGH and not self.unexplained
-
-
-class InterruptedMap(KeyboardInterrupt):
-    """Ctrl-C, with what was done before it.
-
-    Attributes:
-        cells: all, those that were not run among them.
-    """
-
-    def __init__(self, cells: Cells) -> None:
-        super().__init__()
-        self.cells = cells
 
 
 def validity(
@@ -137,9 +122,6 @@ def validity(
         progress: is told how many cells are done.
         loads: on the body over every one of them.
         foretold: whether anybody asks what is predicted of each, which with curves or loads is dear; else nothing is.
-
-    Raises:
-        Interrupted: Ctrl-C came before the last cell was done.
     """
     # One linear response serves all heights, so they lie side by side. Every core has batches as many and as large as the others,
     # unless a thread would have too few runs.
@@ -150,21 +132,13 @@ def validity(
     chunks = [chunk for chunk in np.array_split(order, batches) if len(chunk)]
     pieces = [functools.partial(_run, vehicle, controller, [bumps[i] for i in chunk], time, loads, foretold) for chunk in chunks]
     parts: list[Cells | None] = [None] * len(chunks)
-    try:
-        with closing(side_by_side(pieces, cores())) as results:
-            for number, part in results:
-                parts[number] = part
-                progress(sum(len(part.bumps) for part in parts if part is not None))
-    except KeyboardInterrupt:
-        pass
-    complete = None not in parts
-    parts = [part or _not_run([bumps[i] for i in chunk]) for part, chunk in zip(parts, chunks, strict=True)]
+    with closing(side_by_side(pieces, cores())) as results:
+        for number, part in results:
+            parts[number] = part
+            progress(sum(len(part.bumps) for part in parts if part is not None))
     back = np.argsort(order)
     arrays = [name for name in Cells.__dataclass_fields__ if name != "bumps"]
-    cells = Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
-    if not complete:
-        raise InterruptedMap(cells)
-    return cells
+    return Cells(tuple(bumps), **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays})
 
 
 @np.errstate(over="ignore", invalid="ignore")  # an unstable loop overflows; its cells say so
@@ -234,7 +208,6 @@ def _run(
     broken = first < diverged
     return Cells(
         bumps=tuple(bumps),
-        done=np.ones(count, dtype=bool),
         error=np.where(np.isfinite(diverged), np.inf, error),
         first=np.where(broken, first_end(reached), -1),
         time=np.where(broken, first, np.inf),
@@ -296,10 +269,3 @@ def _switched(controller: Controller, inputs: Sequence[RoadInput]) -> Response:
 def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
     """A bump, with loads on the body where there are some."""
     return RoadWithLoads(bump, loads) if loads else bump
-
-
-def _not_run(bumps: Sequence[Bump]) -> Cells:
-    count = len(bumps)
-    unknown, nothing, no = np.full(count, np.nan), np.full(count, -1), np.zeros(count, dtype=bool)
-    zeros = np.zeros((count, len(END_NAMES)))
-    return Cells(tuple(bumps), no, unknown, nothing, unknown, nothing, unknown, zeros, no, no, unknown, unknown)

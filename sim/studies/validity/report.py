@@ -23,35 +23,33 @@ from synth.controller.report import built_words
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """Writes a row per cell that was run, in SI units; events that never happen are left empty, and each row says if the map is
-    complete.
-    """
+    """Writes a row per cell, in SI units; events that never happen are left empty."""
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        complete = bool(cells.done.all())
         columns = ("error", "holds", "broke_first", "at", "predicted", "predicted_at", "agrees")
         dampers = ("missing_force",) if np.isfinite(cells.missing).any() else ()
         shares = (f"linear_share_of_{name}" for name in names)
         writer.writerow([*UNITS, *columns, *shares, *dampers, "map_complete"])
-        for i in np.flatnonzero(cells.done):
-            bump, row = cells.bumps[i], _cell(cells, int(i), threshold)
+        for i, bump in enumerate(cells.bumps):
+            row = _cell(cells, i, threshold)
             of_cell = [bump.height, bump.length, bump.speed, *(row[name] for name in columns), *cells.used[i].tolist()]
-            writer.writerow([*of_cell, *(row[name] for name in dampers), complete])
+            writer.writerow([*of_cell, *(row[name] for name in dampers), True])
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
     """The map as JSON has it: SI units, None for what never happens."""
-    done = np.flatnonzero(cells.done)
     return {
         "controller": controller,
         "axes": {axis.name: list(axis.values) for axis in axes},
         "threshold": threshold,
         "agreement": cells.agreement,
         "unexplained": cells.unexplained,
-        "done": len(done),
-        "complete": len(done) == len(cells.bumps),
-        "cells": [{name: getattr(cells.bumps[i], name) for name in UNITS} | _cell(cells, int(i), threshold) for i in done],
+        "done": len(cells.bumps),
+        "complete": True,
+        "cells": [
+            {name: getattr(bump, name) for name in UNITS} | _cell(cells, i, threshold) for i, bump in enumerate(cells.bumps)
+        ],
     }
 
 
@@ -87,26 +85,22 @@ def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 
 def envelope_lines(cells: Cells, threshold: float) -> list[str]:
     """Returns a map in lines for a terminal."""
-    done = cells.done
-    that = "" if done.all() else " that were run"
 
     def share(which: Array) -> str:
-        return f"{100 * which[done].mean():5.1f} % of the cells{that}" if done.any() else "-"
+        return f"{100 * which.mean():5.1f} % of the cells"
 
     lines = ["how far MuJoCo is from linear analysis:"]
     lines.append(f"  {share(cells.error <= threshold)}: linear analysis holds to {threshold:g} of every peak")
     lines += ["", "what breaks first in MuJoCo, or ends the linear regime:", f"  {share(cells.first < 0)}: nothing breaks"]
-    lines += [
-        f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first[done] == i)
-    ]
-    if np.any(cells.first[done] == END_NAMES.index(CURVE.name)):
+    lines += [f"  {share(cells.first == i)}: {end} comes first" for i, end in enumerate(END_NAMES) if np.any(cells.first == i)]
+    if np.any(cells.first == END_NAMES.index(CURVE.name)):
         lines.append(f"  curve: a damper's or spring's force is off its line at rest by {100 * LEAVES:g} % of its largest")
     if cells.ran_away.any():
         lines.append(f"  {share(cells.ran_away)}: the law's own states run away until it asks for no finite force")
     if cells.short:
         lines.append(f"  {cells.short}, so that linear analysis holds at no height;")
         lines.append("  what comes first ends the analysis with its adjustable dampers, which goes on without that force")
-    count = int(done.sum()) - round(cells.agreement * int(done.sum()))
+    count = len(cells.bumps) - round(cells.agreement * len(cells.bumps))
     others = f"; of the other {count}, {cells.unexplained or 'none'} lies away from a boundary" if count else ""
     lines.append(
         f"{'agrees' if cells.as_predicted else 'DOES NOT AGREE'}: {100 * cells.agreement:.2f} % of {cells.counted('cells')} "
@@ -116,7 +110,7 @@ def envelope_lines(cells: Cells, threshold: float) -> list[str]:
 
 
 LABELS = {"height": "bump height [m]", "length": "bump length [m]", "speed": "speed [m/s]"}
-NOTHING, UNKNOWN = "#dcefdc", "#ffffff"
+NOTHING = "#dcefdc"
 RUNS: tuple[tuple[bool, str, Marker, str], ...] = (
     (False, GREEN, "o", "MuJoCo: nothing breaks"),
     (True, VERMILLION, "x", "MuJoCo: it ends"),
@@ -156,25 +150,24 @@ def envelope_figure(
         return values.reshape(shape).T if turned else values.reshape(shape)
 
     x, y = np.array(horizontal.values), np.array(vertical.values)
-    broke = np.where(cells.done, cells.first, -2)
-    colors = (UNKNOWN, NOTHING, *(end.color for end in REGIME_ENDS))
+    colors = (NOTHING, *(end.color for end in REGIME_ENDS))
     first = (f"{end.name} breaks first{_at(vehicle, end)}" for end in REGIME_ENDS)
     nothing = "nothing breaks: the regime is linear" if not cells.short else "nothing breaks; its dampers are short of force"
-    ground = Classes(x, y, plane(broke + 2), colors, ("", nothing, *first))
+    ground = Classes(x, y, plane(cells.first + 1), colors, (nothing, *first))
 
     curves = []
 
-    used = plane(np.where(cells.done, cells.used.max(axis=-1), np.nan))
+    used = plane(cells.used.max(axis=-1))
     if np.nanmin(used) < 1 < np.nanmax(used):
         whose = "from its response with dampers" if cells.short else "from one linear run"
         whose = "from responses with its curves" if vehicle.is_curved else whose
         whose = whose.replace("one linear run", "linear runs") + " under the loads" if loads else whose
         curves.append(Curve(*level(x, y, np.log(used), 0.0), f"predicted end, {whose}", "#000000", width=1.8))
-    error = plane(np.where(cells.done, np.clip(cells.error, threshold / 10, 10 * threshold), np.nan))
+    error = plane(np.clip(cells.error, threshold / 10, 10 * threshold))
     if np.nanmin(error) < threshold < np.nanmax(error):
         text = f"linear prediction off by {100 * threshold:g} % of a peak"
         curves.append(Curve(*level(x, y, np.log(error), float(np.log(threshold))), text, VERMILLION, "dash", width=1.6))
-    wrong = cells.done & ~cells.agrees
+    wrong = ~cells.agrees
     if np.any(wrong):
         row, column = np.nonzero(plane(wrong))
         curves.append(Curve(x[column], y[row], "another end than predicted", "#000000", "none", "x"))
@@ -196,15 +189,14 @@ def _title(vehicle: Vehicle, controller: Controller, cells: Cells, rest: str) ->
 
 
 def _figure(controller: Controller, cells: Cells, title: str, panel: Panel, threshold: float) -> Figure:
-    holds = float(np.mean(cells.error[cells.done] <= threshold)) if cells.done.any() else 0.0
+    holds = float(np.mean(cells.error <= threshold))
     finding = f"With {as_name(controller.name)} linear analysis holds for {percent(holds)} of these bumps."
     return Figure("envelope", title, (panel,), columns=1, size=(9.0, 5.2), finding=finding)
 
 
 def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: str, threshold: float) -> Figure:
     """Draws the way to each end along one axis by the linear response, and what MuJoCo's runs made of it."""
-    done, x = cells.done, np.array(axis.values)
-    used = np.where(done[:, None], cells.used, np.nan)
+    x, used = np.array(axis.values), cells.used
     curves = [
         Curve(x, used[:, i], f"{end.name}, linear analysis", end.color, width=1.8)
         for i, end in enumerate(REGIME_ENDS)
@@ -212,7 +204,7 @@ def _line_figure(controller: Controller, cells: Cells, axis: GridAxis, title: st
     ]
     curves.append(Curve(x[[0, -1]], np.ones(2), "the linear regime ends", "#000000", "dash", width=1.0))
     for broke, color, marker, label in RUNS:
-        mine = done & ((cells.first >= 0) == broke)
+        mine = (cells.first >= 0) == broke
         curves.append(Curve(x[mine], used[mine].max(axis=-1, initial=0.0), label, color, "none", marker))
     panel = Panel("", LABELS[axis.name], "share of the way to an end", tuple(curves))
     return _figure(controller, cells, title, panel, threshold)

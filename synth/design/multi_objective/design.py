@@ -57,18 +57,6 @@ class MultiObjectiveDesign:
         return tuple(members)
 
 
-class InterruptedSearch(KeyboardInterrupt):
-    """Ctrl-C during a search, with the best design so far within all bounds.
-
-    Attributes:
-        incumbent: design found so far.
-    """
-
-    def __init__(self, best: MultiObjectiveDesign) -> None:
-        super().__init__()
-        self.incumbent = best
-
-
 def no_progress(goal: float, within: bool) -> None:
     """Ignores what a search has reached."""
 
@@ -117,16 +105,7 @@ def multi_objective_design(
     for i, start in enumerate(starts := list(starts)):
         check_shape(f"starts[{i}]", np.asarray(start), problem.shape, "as the structure has")
     search = MinimaxSearch(problem, on_progress)
-    try:
-        x, evaluation, refused = search.result(starts, otherwise)
-    except KeyboardInterrupt as error:
-        kept = search.interrupted()
-        if kept is None:
-            raise
-        x, evaluation = kept
-        raise InterruptedSearch(
-            MultiObjectiveDesign(search.full.gain(x), evaluation.goal, None, tuple(search.active_errors), problem)
-        ) from error
+    x, evaluation, refused = search.result(starts, otherwise)
     return MultiObjectiveDesign(search.full.gain(x), evaluation.goal, refused, tuple(search.active_errors), problem)
 
 

@@ -150,13 +150,6 @@ class MinimaxSearch:
         self.minimax.bounds += [decay(self.problem, term.landscape, self.rate) for term in self.norms()]
         self.incumbent = None  # the stored point may decay more slowly
 
-    def interrupted(self) -> tuple[Array, Evaluation] | None:
-        """Returns the best feasible point that no error found so far destabilises, or None."""
-        for x in (self.incumbent[0] if self.incumbent is not None else None, self.safe_point):
-            if x is not None and (evaluation := self.minimax.evaluate(x)).within and not self.worst.unstable(self.full.gain(x)):
-                return x, evaluation
-        return None
-
     def evaluate(self, x: Array) -> Evaluation:
         """Returns the evaluation of a point, and stores the point if it is the best within all bounds."""
         evaluation = self.minimax.evaluate(x)

@@ -9,7 +9,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError
-from models.common.interrupt import Parts, uninterrupted
 from models.laws.combinations import check_command
 from models.laws.goals import Goals, PeakBound
 from models.laws.linear import static_law
@@ -35,7 +34,6 @@ from synth.vehicle.verification import Verification
 DESIGNS = 200
 SLOWER = 0.1  # of the decay of the first start: what a design's slowest pole keeps, where no bound says
 MARKED = 9  # points that stand for all
-DESIGNING, CERTIFYING, BESIDE = "the designs", "their certificates", "what is shown beside them"  # parts of the work
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,6 @@ class Front:
         limits: of every two axes.
         tried: designs.
         unproved: those of them that were left out because a claim fails.
-        interrupted: what Ctrl-C cut short; empty for nothing.
     """
 
     vehicle: Vehicle
@@ -84,7 +81,6 @@ class Front:
     limits: tuple[LowerBoundCurve, ...]
     tried: int
     unproved: int
-    interrupted: str
 
     @property
     def values(self) -> Array:
@@ -117,62 +113,47 @@ def front(
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
         DesignError: none of its gains keeps its bounds.
-        KeyboardInterrupt: by Ctrl-C before a first design is certified; what is done by then is returned later on.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
     judged, posed = _judged(vehicle, entry), problem(vehicle, entry.measured, entry.hardware)
     below = designer.lower_bound(entry.measured, entry.hardware)
     swept: list[EvaluatedGain] = []
-    parts = Parts()
-    with parts.part(DESIGNING):
-        for i, unit in enumerate(rays(trace.ends(), count)):
-            swept.append(trace.step_along(unit))
-            on_progress(i + 1)
-    if not swept:
-        raise KeyboardInterrupt
+    for i, unit in enumerate(rays(trace.ends(), count)):
+        swept.append(trace.step_along(unit))
+        on_progress(i + 1)
     kept = [each for each in swept if each.excess <= 1e-9]
     kept = [each for each, best in zip(kept, undominated(np.array([each.values for each in kept])), strict=True) if best]
     points: list[Point] = []
     unproved = 0
-    with (
-        parts.part(CERTIFYING),
-        uninterrupted(work_goes_on=True),
-    ):  # a first Ctrl-C comes too late to keep less than an earlier one
-        for each in kept:
-            law = static_law(trace.gain(each))
-            certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
-            norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
-            promises = judged(law.D)
-            controller = Controller(
-                entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, specifications=promises
-            )
-            claims = certificate.bound is not None and not (certificate.failures or controller.unmet_specifications)
-            if claims and all(np.isfinite(norm.proved) for norm in norms):
-                points.append(Point(controller, norms))
-            else:
-                unproved += 1
-        parts.done(CERTIFYING)
-    if parts.cut and not points:
-        raise KeyboardInterrupt
+    for each in kept:
+        law = static_law(trace.gain(each))
+        certificate = certify_tightly(*posed.closed_loop(law), below, by_itself=posed.plant)
+        norms = tuple(norm_on(vehicle, axis, entry, law) for axis in axes)
+        promises = judged(law.D)
+        controller = Controller(
+            entry.name, entry.measured, law, True, certificate, hardware=entry.hardware, specifications=promises
+        )
+        claims = certificate.bound is not None and not (certificate.failures or controller.unmet_specifications)
+        if claims and all(np.isfinite(norm.proved) for norm in norms):
+            points.append(Point(controller, norms))
+        else:
+            unproved += 1
     best = undominated(np.array([point.values for point in points]))
     first = sorted((point for point, one in zip(points, best, strict=True) if one), key=lambda point: point.values)
     shown: list[Point] = []
     missing: dict[str, str] = {}
-    with parts.part(BESIDE):
-        for each_name, other in _others(designer, axes, others, entry.hardware.loads):
-            if isinstance(other, Point):
-                shown.append(other)
-            else:
-                missing[each_name] = other
+    for each_name, other in _others(designer, axes, others, entry.hardware.loads):
+        if isinstance(other, Point):
+            shown.append(other)
+        else:
+            missing[each_name] = other
     bounds = [no_bound(pair) for pair in combinations(range(len(axes)), 2)]
-    with parts.part(BESIDE):
-        for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
-            bounds[i] = limit
-    with parts.part(BESIDE):
-        for i, travel in _over_the_bump(vehicle, entry, first):
-            first[i] = replace(first[i], travel=travel)
-    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(swept), unproved, parts.cut)
+    for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
+        bounds[i] = limit
+    for i, travel in _over_the_bump(vehicle, entry, first):
+        first[i] = replace(first[i], travel=travel)
+    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(swept), unproved)
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:

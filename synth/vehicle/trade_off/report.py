@@ -10,12 +10,11 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.files import whole_file
-from models.common.interrupt import LATE
 from models.common.printed import Column, finite, json_object, table, wrapped
 from models.figures.figure import BLACK, BLUE, VERMILLION, Curve, Figure, Panel, styles
 from models.vehicle.names import without_copies
 from synth.controller.report import BOUND, NORM, judged_lines
-from synth.vehicle.trade_off.front import DESIGNING, AxisValue, Front, Point
+from synth.vehicle.trade_off.front import AxisValue, Front, Point
 from synth.vehicle.trade_off.lower_bound import LowerBoundCurve
 
 TRAVEL = Column[Point]("bump travel", lambda point: point.travel, "{:.4g} mm".format, 1e3, "bump_travel")
@@ -85,9 +84,6 @@ def sentences(front: Front) -> list[str]:
         if values
     )
     lines = [f"{len(front.points)} certified designs, none of which another beats in all: {ends}"]
-    if front.interrupted not in ("", LATE):
-        whole = f"after {front.tried} designs: the front" if front.interrupted == DESIGNING else f"at {front.interrupted}: that"
-        lines.append(f"interrupted {whole} is not whole")
     if front.unproved:
         lines.append(f"left out: {front.unproved} designs of which a claim could not be proved")
     by: dict[tuple[int, int], list[str]] = {}
@@ -125,7 +121,7 @@ def front_object(front: Front) -> dict[str, Any]:
         "loads": dict(front.points[0].controller.hardware.loads) if front.points else {},
         "designs": front.tried,
         "unproved": front.unproved,
-        "interrupted": bool(front.interrupted),
+        "interrupted": False,
     }
 
 
