@@ -43,13 +43,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         InputError: bad options, or the file exists or cannot be written.
     """
     options = parser().parse_args(arguments)
-    from models.common.files import TEXT, read_text, whole_file
+    from models.common.files import read_text, whole_file
     from models.common.printed import pasted_path
 
     path: Path = options.file
     if path.exists():
         raise InputError(f"{path} exists and is not replaced; give another name, or remove it")
-    text = read_text(TEMPLATES / f"{options.type}.toml", "template", TEXT, f"give one of {', '.join(TYPES)}")
+    text = read_text(TEMPLATES / f"{options.type}.toml", "template", f"give one of {', '.join(TYPES)}")
     with whole_file(path, "vehicle file") as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")
     if options.json:

@@ -193,7 +193,7 @@ def test_no_hidden_arrow():
     """No file imports by a name that it makes up as it runs, but the doors to kinds, public names and commands of our own."""
     by_name = {"import_module", "__import__", "spec_from_file_location", "run_module", "run_path"}
     hidden = {NAMES[path] for path in FILES if by_name & sources()[path.relative_to(ROOT).as_posix()].names}
-    assert hidden == {"models.vehicle.vehicle", "models.common.lazy", "sim.__main__"}
+    assert hidden == {"models.vehicle.vehicle", "models.common.lazy", "models.common.cli"}
 
 
 def test_public_names_are_for_others():
@@ -203,9 +203,9 @@ def test_public_names_are_for_others():
 
 
 def test_doors_for_code():
-    """Text becomes code only of kinds of vehicle and laws of the user's own; `interrupt` runs an empty one."""
+    """Text becomes code only of kinds of vehicle and laws of the user's own."""
     doors = {NAMES[path] for path in FILES if sources()[path.relative_to(ROOT).as_posix()].runs_text}
-    assert doors == {"models.laws.user_code", "models.kinds.user_kind", "models.laws.python_runtime", "models.common.interrupt"}
+    assert doors == {"models.laws.user_code", "models.kinds.user_kind", "models.laws.python_runtime"}
 
 
 def test_every_command_that_records_is_known_to_inspect():

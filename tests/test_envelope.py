@@ -34,8 +34,8 @@ from sim.runs.dampers import shortfalls
 from sim.runs.run import run_controllers
 from sim.studies.validity.edges import travel_line
 from sim.studies.validity.grid import grid, read_axes
-from sim.studies.validity.regime_map import InterruptedMap, validity
-from sim.studies.validity.report import envelope_figure, envelope_lines, write_csv
+from sim.studies.validity.regime_map import validity
+from sim.studies.validity.report import envelope_figure
 from synth.vehicle.designer import Designer
 from tests.analysed import sampled_response, simulate
 from tests.commands import once, prose
@@ -264,32 +264,6 @@ def test_ends_are_told_apart():
         [end.event for end in REGIME_ENDS if end.event],
     ):
         assert len(set(each)) == len(each)
-
-
-def test_interrupted(limited, designer, monkeypatch, tmp_path):
-    """Ctrl-C keeps what is done, whole batches of it, and no other is begun; text and CSV say that there was more."""
-    monkeypatch.setattr("sim.studies.validity.regime_map.MOST_AT_ONCE", 2)
-    monkeypatch.setattr("sim.studies.validity.regime_map.cores", lambda: 1)
-
-    def stop(done: int) -> None:
-        if done >= 4:
-            raise KeyboardInterrupt
-
-    bumps = grid(read_axes(["height:0.02:0.1:4", "speed:5:20:4"]), FIXED)
-    with pytest.raises(InterruptedMap) as interruption:
-        validity(limited, designer.design("I"), bumps, TIME, stop)
-    found = interruption.value.cells
-    done = int(found.done.sum())
-    lines = envelope_lines(found, 0.05)
-    assert f"% of {done} cells (of 16 asked) break as" in lines[-1]
-    assert all("cells that were run:" in line for line in lines[:-1] if line.startswith("  "))
-    write_csv(tmp_path / "map.csv", found, 0.05)
-    rows = list(csv.DictReader((tmp_path / "map.csv").open()))
-    assert [row["map_complete"] for row in rows] == ["False"] * done
-    order = found.done.reshape(4, 4).T.ravel()  # column by column of the map, two heights at a time
-    assert 4 <= order.sum() < 16  # on a busy machine another batch may be done before the interruption is heard
-    assert order.tolist() == sorted(order.tolist(), reverse=True)
-    assert np.all(np.isnan(found.error) == ~found.done)
 
 
 def test_command(capsys, tmp_path):

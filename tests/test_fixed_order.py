@@ -19,7 +19,6 @@ from synth.analysis.certificate import FASTEST
 from synth.analysis.lower_bound import LowerBound
 from synth.analysis.norm import hinf_norm
 from synth.command.table import Row, short_lines
-from synth.controller.controller import InterruptedDesign
 from synth.controller.report import pid_line, sign_note
 from synth.design.descent.landscape import Landscape
 from synth.design.feedback import design_feedback
@@ -407,22 +406,3 @@ def test_the_certificate_is_of_the_laws_own_loop():
     other: Any = designer.certify("mine", found.measured, found.law, found.hardware)
     assert found.certificate.failures == ()
     assert found.certificate.norm.value == pytest.approx(other.certificate.norm.value, rel=1e-9)  # two routes of a norm
-
-
-def test_an_interrupted_order_is_kept():
-    """Ctrl-C in a design of an order keeps the law of fewer states that was found until then, certified."""
-    section = 'measured = ["suspension_deflection", "sprung_velocity"]\norder = 2\nnoise = true'
-    designer = quarter_car(section, "[implementation]\nnoise = { sprung_velocity = 0.05 }")
-    reached: list[float] = []
-
-    def interrupt(norm: float, within: bool) -> None:
-        reached.append(norm)
-        raise KeyboardInterrupt
-
-    with pytest.raises(InterruptedDesign) as stopped:
-        designer.design("mine", on_progress=interrupt)
-    kept = stopped.value.controller
-    assert "fewer states" in stopped.value.said
-    assert kept.law.states < 2
-    assert kept.certificate.failures == ()
-    assert reached == [kept.certificate.norm.value]

@@ -1,13 +1,8 @@
 """`python -m synth --front`: designs of which none beats another in all, each certified, above a line that nobody crosses."""
 
 import csv
-import itertools
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -30,9 +25,9 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import weighing
 from synth.vehicle.trade_off.axes import FrontAxis, axes_of, norm_on
 from synth.vehicle.trade_off.continuation import rays, rays_of, undominated
-from synth.vehicle.trade_off.front import MARKED, Front, _limits, entry_of, front
+from synth.vehicle.trade_off.front import Front, _limits, entry_of, front
 from synth.vehicle.trade_off.report import front_figure, line
-from tests.commands import attacks, prose, wait_for_processor_time
+from tests.commands import attacks, prose
 from tests.shared import made
 
 COUNT, QUICK = 8, 5
@@ -256,134 +251,6 @@ def test_bounds_of_the_section_are_kept():
         assert [promise.at_most for promise in point.controller.specifications[1:]] == [8.63, -1.19]
         assert point.controller.certificate.norm.value <= 8.63
     assert "comfort" not in {one.controller.name for one in front.others}  # designs for goals take seconds
-
-
-@pytest.mark.attack
-def test_interrupted(quick, capsys, monkeypatch, tmp_path):
-    """By Ctrl-C the designs that there are are certified, written and said; before the first nothing is."""
-    true = synth.command.trade_off.front
-    path = tmp_path / "front.csv"
-
-    def stopped_after(number: int) -> None:
-        def told(done: int) -> None:
-            if done == number:
-                raise KeyboardInterrupt
-
-        def stopped(vehicle, name, axes, others, count, _):
-            return true(vehicle, name, axes, others, count, told)
-
-        monkeypatch.setattr(synth.command.trade_off, "front", stopped)
-
-    stopped_after(4)
-    with pytest.raises(KeyboardInterrupt):
-        main(["--front", "ride:travel", "--csv", str(path)])
-    assert "interrupted after 4 designs: the front is not whole" in prose(capsys.readouterr().out)
-    assert len(path.read_text().splitlines()) == 1 + 4 + 7  # with the seven others
-    path.unlink()
-
-    def at_once(*given):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("synth.vehicle.trade_off.front.rays", at_once)
-    with pytest.raises(KeyboardInterrupt):
-        main(["--front", "ride:travel", "--csv", str(path)])
-    assert not list(tmp_path.iterdir())
-
-
-LATER = {  # where Ctrl-C comes, at which call, and what it cuts short
-    "certify_tightly": (4, "their certificates"),
-    "norm_on": (7, "their certificates"),
-    "_limits": (1, "what is shown beside them"),
-    "peak_over_road": (3, "what is shown beside them"),
-}
-
-
-@pytest.mark.attack
-@pytest.mark.parametrize("where", ["norm_on", *attacks(("_limits", "certify_tightly", "peak_over_road"))])
-def test_interrupted_later(quick, capsys, monkeypatch, tmp_path, where):
-    """Wherever it comes after the search, what is certified by then is printed and written, and what is missing is said."""
-    path, (at, cut) = tmp_path / "front.csv", LATER[where]
-    true, calls = getattr(synth.vehicle.trade_off.front, where), itertools.count(1)
-
-    def stopped(*given, **options):
-        if next(calls) == at:
-            raise KeyboardInterrupt
-        return true(*given, **options)
-
-    monkeypatch.setattr(synth.vehicle.trade_off.front, where, stopped)
-    with pytest.raises(KeyboardInterrupt):
-        main(["--front", "ride:travel", "--csv", str(path), "--picture", str(tmp_path / "front.svg")])
-    printed = prose(capsys.readouterr().out)
-    rows = list(csv.DictReader(path.read_text().splitlines()))
-    points = [row for row in rows if row["point"].isdigit()]
-    assert f"{len(points)} certified designs" in printed
-    assert f"interrupted at {cut}: that is not whole" in printed
-    assert len(rows) - len(points) == 7  # the others are there
-    certified = {"certify_tightly": at - 1, "norm_on": (at - 1) // 2}
-    assert len(points) == certified.get(where, len(points)) > 0
-    assert sum(bool(row["bump_travel"]) for row in points) == (at - 1 if where == "peak_over_road" else min(len(points), MARKED))
-    assert (tmp_path / "front.svg").read_text().startswith("<?xml")
-
-
-@pytest.mark.attack
-def test_a_first_ctrl_c_lets_certifying_go_on(quick, capsys, monkeypatch, tmp_path):
-    """A second one would keep less than one that came earlier, during the search: designs are all certified, too."""
-    true, calls, path = synth.vehicle.trade_off.front.certify_tightly, itertools.count(1), tmp_path / "front.csv"
-
-    def stopped(*given, **options):
-        if next(calls) == 3:
-            signal.raise_signal(signal.SIGINT)
-        return true(*given, **options)
-
-    monkeypatch.setattr(synth.vehicle.trade_off.front, "certify_tightly", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        main(["--front", "ride:travel", "--csv", str(path)])
-    printed = prose(capsys.readouterr().out)
-    points = [row for row in csv.DictReader(path.read_text().splitlines()) if row["point"].isdigit()]
-    assert len(points) > 3
-    assert f"{len(points)} certified designs" in printed
-    assert "is not whole" not in printed
-
-
-@pytest.mark.attack
-def test_interrupted_while_it_is_written(designed_once, capsys, monkeypatch, tmp_path):
-    """Then all of it is written and printed first."""
-    path, true = tmp_path / "front.csv", synth.command.trade_off.front_figure
-
-    def stopped(found):
-        signal.raise_signal(signal.SIGINT)
-        return true(found)
-
-    monkeypatch.setattr(synth.command.trade_off, "front_figure", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        main(["--front", "ride:travel", "--csv", str(path), "--picture", str(tmp_path / "front.svg")])
-    assert "certified designs" in capsys.readouterr().out
-    assert path.exists()
-
-
-@pytest.mark.attack
-def test_nothing_finished_is_lost(tmp_path):
-    """The later Ctrl-C comes, the more designs of a front are kept; nothing drops what was there."""
-    few = "import synth.command.trade_off as command; command.DESIGNS = 20; "
-    few += "import synth.vehicle.trade_off.lower_bound as line; line.RATIOS = range(-1, 2)"
-    run = "from models.common.command import run_command; from synth.__main__ import main"
-    call = f"{few}; {run}; run_command(lambda: main(['--front', 'ride:travel']))"
-    command, before = [sys.executable, "-c", call], os.times()
-    subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    after, counts = os.times(), []
-    whole = after.children_user + after.children_system - before.children_user - before.children_system
-    for share in (0.45, 0.9):
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        wait_for_processor_time(process, share * whole)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate()
-        kept = re.findall(r"(\d+) certified designs", out)
-        counts.append(int(kept[0]) if kept else 0)
-        assert process.returncode in (0, 130), err
-        assert not out or process.returncode == 0 or "interrupted" in err
-    assert min(counts) > 1
-    slack = 0.1 * max(counts)  # caches are warm or not: one is as far as another at a time of its own only roughly
-    assert all(later >= earlier - slack for earlier, later in itertools.pairwise(counts)), counts
 
 
 def test_a_point_beyond_the_last(designed_once, tmp_path):

@@ -18,20 +18,6 @@ from models.vehicle.vehicle import parse_vehicle, read_vehicle
 from synth.__main__ import main as synth
 from synth.plant.numerics import DesignError
 
-
-def test_numpy_warns_on_no_screen():
-    """A command's text says what overflows: stderr has no warning of numpy's, of no process of ours, unless `-W` asks for it."""
-    program = "import numpy; from models.common.command import run_command; run_command(lambda: int(1 / numpy.zeros(1)[0] < 0))"
-    for options, warned in (([], False), (["-W", "default"], True)):
-        ran = subprocess.run([sys.executable, *options, "-c", program], capture_output=True, text=True, cwd=HERE.parent)
-        assert ran.returncode == 0
-        assert ("RuntimeWarning" in ran.stderr) == warned
-        assert warned or not ran.stderr
-    for file in (file for room in ("sim", "synth") for file in (HERE.parent / room).rglob("*.py")):
-        _, started, end = file.read_text(encoding="utf-8").partition('\nif __name__ == "__main__":\n')
-        assert not started or "run_command(" in end or "hide_numpy_warnings()" in end, file
-
-
 UNIT = {
     "m": "height length edge depth amplitude track_width x y",
     "m/s": "speed",

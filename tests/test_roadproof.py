@@ -48,9 +48,7 @@ def test_a_verb_is_its_command():
 @pytest.mark.parametrize(("verb", "code"), [("nonsense", 2), ("--help", 0), ("", 0)])
 def test_other_words(verb, code, monkeypatch, capsys):
     """Without a verb there is the table of commands; an unknown one is refused in a line that names them all."""
-    monkeypatch.setattr("models.common.interrupt.quiet_start", lambda: None)
-    monkeypatch.setattr("models.common.interrupt.enable_interrupts", lambda: None)
-    monkeypatch.setattr("models.common.interrupt.ignore_from_now_on", lambda: None)
+    monkeypatch.setattr("signal.signal", lambda *given: None)
     monkeypatch.setattr(Parser, "by_verb", False)  # afterwards as before
     monkeypatch.setattr(sys, "argv", ["roadproof", *verb.split()])
     with pytest.raises(SystemExit) as ended:

@@ -1,28 +1,23 @@
-"""Reading and writing of files, and of TOML. Files appear whole or not at all; only plain files of limited size are read.
+"""Reading and writing of files, and of TOML. A file is written beside its place and renamed: it appears whole or not at all.
 
-A file is written under a hidden name in the same folder, flushed to the disk, and renamed. A link stays a link: its target is
-replaced. Of several hard links only the one that is written gets the new content: written in place, a full disk would destroy
-all. The new file keeps the permissions of the old one, and its owner and group if the system allows it.
+A link stays a link: its target is replaced. The new file has the permissions of the old one. A pipe, a device or standard output
+gets the content when it is complete.
 """
 
-import errno
 import hashlib
 import os
 import re
 import secrets
 import shutil
-import stat
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from io import BufferedReader
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from models.common import interrupt
 from models.common.errors import InputError
 
 MOST_DOTS = 8  # within one key, ours have two; tomllib's time and memory grow with their square
@@ -72,11 +67,11 @@ def _check_range(key: str, value: Any) -> None:
         raise InputError(f"{key} is a number of {digits} digits, beyond {sys.float_info.max:.2g}; give a smaller one")
 
 
-STDOUT = Path("/dev/stdout")  # the only output path that need not be a plain file
-Waiting = tuple[Path, Path, os.stat_result | None]  # temporary path, target, and status of the file that it replaces
-# Whole files in a block of `together` that are not yet renamed; None outside it.
-_waiting: ContextVar[list[Waiting] | None] = ContextVar("_waiting", default=None)
-WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
+MIB = 2**20
+TEXT = 4 * MIB
+STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened
+# In a block of `together`, the complete files that are not yet renamed, and their targets; None outside it.
+_waiting: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)
 
 
 @contextmanager
@@ -85,103 +80,60 @@ def whole_file(path: Path, what: str, instead: str = "give another") -> Iterator
 
     Args:
         path: the file, a link to it, or `/dev/stdout`.
+        what: the file's purpose, for the message.
         instead: advice if it cannot be written, for the message.
 
     Raises:
         InputError: it cannot be written.
     """
-    target, before = _target(path, what, instead)
-    folder = Path(tempfile.gettempdir()) if target == STDOUT else target.parent
+    target = _target(path, what, instead)
+    stream = _is_stream(target)
+    folder = Path(tempfile.gettempdir()) if stream else target.parent
     beside = folder / f".{target.stem[:100]}.{secrets.token_hex(4)}.part{path.suffix}"
+    waiting = _waiting.get()
     try:
-        yield beside
-        if target == STDOUT:
-            sys.stdout.flush()
-            with beside.open("rb") as written:
-                shutil.copyfileobj(written, sys.stdout.buffer)
-            sys.stdout.buffer.flush()
-            return
-        with beside.open("rb+") as file:
-            os.fsync(file.fileno())
-        waiting = _waiting.get()
-        if waiting is not None:
-            waiting.append((beside, target, before))
-            return
-        with interrupt.uninterrupted():
-            _name(beside, target, before)
-    except BrokenPipeError:
-        raise  # the reader of /dev/stdout has gone
-    except OSError as error:
-        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
+        with _writing(path, what, instead):
+            yield beside
+            if stream:
+                sys.stdout.flush()
+                content = beside.read_bytes()
+                if target == STDOUT:
+                    sys.stdout.buffer.write(content)
+                    sys.stdout.buffer.flush()
+                else:
+                    target.write_bytes(content)
+                return
+            with beside.open("rb+") as file:
+                os.fsync(file.fileno())
+            if target.exists():
+                shutil.copymode(target, beside)
+            if waiting is None:
+                beside.replace(target)
+            else:
+                waiting.append((beside, target))
     finally:
-        if not any(beside == other for other, *_ in _waiting.get() or ()):
-            _removed(beside)
+        if beside not in dict(waiting or ()):
+            beside.unlink(missing_ok=True)
 
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Renames all files that `whole_file` writes in this block at its end, or none of them.
+    """Renames all files that `whole_file` writes in this block at its end; none of them if the block fails.
 
     Raises:
         InputError: they cannot be renamed.
     """
-    waiting: list[Waiting] = []
+    waiting: list[tuple[Path, Path]] = []
     token = _waiting.set(waiting)
     try:
         yield
-        with interrupt.uninterrupted():
-            _name_all(waiting)
-    except OSError as error:
-        raise InputError(f"the output files cannot be renamed ({error.strerror or error}); mend that and try again") from error
+        for beside, target in waiting:
+            with _writing(target, "output", "mend that and try again"):
+                beside.replace(target)
     finally:
         _waiting.reset(token)
-        for beside, *_ in waiting:
-            _removed(beside)
-
-
-def _name_all(waiting: Sequence[Waiting]) -> None:
-    """Renames whole files to their targets. If one fails, restores the files that the others replaced."""
-    named: list[tuple[Path, Path | None]] = []
-    try:
-        for beside, target, before in waiting:
-            kept = _kept(target) if before is not None else None
-            named.append((target, kept))
-            _name(beside, target, before)
-    except OSError:
-        for (target, kept), (beside, *_) in reversed(list(zip(named, waiting, strict=False))):
-            with suppress(OSError):  # restores as many as possible
-                if kept is not None:
-                    kept.replace(target)
-                elif not beside.exists():  # it was renamed
-                    target.unlink()
-        raise
-    finally:
-        for _, kept in named:
-            if kept is not None:
-                _removed(kept)
-
-
-def _kept(target: Path) -> Path:
-    """Returns a second, hidden name of a file; a copy if the system has no hard links."""
-    kept = target.with_name(f".{secrets.token_hex(8)}.part")
-    try:
-        kept.hardlink_to(target)
-    except OSError:
-        shutil.copy2(target, kept)
-    return kept
-
-
-def _name(beside: Path, target: Path, before: os.stat_result | None) -> None:
-    """Renames a whole file to its target, with the permissions of the file that it replaces."""
-    if before is not None:
-        _make_like(beside, before)
-    beside.replace(target)
-    _settle(target.parent)
-
-
-def _removed(beside: Path) -> None:
-    with interrupt.uninterrupted(), suppress(OSError):
-        beside.unlink(missing_ok=True)
+        for beside, _ in waiting:
+            beside.unlink(missing_ok=True)
 
 
 def check_file(path: Path, what: str, instead: str = "give another") -> None:
@@ -190,17 +142,9 @@ def check_file(path: Path, what: str, instead: str = "give another") -> None:
     Raises:
         InputError: it cannot be written.
     """
-    target, _ = _target(path, what, instead)
-    probe = target.with_name(f".{secrets.token_hex(8)}.part")
-    if target == STDOUT:
-        return
-    try:  # permission bits do not decide (root, read-only mounts, quotas)
-        probe.write_bytes(b"roadproof")
-    except OSError as error:
-        raise _refused(path, what, f"cannot be written ({error.strerror or error})", instead) from error
-    finally:
-        with suppress(OSError):
-            probe.unlink(missing_ok=True)
+    target = _target(path, what, instead)
+    if not _is_stream(target):
+        _try_folder(target.parent, path, what, instead)
 
 
 def check_folder(path: Path, what: str, instead: str = "give another folder") -> None:
@@ -209,27 +153,11 @@ def check_folder(path: Path, what: str, instead: str = "give another folder") ->
     Raises:
         InputError: it cannot be made, or files cannot be written in it.
     """
-    try:
-        for there in (path, *path.parents):
-            with suppress(FileNotFoundError):
-                is_folder = stat.S_ISDIR(there.stat().st_mode)
-                break
-            if there.is_symlink():
-                raise _refused(path, what, f"{there} is a link to nothing" if there != path else "is a link to nothing", instead)
-        else:
-            raise _refused(path, what, "cannot be made", instead)
-        if not is_folder:
-            raise _refused(path, what, "is not a folder" if there == path else f"{there} is not a folder", instead)
-        if there == path:
-            check_file(path / ".probe", what, instead)
-        else:
-            probe = there / f".{secrets.token_hex(8)}.part"
-            probe.mkdir()
-            probe.rmdir()
-    except NotADirectoryError as error:
-        raise _refused(path, what, "is not a folder", instead) from error
-    except OSError as error:
-        raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
+    existing = next(folder for folder in (path.absolute(), *path.absolute().parents) if os.path.lexists(folder))
+    if not existing.is_dir():
+        which = "is" if existing == path.absolute() else f"{existing} is"
+        raise InputError(f"{what} {path}: {which} not a folder; {instead}")
+    _try_folder(existing, path, what, instead)
 
 
 @contextmanager
@@ -242,68 +170,52 @@ def made_folder(path: Path, what: str, instead: str = "give another folder") -> 
     check_folder(path, what, instead)
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        try:
+        with _writing(path, what, instead):
             path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise _refused(path, what, f"cannot be made ({error.strerror or error})", instead) from error
         yield
     except BaseException:
-        with interrupt.uninterrupted(), suppress(OSError):  # a folder that is not empty stays
+        with suppress(OSError):  # a folder that is not empty stays
             for folder in missing:
                 folder.rmdir()
         raise
 
 
-def _target(path: Path, what: str, instead: str) -> tuple[Path, os.stat_result | None]:
-    """Returns the target of a path, links resolved, and its status, or None if it does not exist yet."""
-    if path == STDOUT:
-        return STDOUT, None
+@contextmanager
+def _writing(path: Path, what: str, instead: str) -> Iterator[None]:
+    """Turns an error of the system into an InputError; the end of a pipe's reader stays as it is."""
     try:
-        target = Path(os.path.realpath(path))
-        if not target.parent.is_dir():
-            raise _refused(path, what, f"there is no folder {target.parent}", f"make it or {instead}")
-        try:
-            status = target.stat()
-        except FileNotFoundError:
-            return target, None
+        yield
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        reason = "a loop of links" if error.errno == errno.ELOOP else error.strerror or str(error)
-        raise _refused(path, what, f"cannot be written ({reason})", instead) from error
-    if stat.S_ISDIR(status.st_mode):
-        raise _refused(path, what, "is a folder", "give the name of a file")
-    if not stat.S_ISREG(status.st_mode):
-        raise _refused(path, what, f"is {kind_of(status.st_mode)}, not a plain file", instead)
-    if not status.st_mode & WRITABLE or not os.access(target, os.W_OK):
-        raise _refused(path, what, "is read-only", f"make it writable or {instead}")
-    folder = target.parent.stat()
-    user = getattr(os, "geteuid", int)()  # 0 on Windows, where folders have no sticky bit
-    if folder.st_mode & stat.S_ISVTX and user not in (0, status.st_uid, folder.st_uid):
-        raise _refused(path, what, "is another user's, and only they may replace it in this folder", instead)
-    return target, status
+        raise InputError(f"{what} {path}: cannot be written ({error.strerror or error}); {instead}") from error
 
 
-def kind_of(mode: int) -> str:
-    """Returns the kind of a file that is not a plain file, for a message."""
-    if stat.S_ISDIR(mode):
-        return "a folder"
-    if stat.S_ISFIFO(mode):
-        return "a pipe"
-    if stat.S_ISSOCK(mode):
-        return "a socket"
-    return "a device"
+def _target(path: Path, what: str, instead: str) -> Path:
+    """Returns the target of a path, links resolved.
+
+    Raises:
+        InputError: it is a folder or read-only, or its folder does not exist.
+    """
+    target = path if _is_stream(path) else Path(os.path.realpath(path))
+    if target.is_dir():
+        raise InputError(f"{what} {path}: is a folder; give the name of a file")
+    if not target.parent.is_dir():
+        raise InputError(f"{what} {path}: there is no folder {target.parent}; make it or {instead}")
+    if target.exists() and not os.access(target, os.W_OK):
+        raise InputError(f"{what} {path}: is read-only; make it writable or {instead}")
+    return target
 
 
-def _make_like(beside: Path, before: os.stat_result) -> None:
-    """Gives a new file the permissions of the file it replaces, and its owner and group if the system allows it."""
-    mode = stat.S_IMODE(before.st_mode)
-    with_owner = getattr(os, "chown", None)  # not on Windows
-    if with_owner is not None:
-        for owner, group in ((-1, before.st_gid), (before.st_uid, -1)):
-            with suppress(PermissionError):
-                with_owner(beside, owner, group)
-        if beside.stat().st_gid != before.st_gid:  # another group gets the permissions of all others
-            mode = mode & ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
-    beside.chmod(mode)
+def _is_stream(path: Path) -> bool:
+    """Returns True for standard output, a pipe or a device, which get their content, but are not replaced."""
+    return path == STDOUT or (path.exists() and not path.is_file() and not path.is_dir())
+
+
+def _try_folder(folder: Path, path: Path, what: str, instead: str) -> None:
+    """Writes a file in a folder and removes it: permission bits do not decide, as on read-only disks."""
+    with _writing(path, what, instead), tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def identity(path: Path) -> tuple[int, int] | str:
@@ -313,27 +225,6 @@ def identity(path: Path) -> tuple[int, int] | str:
     except (OSError, ValueError):
         return os.path.realpath(path)
     return status.st_dev, status.st_ino
-
-
-def _settle(folder: Path) -> None:
-    """Flushes a folder, with the new name in it, to the disk, if the system can."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
-def _refused(path: Path, what: str, reason: str, instead: str) -> InputError:
-    return InputError(f"{what} {path}: {reason}; {instead}")
-
-
-MIB = 2**20
-TEXT = 4 * MIB  # most bytes of a vehicle, campaign or MJCF file
-TABLE = 64 * MIB  # of a measured road
-
-Content = TypeVar("Content")
 
 
 @contextmanager
@@ -363,102 +254,41 @@ def reading(path: Path, purpose: str, give: str = "give another file") -> Iterat
         reason = f"not a text file in UTF-8 ({error.reason} at byte {error.start})"
         raise InputError(f"{purpose} {path}: {reason}; save it as UTF-8, or {give}") from error
     except Exception as error:
-        raise InputError(f"{purpose} {path}: {error or type(error).__name__}; {give}") from error
+        raise InputError(f"{purpose} {path}: {str(error) or type(error).__name__}; {give}") from error
 
 
-def read_bytes(path: Path, what: str, most: int, give: str) -> bytes:
-    """Returns the content of a plain file.
-
-    Args:
-        path: the file, or a link to it.
-        most: allowed size [bytes].
+def read_bytes(path: Path, purpose: str, give: str = "give another file") -> bytes:
+    """Returns the content of a file, a link to one, or a pipe.
 
     Raises:
-        InputError: the file does not exist, is not a plain file, is too large, or cannot be read.
+        InputError: it does not exist, or cannot be read.
     """
-    try:
-        with open_plain(path, what, give) as stream:
-            size = os.fstat(stream.fileno()).st_size
-            content = stream.read(size + 1) if size <= most else b""  # not `most`, which may exceed the memory
-            if len(content) > size:  # files in /proc report the size 0
-                content += stream.read(most + 1 - len(content))
-    except OSError as error:
-        raise InputError(f"{what} {path}: cannot be read ({error.strerror or error}); {give}") from error
-    if max(size, len(content)) > most:
-        excess = f"{size / MIB:.0f} MiB" if size > most else "and does not end"
-        raise InputError(f"{what} {path}: is too large, {excess}; at most {most / MIB:g} MiB is read: {give}")
-    return content
+    with reading(path, purpose, give):
+        return path.read_bytes()
 
 
-def open_plain(path: Path, what: str, give: str) -> BufferedReader:
-    """Opens a plain file for reading.
+def read_text(path: Path, purpose: str, give: str = "give another file") -> str:
+    """Returns the text of a file in UTF-8, with or without a byte order mark; lines end with a line feed.
 
     Raises:
-        InputError: the file does not exist, is not a plain file, or cannot be opened.
+        InputError: it does not exist, cannot be read, or is not text in UTF-8.
     """
-    try:
-        # Opening a pipe would block for ever without O_NONBLOCK; with it, the pipe is recognised.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        mode = os.fstat(handle).st_mode
-        if not stat.S_ISREG(mode):
-            os.close(handle)
-            raise InputError(f"{what} {path}: is {kind_of(mode)}, not a plain file; {give}")
-        return os.fdopen(handle, "rb")
-    except OSError as error:
-        reason = "is a folder, not a plain file" if path.is_dir() else _reason(path, error)  # Windows opens no folder
-        raise InputError(f"{what} {path}: {reason}; {give}") from error
-    except InputError:
-        raise
-    except ValueError as error:  # a NUL character in the name
-        raise InputError(f"{what} {str(path)!r}: cannot be read ({error}); {give}") from error
+    return decoded(read_bytes(path, purpose, give), path, purpose, give)
 
 
-def read_text(path: Path, what: str, most: int, give: str) -> str:
-    """Returns the text of a plain file in UTF-8, with or without a byte order mark.
-
-    Args:
-        path, what, most, give: see `read_bytes`.
+def decoded(content: bytes, path: Path, purpose: str, give: str = "give another file") -> str:
+    """Returns the content of a file as `read_text` does.
 
     Raises:
-        InputError: see `read_bytes`; or it is not text.
+        InputError: it is not text in UTF-8.
     """
-    return read_content(path, what, most, give, str)[0]
-
-
-def read_content(path: Path, what: str, most: int, give: str, of: Callable[[str], Content]) -> tuple[Content, bytes]:
-    """Returns the converted text of a plain file in UTF-8, and its bytes.
-
-    Args:
-        path, what, most, give: see `read_bytes`.
-        of: converts the text; raises an InputError if it is wrong.
-
-    Raises:
-        InputError: see `read_bytes`; it is not text, or the text is wrong. The message names the file.
-    """
-    content, save = read_bytes(path, what, most, give), f"save it as UTF-8, or {give}"
-    try:
+    with reading(path, purpose, give):
         text = content.decode("utf-8-sig")
         if "\0" in text:
-            raise InputError(f"not a text file in UTF-8 (a NUL character at byte {content.index(0)}, as in UTF-16); {save}")
-        return of(text.replace("\r\n", "\n")), content
-    except UnicodeDecodeError as error:
-        reason = f"{error.reason} at byte {error.start}"
-        raise InputError(f"{what} {path}: not a text file in UTF-8 ({reason}); {save}") from error
-    except InputError as error:
-        raise InputError(f"{what} {path}: {error}") from error
+            raise InputError(f"not a text file in UTF-8 (a NUL character, as in UTF-16); save it as UTF-8, or {give}")
+    return text.replace("\r\n", "\n")
 
 
 def origin(file: str, content: bytes) -> str:
     """Returns a comment line for a vehicle file that names the file whose content it includes."""
     return f"# from {file!a}, {len(content)} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
-
-
-def _reason(path: Path, error: OSError) -> str:
-    """Returns why a file cannot be read, for a message."""
-    if error.errno == errno.ENOENT:
-        return "is a link to nothing" if path.is_symlink() else "there is no such file"
-    if error.errno == errno.ELOOP:
-        return "is a loop of links"
-    if error.errno == errno.ENXIO:
-        return "is a socket, not a plain file"
-    return f"cannot be read ({error.strerror or error})"

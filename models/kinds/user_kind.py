@@ -14,7 +14,7 @@ import numpy as np
 
 from models.common.checks import is_finite
 from models.common.errors import InputError, first_few, quoted
-from models.common.files import TEXT, read_text
+from models.common.files import read_text
 from models.kinds.kind import MOST_SQUEEZE, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import HEAVE_LOAD, KEPT, PITCH_LOAD, ROLL_LOAD
@@ -221,7 +221,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     path = folder / f"{name}.py"
     what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
     module.__file__ = str(path)
-    text = read_text(path, "kind of vehicle", TEXT, GIVE)
+    text = read_text(path, "kind of vehicle", GIVE)
     code = compiled(what, path, text)
     _run(path, "the file", lambda: exec(code, vars(module)))
     kind = vars(module).get("KIND")

@@ -88,11 +88,11 @@ class PythonLaw:
         if not where.is_relative_to(folder):
             raise InputError(f"law {self.law}: is a link out of the folder of the vehicle file; {GIVE}")
         if self.is_fmu:
-            content = read_bytes(path, "FMU", MOST_FMU, GIVE_FMU)
+            content = read_bytes(path, "FMU", GIVE_FMU)
             digest = hashlib.sha256(content).hexdigest()
             steps = f'from models.vehicle.foreign_fmu import law_of\n\nstep = law_of(__file__, "{digest}")\n'
             return f"{origin(self.law, content)}\n{steps}"
-        return read_text(path, "law", MOST_TEXT, GIVE)
+        return read_text(path, "law", GIVE)
 
 
 @dataclass(frozen=True, eq=False)

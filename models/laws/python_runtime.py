@@ -28,7 +28,8 @@ import numpy as np
 
 from models.common import interrupt
 from models.common.arrays import Array, check_unmasked
-from models.common.command import BAD_INPUT, complain
+from models.common.cli import BAD_INPUT
+from models.common.command import complain
 from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
 from models.laws.user_code import compiled, reason, run_own

@@ -16,7 +16,6 @@ from typing import Any, NoReturn, TextIO
 import numpy as np
 
 from models.common import interrupt
-from models.common.command import keep_stdout
 from models.common.errors import InputError, one_line
 
 _lock, _users, _stdout, _process = threading.Lock(), [0], list[TextIO](), [0]
@@ -107,7 +106,6 @@ class _Guarded:
     def __enter__(self) -> None:
         with _lock:
             if not _users[0]:
-                keep_stdout()  # also from what does not go through Python's own
                 _stdout.append(sys.stdout)
                 sys.stdout, os._exit = sys.stderr, _kept_running
                 _process[0] = os.getpid()

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.files import TEXT, read_text
+from models.common.files import read_text
 from models.common.printed import settings
 from models.common.table import find_table
 from models.common.units import FORCE, MOMENT, TIME, quantity
@@ -90,7 +90,7 @@ def read_history(path: Path) -> History:
     Raises:
         InputError: the file cannot be read, or is no load file; the message names the line.
     """
-    return parse_history(read_text(path, "load file", TEXT, GIVE), named(path))
+    return parse_history(read_text(path, "load file", GIVE), named(path))
 
 
 def named(path: Path | str) -> str:

@@ -12,10 +12,9 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, first_few
-from models.common.files import MIB, open_plain
+from models.common.files import reading
 from models.roads.profile import Profile, begun_at
 
-LARGEST = 128 * MIB  # of a file; in memory it takes six times as much, 0.8 GB
 AT_ONCE = 2**20  # heights that are worked out at once; PyOpenCRG takes some hundred bytes for each
 TEXT_WIDTHS = {"LRFI": 10, "LDFI": 20}  # characters of a number, by format
 LINE = 80  # characters of a line of numbers
@@ -80,13 +79,8 @@ def read_surface(path: Path) -> Surface:
     Raises:
         InputError: PyOpenCRG is not installed, or the file is no OpenCRG file, too large, or refers to another one.
     """
-    with open_plain(path, "road file", GIVE) as stream:
-        size = os.fstat(stream.fileno()).st_size
-    if size > LARGEST:
-        raise InputError(
-            f"road file {path}: is too large, {size / MIB:.0f} MiB; at most {LARGEST / MIB:g} MiB is read: give a part of it, or "
-            "a coarser grid"
-        )
+    with reading(path, "road file", GIVE), path.open("rb"):
+        pass
     try:
         from pyopencrg import CrgRoad, io  # pyright: ignore[reportMissingImports] - an extra
     except ImportError as error:

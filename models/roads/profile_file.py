@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TABLE, read_content
+from models.common.files import read_text, reading
 from models.common.table import SEPARATORS, Heading, NumberTable, find_table, heading_of, merged
 from models.common.units import LENGTH as UNITS
 from models.roads.profile import Profile, check_points
@@ -157,7 +157,9 @@ def read_profile(path: Path, speed: float, table: TableFormat | None = None) -> 
         InputError: the file cannot be read, a line has no such numbers, or they make no road. The message names file and line.
     """
     form = table or TableFormat()
-    return read_content(path, "road file", TABLE, FORMAT, lambda text: _profile(text, speed, str(path), form))[0]
+    text = read_text(path, "road file", FORMAT)
+    with reading(path, "road file", FORMAT):
+        return _profile(text, speed, str(path), form)
 
 
 def _profile(text: str, speed: float, source: str, form: TableFormat) -> Profile:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from models.common.errors import InputError, listing
-from models.common.files import TABLE, read_content
+from models.common.files import read_text, reading
 from models.common.table import find_table
 from models.common.units import LENGTH, TIME
 from models.roads.rig import Rig, check_history, check_posts, post_name
@@ -31,7 +31,9 @@ def read_rig(path: Path, settings: Mapping[str, str]) -> Rig:
     for name, allowed in zip(SETTINGS, (TIME, LENGTH), strict=True):
         if name in settings and settings[name] not in allowed:
             raise InputError(f"{name} = {settings[name]!r} is unknown; give one of {listing(allowed)}")
-    return read_content(path, "drive file", TABLE, FORMAT, lambda text: _rig(text, settings, str(path)))[0]
+    text = read_text(path, "drive file", FORMAT)
+    with reading(path, "drive file", FORMAT):
+        return _rig(text, settings, str(path))
 
 
 def _rig(text: str, settings: Mapping[str, str], source: str) -> Rig:

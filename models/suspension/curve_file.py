@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TEXT, origin, parse_toml, read_content
+from models.common.files import TEXT, decoded, origin, parse_toml, read_bytes, reading
 from models.common.table import find_table
 from models.common.units import FORCE, LENGTH, TIME, VELOCITY, unit_named
 
@@ -111,7 +111,10 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
     if beside := [key for key in ("velocity", "deflection", "force") if key in entry]:
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file
-    table, content = read_content(path, "curve", TEXT, GIVE, _of_dpr if path.suffix.lower() == ".dpr" else _of_csv)
+    content = read_bytes(path, "curve", GIVE)
+    text = decoded(content, path, "curve", GIVE)
+    with reading(path, "curve", GIVE):
+        table = (_of_dpr if path.suffix.lower() == ".dpr" else _of_csv)(text)
     if over and over not in table:
         raise InputError(f"curve {path}: has the columns {listing(table)}; give {over} and force")
     return table, origin(file, content), path

@@ -26,7 +26,6 @@ from xml.etree import ElementTree
 from models.common.errors import InputError, listing, quoted
 from models.common.files import MIB, read_bytes
 from models.kinds import signals
-from models.laws.python_law import MOST_FMU
 from models.laws.python_runtime import Sample
 
 PROCESS = Path(__file__).with_name("fmu_process.py")
@@ -90,7 +89,7 @@ class ForeignFmu:
         Raises:
             InputError: it is no such FMU, it is damaged or hostile, or its inputs are not what is measured.
         """
-        content = read_bytes(file, "FMU", MOST_FMU, GIVE)
+        content = read_bytes(file, "FMU", GIVE)
         if hashlib.sha256(content).hexdigest() != sha256:
             raise InputError("the FMU has changed since the vehicle file was read")
         folder = tempfile.mkdtemp(prefix="fmu")

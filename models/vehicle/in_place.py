@@ -18,7 +18,7 @@ import numpy as np
 
 from models.common.arrays import Array, real_matrix
 from models.common.errors import InputError, first_few, listing, quoted
-from models.common.files import MIB, TEXT, origin, parse_toml, read_bytes, read_content
+from models.common.files import MIB, TEXT, decoded, origin, parse_toml, read_bytes, reading
 from models.common.table import find_table
 from models.common.units import in_unit
 from models.laws.python_law import PythonLaw
@@ -140,7 +140,10 @@ def with_families(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
 def _read_family(file: str, folder: Path) -> tuple[list[dict[str, Any]], str]:
     """Returns the members in a file, and a comment with its source."""
     path = folder / file
-    family, content = read_content(path, KEY, TEXT, GIVE_FAMILY, _of_toml if path.suffix.lower() == ".toml" else _of_csv)
+    content = read_bytes(path, KEY, GIVE_FAMILY)
+    text = decoded(content, path, KEY, GIVE_FAMILY)
+    with reading(path, KEY, GIVE_FAMILY):
+        family = (_of_toml if path.suffix.lower() == ".toml" else _of_csv)(text)
     return family, origin(file, content)
 
 
@@ -219,7 +222,7 @@ def _read_law(entry: Mapping[str, Any], folder: Path) -> tuple[dict[str, Any], s
     if beside:
         raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
     path = folder / file
-    content = read_bytes(path, "file", MOST, GIVE_LAW)
+    content = read_bytes(path, "file", GIVE_LAW)
     try:
         variables, others = read_mat(content, NAMES, FIELDS)
         record, period = _law(variables, others, path.name)

@@ -16,7 +16,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, quoted
-from models.common.files import MIB, TEXT, open_plain
+from models.common.files import read_text
 from models.kinds.kind import GRAVITY, HERE, LOWEST_HUB
 from models.kinds.strut_and_tyre import actuator_of
 from models.vehicle.limits_and_implementation import Limits
@@ -57,9 +57,7 @@ def build_spec(vehicle: Vehicle, timestep: float) -> mujoco.MjSpec:
     Raises:
         InputError: the kind's MJCF cannot be read, or is no MJCF.
     """
-    open_plain(vehicle.kind.mjcf, "MJCF", GIVE).close()
-    if vehicle.kind.mjcf.stat().st_size > TEXT:
-        raise InputError(f"MJCF {vehicle.kind.mjcf}: is too large; at most {TEXT / MIB:g} MiB is read: {GIVE}")
+    read_text(vehicle.kind.mjcf, "MJCF", GIVE)
     spec = _drawn(vehicle)
     if taken := [actuator.name for actuator in spec.actuators if actuator.name.startswith(FITTED)]:
         raise InputError(f"MJCF {vehicle.kind.mjcf}: has an actuator {taken[0]!r}; call it otherwise, {FITTED}... is taken")

@@ -12,7 +12,7 @@ import numpy as np
 from models.common.arrays import Array
 from models.common.checks import ReadOnly, check_fields
 from models.common.errors import InputError, listing, quoted
-from models.common.files import STDOUT, TEXT, parse_toml, read_text
+from models.common.files import STDOUT, parse_toml, read_text
 from models.kinds.kind import HERE, ShownVehicle, VehicleKind
 from models.kinds.linear_model import LinearModel
 from models.kinds.signals import of_dampers
@@ -461,7 +461,7 @@ def read_vehicle(file: str | Path, own_kinds: bool = True) -> Vehicle:
     path = Path(file)
     if str(file) in shipped() and not path.is_file():
         path = HERE / f"{file}.toml"
-    text = read_text(path, "vehicle file", TEXT, f"give a TOML file or one of: {listing(shipped())}")
+    text = read_text(path, "vehicle file", f"give a TOML file or one of: {listing(shipped())}")
     try:
         if not own_kinds and (name := parse_toml(text).get("type")) not in kinds():
             raise InputError(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from models.common.command import complain, versions
 from models.common.errors import InputError, listing
-from models.common.files import TEXT, read_text
+from models.common.files import read_text
 from models.common.printed import Stages, Whole, say
 from models.common.threads import cores
 from models.figures.outputs import check_outputs, written, written_lines
@@ -187,7 +187,7 @@ def _found(options: argparse.Namespace, folder: Path) -> tuple[int, Verified, st
         except InputError as error:
             raise InputError(f"{error}; where you trust what it names, give the file too: --verify {folder} FILE") from error
         try:
-            same = read_text(file, "campaign file", TEXT, "") == manifest.campaign
+            same = read_text(file, "campaign file", "") == manifest.campaign
             remark = "" if same else f"campaign file {file} is another one by now; the folder's own text of it counts"
         except InputError:
             remark = f"campaign file {file} is not there any more; the folder's own text of it counts"

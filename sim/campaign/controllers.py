@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError
-from models.common.files import TEXT, read_text
+from models.common.files import read_text
 from models.laws.linear import law_of
 from models.laws.python_law import Programmed, sha256
 from models.laws.semi_active import SemiActive
@@ -123,7 +123,7 @@ def check_code(gains: Gains, exported: Path) -> None:
     from synth.controller.export.folder import MANIFEST
 
     codes = [entry["code"]["manifest_sha256"] for some in gains.values() for entry in some.values() if "code" in entry]
-    if sha256(read_text(exported / MANIFEST, "manifest", TEXT, "name a folder of --export")) not in codes:
+    if sha256(read_text(exported / MANIFEST, "manifest", "name a folder of --export")) not in codes:
         raise InputError(f"--as {exported}: the campaign began without this code; name another folder with --results")
 
 

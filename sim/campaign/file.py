@@ -11,7 +11,7 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TEXT, parse_toml, read_text
+from models.common.files import parse_toml, read_text
 from models.roads.choice import RoadChoice, choose_road
 from models.roads.iso8608 import check_seed
 from models.vehicle.vehicle import Vehicle, read_vehicle
@@ -85,7 +85,7 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         InputError: the file cannot be read, something in it is missing, unknown or not allowed, or it makes no runs.
     """
-    return parse_campaign(read_text(path, "campaign file", TEXT, "give a TOML file"), path)
+    return parse_campaign(read_text(path, "campaign file", "give a TOML file"), path)
 
 
 def parse_campaign(text: str, path: Path, own_kinds: bool = True) -> Campaign:

@@ -14,12 +14,11 @@ from typing import Any
 import filelock
 
 from models.common.errors import InputError, first_few, quoted
-from models.common.files import MIB, made_folder, read_text, whole_file
+from models.common.files import made_folder, read_text, whole_file
 from models.laws.linear import MATRICES, PREVIEW_MATRICES
 from synth.controller.controller import Driver
 
 NAME, LOCK = "campaign.json", ".lock"
-LARGEST = 64 * MIB
 FULL = "free some space or name another folder with --results; what is done is kept"
 ELSEWHERE = "name another folder, empty or new, with --results, or remove what is there"
 
@@ -89,7 +88,7 @@ def read_manifest(folder: Path, instead: str = ELSEWHERE) -> Manifest | None:
         if others:
             raise InputError(f"{folder} holds no campaign, but {others[0]}; {instead}")
         return None
-    text = read_text(path, "results", LARGEST, instead)
+    text = read_text(path, "results", instead)
     try:
         whole = json.loads(text)
     except (ValueError, RecursionError):

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from models.common.errors import InputError
-from models.common.files import MIB, open_plain, read_bytes, whole_file
+from models.common.files import read_bytes, whole_file
 from sim.campaign.columns import Column
 from sim.campaign.manifest import FULL, FaultError, Manifest
 
@@ -27,7 +27,6 @@ RESULTS = "results.parquet"
 PART = re.compile(r"part-(\d{9})-(\d{9})-([0-9a-f]{32})\.parquet")
 TYPES = {int: pa.int64(), float: pa.float64(), str: pa.string()}
 GROUP = 32768  # rows in a group of the finished file, however they were batched
-LARGEST = 256 * MIB  # of a part; twice GROUP rows are far less
 JOINED = 64  # parts that lie side by side become one: a folder of a hundred thousand files is slow
 
 
@@ -92,7 +91,7 @@ class Store:
             FaultError: it is not what was written.
         """
         try:
-            with open_plain(self.results, "results", "") as file:
+            with self.results.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
         except (InputError, OSError):
             digest = "nothing"
@@ -214,7 +213,7 @@ class Store:
     def _table(self, part: Part, names: Sequence[str]) -> pa.Table | None:
         """Returns columns of a part, with the number of the run, or None if its content differs from the checksum in its name."""
         try:
-            content = read_bytes(part.path, "results", LARGEST, "")
+            content = read_bytes(part.path, "results", "")
         except InputError:
             return None
         if self._checksum(part.start, part.stop, content) != part.path.stem.rpartition("-")[2]:

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, McapRecord, Metadata, Schema
 
 from models.common.errors import InputError
-from models.common.files import open_plain
+from models.common.files import reading
 from sim.inspect.mcap_contents import MIB, MOST_RECORD, Attached, Channels, ExactStream, McapContents, decompressed
 
 GIVE = "give an .mcap file that a run has written"
@@ -41,14 +41,11 @@ def read_mcap(path: Path) -> McapContents:
     Raises:
         InputError: it cannot be opened, or is no MCAP file.
     """
-    try:
-        with open_plain(path, "log", GIVE) as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise InputError(f"log {path}: no MCAP file; {GIVE}")
-            reader = _Reader(os.fstat(stream.fileno()).st_size)
-            reader.read(stream)
-    except OSError as error:
-        raise InputError(f"log {path}: cannot be read ({error.strerror or error})") from error
+    with reading(path, "log", GIVE), path.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise InputError(f"no MCAP file; {GIVE}")
+        reader = _Reader(os.fstat(stream.fileno()).st_size)
+        reader.read(stream)
     return reader.found()
 
 

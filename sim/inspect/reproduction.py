@@ -13,7 +13,6 @@ import numpy as np
 
 from models.common.arrays import Array
 from models.common.errors import InputError, listing
-from models.common.files import TEXT
 from models.kinds.signals import Signal, kept_signals
 from models.laws.linear import MATRICES, LinearLaw, static_law
 from models.laws.linear import MOST_STATES as MOST_OF_A_LAW
@@ -41,7 +40,7 @@ from synth.controller.controller import Controller, Driver, verify_record
 from synth.controller.open_loop import LoopModel
 from synth.controller.problem import problem
 
-MOST_VEHICLE = TEXT  # bytes of a vehicle file: what a command reads, its log may hold
+MOST_VEHICLE = 4 * 2**20  # bytes of a vehicle file: what a command reads, its log may hold
 MOST_STATES = 1000  # of a loop with all its delayed forces; its eigenvalues take seconds
 MOST_DELAY = 1000  # samples; `sim.margins` logs runs on either side of a delay margin
 FEWEST = 3  # samples that make a run

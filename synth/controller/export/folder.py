@@ -233,7 +233,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
         InputError: the folder is no exported controller.
     """
     try:
-        about = json.loads(read_text(folder / CERTIFICATE, "certificate", MOST, "name a folder of --export"))
+        about = json.loads(read_text(folder / CERTIFICATE, "certificate", "name a folder of --export"))
         name, numbers, prefix = about["controller"]["name"], about["numbers"], about["name"]
         tables, ranges, sources = about["tables"], about.get("ranges"), dict(about.get("range_sources", {}))
     except InputError:
@@ -242,7 +242,7 @@ def read_folder(folder: Path, driver_of: Callable[[Vehicle, str], Driver]) -> Ex
         raise InputError(
             f"{folder / CERTIFICATE}: is not as --export writes it ({error}); export the controller again"
         ) from error
-    text = read_text(folder / VEHICLE, "vehicle file", MOST, "name a folder of --export")
+    text = read_text(folder / VEHICLE, "vehicle file", "name a folder of --export")
     try:
         vehicle = parse_vehicle(text, folder=folder)
         driver = driver_of(vehicle, name)

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from synth.vehicle.designer import Designer
 from synth.vehicle.multi_objective import goal_problem, weighing
 from synth.vehicle.trade_off.axes import AxisValue, FrontAxis, landscapes, norm_on
 from synth.vehicle.trade_off.continuation import EvaluatedGain, FrontContinuation, rays, undominated
-from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits, no_bound
+from synth.vehicle.trade_off.lower_bound import LowerBoundCurve, limits
 from synth.vehicle.verification import Verification
 
 DESIGNS = 200
@@ -148,12 +147,10 @@ def front(
             shown.append(other)
         else:
             missing[each_name] = other
-    bounds = [no_bound(pair) for pair in combinations(range(len(axes)), 2)]
-    for i, limit in enumerate(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads)):
-        bounds[i] = limit
+    bounds = tuple(_limits(vehicle, axes, np.array([point.values for point in first]), entry.hardware.loads))
     for i, travel in _over_the_bump(vehicle, entry, first):
         first[i] = replace(first[i], travel=travel)
-    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, tuple(bounds), len(swept), unproved)
+    return Front(vehicle, name, tuple(axes), tuple(first), tuple(shown), missing, bounds, len(swept), unproved)
 
 
 def entry_of(vehicle: Vehicle, name: str) -> ControllerEntry:

@@ -56,11 +56,6 @@ class LowerBoundCurve:
             return np.min(np.where(self.norms > 0, reached / self.norms, np.inf), axis=1, initial=np.inf)
 
 
-def no_bound(pair: tuple[int, int]) -> LowerBoundCurve:
-    """Returns the empty bound of two axes."""
-    return LowerBoundCurve(pair, np.zeros((0, 2)), np.zeros(0))
-
-
 def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
     """Returns the bounds of every two axes, one after another.
 
