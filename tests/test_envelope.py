@@ -135,7 +135,6 @@ def test_an_unstable_loop_is_said(tmp_path, capsys):
 
 def test_prediction(cells):
     """The first end, and its time, follow from one linear run per speed: cell by cell, but for the boundary."""
-    assert cells.done.all()
     assert cells.agreement >= 0.99  # asked for; measured 1.0
     assert cells.unexplained == 0
     assert len(set(cells.first.tolist())) >= 3  # nothing, and at least two ends, come first somewhere

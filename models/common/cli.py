@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
 BAD_INPUT, INTERRUPTED = 2, 130
 GARBAGE = 100_000  # objects between garbage collections, not 700: imports alone make some 50 000 that stay
-TRACEBACK = "--traceback"
 # No command renders with MuJoCo, which would start a second Python to look for GLFW. A second BLAS thread waits for work without
 # sleeping, and uses more of the processor than the small products do.
 ENVIRONMENT = {"MUJOCO_GL": "disable", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -53,7 +52,7 @@ def run(command: str) -> "NoReturn":
 def _exit_code(command: str, error: BaseException) -> int:
     """Prints why a command ended, as one line, and returns its exit code."""
     from models.common.command import complain
-    from models.common.errors import InputError
+    from models.common.errors import TRACEBACK, InputError
 
     if TRACEBACK in sys.argv and isinstance(error, Exception):
         raise error

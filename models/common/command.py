@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from models.common.cli import TRACEBACK
-from models.common.errors import InputError, listing, one_line
+from models.common.errors import TRACEBACK, InputError, listing, one_line
 from models.common.printed import WIDTH, command, show, wrapped
 
 PACKAGES = ("roadproof", "mujoco", "numpy", "scipy", "mcap", "protobuf", "foxglove-schemas-protobuf", "rerun-sdk")

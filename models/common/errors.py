@@ -6,6 +6,7 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+TRACEBACK = "--traceback"  # option of every command
 LONGEST = 1000  # characters of a message; the longest list of allowed names has 700
 LONGEST_WORD = 160  # characters without a space, or between quotes, as of a path
 LONGEST_VALUE = 60  # characters of a value
