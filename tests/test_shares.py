@@ -105,28 +105,6 @@ def test_runs_stop_when_no_more_of_them_is_wanted(paper, designer):
     assert threading.active_count() <= before + 1  # the timer's own may still be there
 
 
-def test_an_interrupt_as_a_thread_starts_leaves_none_behind(monkeypatch):
-    """If Ctrl-C comes before the pool knows of the thread that it starts, the piece is abandoned and waited for like others."""
-    start, begun, ended = threading.Thread.start, threading.Event(), []
-
-    def piece(stopped: Callable[[], bool]) -> None:
-        begun.set()
-        while not stopped():
-            threading.Event().wait(1e-3)
-        threading.Event().wait(0.05)  # time in which nobody may go on
-        ended.append(True)
-
-    def interrupted(thread: threading.Thread) -> None:
-        start(thread)
-        begun.wait()
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(threading.Thread, "start", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        next(side_by_side([piece], 2))
-    assert ended == [True]
-
-
 def test_a_run_that_is_not_wanted_stays_where_it_is(paper, designer):
     """The remaining runs go on as they would have beside the others, and those that are not wanted do not move."""
     time = times(1e-3, 0.3)

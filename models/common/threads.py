@@ -76,8 +76,7 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
         pieces: of work; long ones first, so that the threads end at about the same time.
     """
     stop, coming = threading.Event(), enumerate(pieces)
-    name = f"side by side {id(stop)}_"
-    with ThreadPoolExecutor(threads, name) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         running: dict[Future[Result], int] = {}
         try:
             while True:
@@ -90,6 +89,3 @@ def side_by_side(pieces: Iterable[Piece[Result]], threads: int) -> Generator[tup
         finally:
             stop.set()
             pool.shutdown(cancel_futures=True)
-            # If Ctrl-C comes as the pool starts a thread, the pool does not know of that thread, and does not wait for it.
-            for thread in [one for one in threading.enumerate() if one.name.startswith(name) and one.ident]:
-                thread.join()
