@@ -81,7 +81,7 @@ class Gain:
     """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on an interval of the axis.
 
     Args:
-        system: from w to z, with u = 0.
+        system: system from w to z, with u = 0.
         low: start of the interval [rad/s], from 0.
         high: end of the interval [rad/s], above low; may be infinite.
     """

@@ -92,12 +92,7 @@ class LawMargins:
 
 
 def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
-    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
-
-    Args:
-        vehicle: with the limits of its file.
-        controller: its controller.
-    """
+    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop."""
     law = controller.law
     where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
     gain, gain_lower, disk = math.inf, 0.0, None
@@ -112,11 +107,7 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
 
 
 def warning_lines(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs.
-
-    Args:
-        margins: by name of the controller.
-    """
+    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs."""
     alike: dict[str, list[str]] = {}
     for name, one in margins.items():
         if one.warning:

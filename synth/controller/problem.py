@@ -31,7 +31,7 @@ class JudgedLoop:
     """Loop of a law, as a gain on a larger plant.
 
     Attributes:
-        plant: with the law's states, but for those that are states of the plant itself.
+        plant: plant with the law's states, except those that are states of the plant itself.
         G: gain on it.
         by_itself: the plant without the law's states.
         states: names of its states.

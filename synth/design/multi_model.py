@@ -44,13 +44,13 @@ SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
 
 @dataclass(frozen=True, eq=False)
 class SlackDesign:
-    """A gain for a family, with what is proved of each loop.
+    """A gain for a family, with the proofs of each loop.
 
     Attributes:
-        gain: K, shape (m, q); exactly zero where its structure says so.
-        bound: what the solver says that the LMIs prove for all plants; no more than a claim.
-        f: of the LMIs, in units of one over the rate of the first plant (`units.own_units`).
-        certificates: of the plants, in their order.
+        gain: K, shape (m, q); exactly zero where its structure is zero.
+        bound: bound of the LMIs for all plants by the solver; not proved.
+        f: f of the LMIs, in units of one over the rate of the first plant (`units.own_units`).
+        certificates: certificates of the plants, in order.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
     """
 
@@ -157,7 +157,7 @@ def _checked(
             )
     (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):
-        raise InputError(f"f = {quoted(f)} are no values to try; give numbers above 0, as 0.1, 0.3 and 1")
+        raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, as 0.1, 0.3 and 1")
     shape = plants[0].B.shape[1], len(checked[0])
     pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
     if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
@@ -186,7 +186,7 @@ class _Problem:
         return np.eye(C_i.shape[1]) - np.linalg.pinv(C_i) @ (C_i - self.Cy)
 
     def two_steps(self, f: float) -> tuple[Array, float]:
-        """The gain in the given units, and its bound as Clarabel has it."""
+        """Returns the gain in the given units, and Clarabel's bound."""
         rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
         blocks = together(self.pattern)
         eye = np.eye(n)

@@ -8,9 +8,9 @@ depends on no solver and no unit. What it gains is then computed exactly, withou
 
 Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
 state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The
-gain of the two steps stays where descent gains next to nothing. If they find no gain, or if no control does better, descent
-starts from whatever is known. The result says so. The two steps know no noise of the readings; descent does.
+not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The gain
+of the two steps stays if descent gains next to nothing. If they find no gain, or if no control does better, descent starts from
+whatever is known, with a remark. The two steps ignore noise of the measurements; descent includes it.
 
 That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
 of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
@@ -186,17 +186,17 @@ class SampledDataDesign:
 def held_design(
     problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
 ) -> SampledDataDesign:
-    """The two steps, or the first alone where all states are measured.
+    """Runs the two steps, or the first alone if all states are measured.
 
     Args:
-        near: a level to start from, as the norm of the continuous design.
-        known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+        near: level to start from, for example the norm of the continuous design.
+        known: gains from the same measurements, shapes (m, q), for example the continuous design's; the result is not worse.
         work: counts the norms of the search; `bounded_work` if it is not given.
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
         TooLargeError: too many forces are on their way.
-        DesignError: none was found; the message says what was tried.
+        DesignError: no gain was found; the message lists what was tried.
     """
     check_size(problem)
     far, slow = near, None
@@ -431,7 +431,7 @@ def _level(
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:
     """The level where the norm is 1: that of the polynomial in log norm which is log level where it was seen; NaN of no slope.
 
-    Of one pair the norm falls as the level rises.
+    For a single pair the norm is assumed to fall as the level rises.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

@@ -132,14 +132,14 @@ def gain(D: object) -> System:
 
 
 def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> System:
-    """A filter of one signal, of a ratio of polynomials in s.
+    """Returns the filter of one signal with a ratio of polynomials in s.
 
     Args:
-        numerator: coefficients, of the highest power of s first.
-        denominator: likewise; of at least the numerator's degree.
+        numerator: coefficients, highest power of s first.
+        denominator: coefficients, of at least the numerator's degree.
 
     Raises:
-        InputError: they are no numbers, the denominator is zero, or its degree is too low.
+        InputError: a coefficient is not a number, the denominator is zero, or its degree is too low.
     """
     above, below = (
         np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
@@ -201,15 +201,15 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
 
 
 def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System, beside: Array | None = None) -> GeneralizedPlant:
-    """The plant whose z goes through one system, and whose w comes out of another.
+    """Returns the plant with one system behind its z and another before its w.
 
-    Its states come first, then those of z, then those of w: what it measures the whole measures with columns of zeros.
+    Its states come first, then those of z, then those of w. Measurement matrices get columns of zeros for the others.
 
     Args:
         plant: n states, r disturbances, d outputs.
-        outputs: of d inputs.
-        disturbances: of r outputs.
-        beside: from their j states to z before its own system, shape (d, j), beside what w does; None for nothing.
+        outputs: system with d inputs.
+        disturbances: system with r outputs.
+        beside: additional gain from the j states of `disturbances` to the input of `outputs`, shape (d, j); None for zero.
     """
     z, w = outputs, disturbances
     n, k, j = len(plant.A), len(z.A), len(w.A)

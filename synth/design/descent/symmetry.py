@@ -30,7 +30,7 @@ class Symmetry:
 
     def __init__(self, landscape: Landscape) -> None:
         """Args:
-        landscape: of the plant.
+        landscape: landscape of the plant.
         """
         self.landscape = landscape
         A, B, Cy, C, Bw = (

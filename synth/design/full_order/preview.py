@@ -32,14 +32,14 @@ from synth.plant.units import own_units
 
 @dataclass(frozen=True, eq=False)
 class PreviewDesign:
-    """A controller that is the best in the mean for a disturbance that is known ahead.
+    """A controller with the least mean square for a disturbance that is known ahead.
 
     Attributes:
         law: its feedback, that of LQR.
-        preview: F(s) from w as from the road's velocity, and with no part from its height; None if nothing is known ahead.
+        preview: F(s) on w, the road's velocity, without a part from its height; None if nothing is known ahead.
         h2_norm: rms of z under white noise w.
-        without: the same where nothing is known ahead.
-        certificate: of the feedback for the worst case of w, without what is known ahead.
+        without: rms of z if nothing is known ahead.
+        certificate: certificate of the feedback for the worst case of w, without the preview.
     """
 
     law: LinearLaw

@@ -43,9 +43,9 @@ class QuadraticDesign:
     """A quadratically optimal controller.
 
     Attributes:
-        law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
+        law: static law on the state for LQR; otherwise as many states as the plant, a Kalman filter's estimate.
         h2_norm: rms of z under white noise w and LQG's noise, of the given plant without regularisation; Dw left out.
-        certificate: of its loop for the worst case of w, without LQG's noise, which has no rms in the worst case.
+        certificate: certificate of its loop for the worst case of w, without LQG's noise, which has no rms there.
         remark: assumptions in words, or empty.
     """
 
@@ -83,14 +83,14 @@ def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> Quadratic
 def lqg_design(
     plant: GeneralizedPlant, Cy: Array, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> QuadraticDesign:
-    """The controller of y = C_y x + v with the smallest mean square of z, v white noise of each measurement by itself.
+    """Returns the controller of y = C_y x + v with the least mean square of z; v is independent white noise.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
-        noise: of each measurement, shape (q,) [its unit times root of s]: a noise of rms sigma that is drawn every T seconds is
-            one of sigma sqrt(T). (As w has intensity one, B_w and D_w are to hold the root of its true one.) Without it a small
-            one is assumed, and said.
+        noise: noise of each measurement, shape (q,) [its unit times root of s]: rms sigma, drawn every T seconds, is sigma
+            sqrt(T). (As w has intensity one, B_w and D_w must hold the root of its true one.) Without it a small noise is
+            assumed, with a remark.
         states: names of the states, for messages.
 
     Raises:
@@ -154,7 +154,7 @@ def quadratic_design(
     Args:
         name: "lqr", "lqg" or "h2".
         Cy: shape (q, n); for "lqr" as many rows as states.
-        noise: of each measurement, for "lqg"; None without noise.
+        noise: noise of each measurement, for "lqg"; None without noise.
         Dyw: shape (q, r), for "h2"; None for zero.
 
     Raises:
@@ -296,10 +296,10 @@ def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant
 
 
 def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Returns X of the Riccati equation of a regulator. Of slow modes next to the axis SciPy's balancing may lose it.
+    """Returns X of a regulator's Riccati equation. With slow modes next to the axis SciPy's balancing may lose it.
 
     Raises:
-        LinAlgError, ValueError: neither with its balancing nor without it there is one.
+        LinAlgError, ValueError: there is no X with or without balancing.
     """
     try:
         return linalg.solve_continuous_are(A, B, Q, R, s=S)

@@ -237,12 +237,12 @@ class TradeOffPoint:
     """A controller on the way to the best norm.
 
     Attributes:
-        share: of noise and cost that it was designed with; zero where it was found by descent.
-        law: in the units given.
-        own: the same in the plant's own units.
-        search: that it is a result of.
-        least: what the norm is at least: the gain where poles are. It costs a tenth of the norm, and rules most points out.
-        speed_up: of the loop's fastest pole, over the plant's speed without control.
+        share: share of noise and cost in its design; zero if it was found by descent.
+        law: law in the given units.
+        own: law in the plant's own units.
+        search: search that found it.
+        least: lower estimate of the norm: the gain at poles. It costs a tenth of a norm, and rules most points out.
+        speed_up: fastest pole of the loop, over the plant's speed without control.
     """
 
     share: float
@@ -280,9 +280,9 @@ class TradeOffPoint:
 
     @property
     def trouble(self) -> tuple[float, float]:
-        """Sort key of laws with similar norms: by speed beyond what is much, in which an unstable law counts as ten times faster.
+        """Sort key of laws with similar norms: excessive speed, in which an unstable law counts as ten times faster.
 
-        A force may be cut off, which an unstable law does not bear. Of laws that are slower the stable ones come first.
+        A force may be cut off, which an unstable law does not tolerate. Among slower laws the stable ones come first.
         """
         return self.excess * (1.0 if self.stable else 10.0), self.speed_up
 
