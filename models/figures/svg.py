@@ -254,9 +254,9 @@ class Entry:
 
     Attributes:
         label: text.
-        color: as `#rrggbb`.
-        dash, width: of the line; no line with `none`.
-        marker: of the points, or empty.
+        color: colour as `#rrggbb`.
+        dash, width: style of the line; no line with `none`.
+        marker: marker of the points, or empty.
         filled: True for full markers.
         ground: True for an area of a map.
     """

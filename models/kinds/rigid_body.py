@@ -201,7 +201,7 @@ def linear_model(
         states: (d, P t, q', z_u'), c + p + k + c of them.
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
-        outputs: in this order: the states, the tyre deflections if they are no states, q'', the body's velocity and
+        outputs: in this order: the states, the tyre deflections unless they are states, q'', the body's velocity and
             acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above each
             corner, and of the wheels.
     """

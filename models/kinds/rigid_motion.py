@@ -59,11 +59,11 @@ class RigidMotion:
     Attributes:
         body: its masses, places and elements.
         shape: S of `RigidBody`, or its first columns, shape (c, k).
-        yaw_inertia: I_z; it counts only if a body pitches and rolls at once.
+        yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
         names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. Of a body that only
-            heaves they are its acceleration and that of its hub, and both heights.
+            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. For a body that only
+            heaves: its acceleration and that of its hub, and both heights.
     """
 
     body: RigidBody

@@ -32,10 +32,10 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
     """Writes a suspension into an MjSpec.
 
     Args:
-        tendon: of the suspension.
+        tendon: tendon of the suspension.
         stiffness, damping: [N/m] and [N s/m].
-        load: of the weight at rest [N].
-        length: of the tendon at rest [m].
+        load: load of the weight at equilibrium [N].
+        length: length of the tendon at equilibrium [m].
     """
     tendon.stiffness[0], tendon.damping[0] = stiffness, damping
     if stiffness:
