@@ -101,7 +101,7 @@ class CurvedSteps:
 
         Args:
             states: x, shape (..., n).
-            heights: of the road [m], shape (..., r).
+            heights: road heights [m], shape (..., r).
         """
         return self._force(self.over(states, heights)) @ self.elements.outputs.T
 
@@ -120,11 +120,11 @@ class CurvedSteps:
         """Returns xi after a step, shape (N, n).
 
         Args:
-            xi: before it, shape (N, n).
-            inputs: held, shape (N, m).
-            heights: of the road, held [m], shape (N, r).
+            xi: xi before the step, shape (N, n).
+            inputs: held inputs, shape (N, m).
+            heights: held road heights [m], shape (N, r).
             pushed: contribution of held loads to xi', shape (N, n), or None.
-            weights: of the adjustable dampers, if they have weights.
+            weights: weights of the adjustable dampers, if any.
         """
         constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.elements.of_road.T
         if pushed is not None:
@@ -253,8 +253,8 @@ def _series(A: Array, nonlinear: Elements, steepest: Array, rate: float, timeste
     """Returns the number of parts of a step, and the order at which the series of a part ends below rounding.
 
     Args:
-        steepest: largest ratio of force to argument of each, shape (e,).
-        rate: of the fastest valve [rad/s].
+        steepest: largest ratio of force to argument of each element, shape (e,).
+        rate: rate of the fastest valve [rad/s].
         timestep: [s].
     """
     worst = np.abs(A) + np.abs(nonlinear.push) @ (steepest[:, None] * np.abs(nonlinear.rows))

@@ -190,7 +190,7 @@ class MonitoredBatch:
         ends: detector of the ends of their linear regime in the blocks so far.
         held: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
-        failures: by run, the laws in Python that have failed; such a run goes on without forces.
+        failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
         ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
     """

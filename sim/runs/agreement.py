@@ -55,11 +55,11 @@ class SignalAgreement:
 
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
-        continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
+        continuous: difference from the continuous closed loop, including the effect of holding the force over a step.
         allowed: bound on `sampled` by the integrator's own error, no more than `COARSEST`, with noise and rounding.
         blur: part of `allowed` for noise and quantisation.
         rounding: part of `allowed` that does not depend on the road; see `sim.linear.sampled_response`.
-        scale: of all these differences, in the signal's unit.
+        scale: scale of all these differences, in the signal's unit.
         geometry: value of `sampled` if physics differed from the linear analysis by geometry and the integrator's error alone,
             or None if `small` was not needed.
         foretold: largest difference of physics from RK4's linear response plus the effect of geometry that smaller heights
@@ -117,14 +117,14 @@ class Agreement(Shown):
     """The verdict on one run.
 
     Attributes:
-        signals: by name.
+        signals: agreement of each signal, by name.
         lift_off: intervals [s] in which a tyre is off the road.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
             does not end it. A state that the vehicle's exact equations do not take does.
         blurred: True if measurements are noisy or quantised, or exported code rounds: then differences up to the predicted
             spread are allowed.
-        steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
+        steps: comparison of single steps with the vehicle's exact equations, also after `until`; None without such equations.
     """
 
     signals: Mapping[str, SignalAgreement]

@@ -193,7 +193,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
     Args:
         vehicle: the vehicle, on which RK4 has to be stable.
-        duration: of the run [s].
+        duration: duration of the run [s].
         timestep: h [s].
 
     Raises:
@@ -386,7 +386,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
 
     Args:
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
-        share: of the forces of a law in Python.
+        share: factor on the forces of a law in Python.
     """
     if not isinstance(prediction.controller, Programmed):
         return prediction.controller

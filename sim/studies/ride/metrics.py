@@ -136,8 +136,8 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
     """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s]; empty if the loop is unstable.
 
     Args:
-        road: with the loads.
-        time: of the loads [s].
+        road: road with the loads.
+        time: time of the loads [s].
     """
     cut = continuous(vehicle, controller)
     # Tyres that damp feel the road's velocity beside the loads, and on level ground there is none.
@@ -177,9 +177,9 @@ class Points:
     """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: of the body.
-        suspensions: deflections.
-        tyres: deflections.
+        accelerations: accelerations of the body.
+        suspensions: deflections of the suspensions.
+        tyres: deflections of the tyres.
         actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
     """
 
@@ -263,8 +263,8 @@ class Meter:
         """Prepares the meter.
 
         Args:
-            vehicles: N of one kind.
-            timestep: of the signals [s].
+            vehicles: N vehicles of one type.
+            timestep: timestep of the signals [s].
             first: index of the first sample measured.
             loaded: True if loads act on any body, so that angles are measured.
             pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.

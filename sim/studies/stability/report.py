@@ -1,4 +1,4 @@
-"""Margins in words, and as JSON has them."""
+"""Output of margins: text and JSON."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ COUNTERPART = "the law is discrete: all numbers are of the continuous law whose 
 def margins_object(
     vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> dict[str, Any]:
-    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns the result as a JSON object: SI units, None for infinite or missing values."""
     loops = {name: _loop_object(one) for name, one in margins.items() if name}
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs

@@ -23,9 +23,7 @@ from synth.controller.report import built_words
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """Writes a row per cell that was run, in SI units; events that never happen are left empty, and each row says if the map is
-    complete.
-    """
+    """Writes a row for each cell that was run, in SI units: empty for events that never happen, and whether the map is complete."""
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -41,7 +39,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
-    """The map as JSON has it: SI units, None for what never happens."""
+    """Returns the map as a JSON object: SI units, None for events that never happen."""
     done = np.flatnonzero(cells.done)
     return {
         "controller": controller,
@@ -132,14 +130,14 @@ def envelope_figure(
     threshold: float,
     loads: Sequence[Load] = (),
 ) -> Figure:
-    """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
+    """Returns the map: colours show the first end in MuJoCo, the solid line its prediction, the dashed line the error threshold.
 
     Args:
-        cells: of the grid, the last axis running fastest.
-        axes: one or two; of one the shares of the way to each end are drawn.
-        fixed: what is not varied.
-        threshold: error at which linear analysis is said to hold.
-        loads: on the body over every bump.
+        cells: cells of the grid, the last axis running fastest.
+        axes: one or two axes; with one, the shares of the way to each end are drawn.
+        fixed: values that are not varied.
+        threshold: error up to which linear analysis holds.
+        loads: loads on the body over every bump.
     """
     rest = ", ".join(
         f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()
