@@ -52,7 +52,6 @@ def direct_labels(
     Args:
         panel: panel with the curves.
         points: x and y of every curve in that rectangle, shapes (N,); NaN interrupts a line.
-        size: size of the rectangle.
         width: returns the width of a text.
         height: height of a line of text.
     """

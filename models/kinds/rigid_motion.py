@@ -6,9 +6,8 @@ L_i, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
-the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and
-k_u (static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body
-are
+the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and k_u
+(static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 

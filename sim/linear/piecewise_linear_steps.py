@@ -12,8 +12,7 @@ is cut there, at the root of its polynomial. A y that passes a knot and returns 
 that moves a wheel's velocity by 1e-8 of itself. The weight of an adjustable damper whose valve lags is a power series, too, and
 its force the product of two.
 
-RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry. Weights that lag are further
-states.
+RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry. Weights that lag are further states.
 """
 
 import math
@@ -280,9 +279,7 @@ def _first_leave(values: Array, out: Array, looks: Array, low: Array, high: Arra
 
 
 def _root(line: Array, start: float, end: float, bound: float, side: int) -> float:
-    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the
-    bound.
-    """
+    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the bound."""
 
     coefficients = line.tolist()
 

@@ -84,11 +84,7 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
 
 
 def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict[str, float]:
-    """Returns the rounding errors in a run of an unstable loop, which propagates them so that they grow in each signal.
-
-    Args:
-        rounding: see `roundings`.
-    """
+    """Returns the rounding errors in a run of an unstable loop, which propagates them so that they grow in each signal."""
     loop, linear, shaken = model.closed_loop, model.open_loop.model, _shaken(model.vehicle)[1]
     rows = np.eye(len(linear.A), len(loop.transition))
     rows = linear.C @ rows + linear.D @ loop.parts[0].inputs

@@ -294,7 +294,6 @@ class Dampers:
         """Writes the dampers' signals among those of some samples, shape (B, S, N).
 
         Args:
-            values: the signals.
             commands: see `CoefficientRange.commands`, shape (B, N, 2 m).
             acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
@@ -407,8 +406,7 @@ class Clipped:
 class SemiActiveLaws:
     """N semi-active laws, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
 
-    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its
-    steps.
+    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its steps.
     """
 
     flat = False

@@ -1,6 +1,4 @@
-"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per
-step.
-"""
+"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per step."""
 
 import functools
 import itertools

@@ -30,7 +30,6 @@ def run(
     """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
 
     Args:
-        vehicle: the vehicle.
         controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
             necessary. A function is a law, too: law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the
             force [N], a number or shape (m,); law(sample, state) returns force and next state, as in a file. It measures the

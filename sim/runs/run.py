@@ -372,8 +372,7 @@ def _simulated(
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is
-    replayed.
+    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is replayed.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}

@@ -329,7 +329,6 @@ def ride_lines(rows: Sequence[Row], passive: float | None, road: str, given: str
 
     Args:
         passive: ride of the passive suspension [m/s2], or None.
-        road: description of the road.
         given: assumption on the forces, in words after a comma, or empty.
     """
     rides = {row.name: row.ride for row in rows if row.ride is not None}

@@ -321,7 +321,6 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
-        signals: the q signals.
         bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
 
     Raises:

@@ -224,8 +224,7 @@ class Design(Shown):
 
 @numerics()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own
-    units.
+    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own units.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.

@@ -73,10 +73,6 @@ class SharedDesignData:
     """
 
     def __init__(self, vehicle: Vehicle, hardware: DesignConditions = NOMINAL) -> None:
-        """Args:
-        vehicle: the vehicle.
-        hardware: its actuators' lag, and its loads.
-        """
         self.vehicle, self.hardware, bandwidth = vehicle, hardware, hardware.bandwidth
         self.plant, self.states = generalized_plant(vehicle, bandwidth, loads=hardware.loads), plant_states(vehicle, bandwidth)
         self._bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], LowerBound] = {}
@@ -188,7 +184,6 @@ class Designer:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
-            name: name of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
             on_progress: called with what a design for goals has reached, as it goes on.
 

@@ -23,7 +23,6 @@ def with_numbers(vehicle: Vehicle, controller: Controller, law: ExportedLaw) -> 
 
     Args:
         controller: a controller without adjustable dampers.
-        law: the exported law.
     """
     _, held = rounded_law(law)
     own = replace(_law(law, held), anti_windup=controller.law.anti_windup)
@@ -40,7 +39,6 @@ def numbers_object(vehicle: Vehicle, controller: Controller, law: ExportedLaw, t
 
     Args:
         controller: a controller without adjustable dampers.
-        law: the exported law.
         timestep: sample period of a vehicle without one; delays are multiples of it [s].
     """
     loops = {}

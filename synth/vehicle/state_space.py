@@ -96,7 +96,6 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
     """Returns a system from the measurements to the forces as a controller, certified unchanged.
 
     Args:
-        vehicle: vehicle of the controller.
         name: what to call it.
         measured: signals at its inputs. If the system names its inputs or outputs, the names of signals and forces count, not
             their order.

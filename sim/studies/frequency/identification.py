@@ -197,8 +197,6 @@ def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, times
     """Returns the frequency responses of controllers in MuJoCo, each from the last period of a repeated chirp.
 
     Args:
-        vehicle: the vehicle.
-        controllers: its controllers.
         amplitude: largest height of the road [m].
         timestep: step of the integration [s].
         speed: forward velocity [m/s]; it matters only to vehicles with several axles.
@@ -325,7 +323,6 @@ def without_slow_motion(loop: LoopModel, response: Response, poles: Array, turns
     alike. No such decay looks like turning over many samples.
 
     Args:
-        loop: loop of the run.
         response: end of the run, long enough to separate the two.
         poles: poles of the slow modes, from sample to sample.
         turns: phase angles of the road's lines from sample to sample [rad], shape (L,).

@@ -192,7 +192,6 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
-        road: the spectrum of the road.
         timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """

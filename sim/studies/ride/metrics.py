@@ -11,9 +11,8 @@ forces cancel most of the spring's and the damper's would then look better by pe
 
 Travel, for every suspension: rms, peak, and the share of time at the bump stops.
 
-Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient
-rms(F - F_static) / F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces
-that rms.
+Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient rms(F - F_static) /
+F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces that rms.
 
 Effort, for every actuator: force, mean power into the suspension, and the energy put in, without recovery of what is taken out.
 Power and energy follow from the work of each step. It is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel

@@ -139,7 +139,6 @@ def measured_samples(
 
     Args:
         driven: every vehicle with each of its controllers.
-        road: the road.
         duration: duration of the run [s].
         timestep: timestep of the run [s].
     """
@@ -164,7 +163,6 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
     Args:
-        run: the run.
         first: index of the first sample measured; 0 for the whole run.
         end: index of the sample after the last one measured; None for the end of the run.
 

@@ -96,7 +96,6 @@ class Remainder:
 
         Args:
             vehicle: linear vehicle with the lines of the curves, r wheels.
-            road: the spectrum of the road.
             omega: frequencies [rad/s], shape (F,).
             timestep: timestep of the sampled loop [s].
             at_steps: the `stepwise_frequency_response` of the loop with `pulls`.
@@ -135,7 +134,6 @@ def remainder(
 
     Args:
         vehicle: linear vehicle with the lines of e curves.
-        road: the spectrum of the road.
         timestep: timestep of the sampled loop [s].
         fastest: rate of the fastest oscillation of the loop [rad/s].
         index: index of each curve's argument among the vehicle's outputs, shape (e,).
@@ -266,7 +264,6 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     """Returns the linear equivalent of a vehicle, or None if its loop is unstable or the iteration does not converge.
 
     Args:
-        road: the spectrum of the road.
         timestep: timestep of the sampled loop [s].
     """
     if not vehicle.is_curved:

@@ -103,7 +103,6 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     """Returns the metrics of a signal.
 
     Args:
-        pieces: the signal.
         final: value at the end.
         height: True if it is a height, which rises to `final`.
         half_band: largest error within the band.

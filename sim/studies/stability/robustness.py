@@ -139,8 +139,6 @@ def robustness(
     Returns None for each controller if nothing varies.
 
     Args:
-        vehicle: the vehicle of the controllers.
-        controllers: its controllers.
         timestep: MuJoCo's timestep [s].
         progress: called with a line on the progress.
         variations: result of `read_variations`; None for the variations of the vehicle type.

@@ -39,7 +39,6 @@ def edges(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> tuple[s
     """Returns the axis along which there are edges, preferably the height, and the edges of the cells that were run.
 
     Args:
-        cells: the map.
         axes: its axes, one or two.
         proportional: True if responses are proportional to the height, so that one response predicts the end.
     """
@@ -86,7 +85,6 @@ def edge_lines(along: str, found: Sequence[Edge], fixed: Mapping[str, float]) ->
     """Returns a few edges in lines for a terminal.
 
     Args:
-        along: the axis.
         found: the edges along it.
         fixed: what is not varied.
     """

@@ -132,7 +132,6 @@ def validity(
     """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
 
     Args:
-        bumps: N bumps.
         time: equidistant sample times from 0 [s].
         progress: called with the number of finished cells.
         loads: loads on the body over every bump.

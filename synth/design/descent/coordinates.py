@@ -56,7 +56,6 @@ def directions(landscape: Landscape, x: Array, free: Array) -> Array:
     """Returns the directions as columns, shape (N, free).
 
     Args:
-        landscape: landscape of the points.
         free: which entries of a point may be other than zero, by index.
     """
     try:

@@ -368,10 +368,9 @@ class Landscape:
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (N, N).
 
-        A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the
-        eigenvalue of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega.
-        omega follows its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for
-        them.
+        A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the eigenvalue
+        of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega. omega follows
+        its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
         (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         n, size, (d, r) = len(A), x.size, self.Dw.shape

@@ -137,10 +137,6 @@ class LawUnits:
     """Laws that differ by the units of their states, and make the same loop: those whose gains have the smallest entries."""
 
     def __init__(self, landscape: Landscape, states: int) -> None:
-        """Args:
-        landscape: landscape of the plant with the law's states.
-        states: number of the law's states.
-        """
         self.landscape, self.states = landscape, states
 
     def smallest(self, x: Array) -> Array:

@@ -2,8 +2,7 @@
 
 w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
 loop. From the state that is a gain (LQR). From measurements with noise it is the gain on the state that a Kalman filter
-estimates; no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and
-8).
+estimates; no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
 LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
 plant the second. If a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is

@@ -149,11 +149,6 @@ class EnergyPeak(Objective):
     """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
-        """Args:
-        landscape: landscape of the plant.
-        signal: the bounded signal.
-        unit: the bound.
-        """
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
 
