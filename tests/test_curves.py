@@ -305,7 +305,7 @@ def test_a_spring_that_is_none(table, said):
 def test_what_curves_cannot_stand_in_for():
     """A curve of neither a stiffness nor a damping, of one that is also a number, or of a million points is refused."""
     text = curved_text(suspension_damping=DIGRESSIVE)
-    with pytest.raises(InputError, match="suspension_damping stands in \\[parameters\\] and in \\[curves\\]"):
+    with pytest.raises(InputError, match="suspension_damping is in \\[parameters\\] and in \\[curves\\]"):
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
     with pytest.raises(
         InputError, match="'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"

@@ -115,8 +115,8 @@ def runs(text, *names, road: Road = BUMP, duration=0.8):
             "c_max = 4000.0\n[actuators.front]\nc_min = 1",
             r"\[actuators.front\] is not a suspension of this vehicle",
         ),
-        ('kind = "damper"\n', "", r'has c_min and no kind = "damper"'),
-        ('kind = "damper"\n', 'kind = "force"\n', r'has c_min and no kind = "damper"'),
+        ('kind = "damper"\n', "", r'has c_min without kind = "damper"'),
+        ('kind = "damper"\n', 'kind = "force"\n', r'has c_min without kind = "damper"'),
         ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is of actuators that push"),
     ],
 )

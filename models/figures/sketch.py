@@ -50,7 +50,7 @@ class View:
     """A side of a vehicle.
 
     Attributes:
-        struts: from left to right.
+        struts: struts from left to right.
         body: symbols in the body, as in "m_s, I_y".
         spans: distances below the road: both ends [m], and a symbol.
         bar: symbol of an anti-roll bar; empty without one.

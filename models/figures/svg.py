@@ -86,7 +86,7 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Returns descriptions of the curves: of a line its extremes and its end, of points their number."""
+    """Returns a description of each curve in words: extremes and end of a line, number of points."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     descriptions = []
 

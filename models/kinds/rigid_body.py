@@ -143,7 +143,7 @@ class RigidBody:
 
     @property
     def sways(self) -> Array:
-        """How far its centre of mass sways out per heave, pitch (and roll) [m], shape (2,) or (3,)."""
+        """Lateral displacement of the centre of mass per heave, pitch (and roll) [m/m, m/rad], shape (2,) or (3,)."""
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0][: 2 if self.roll_inertia is None else 3])
 
     def arms(self, bar: Bar) -> Array:

@@ -212,10 +212,10 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequenc
 
 
 def check_view(options: argparse.Namespace) -> None:
-    """Ask before the long work whether its recording can be shown afterwards, as `--open` and `--serve` want.
+    """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: there will be none, or no screen to show it on.
+        InputError: `--no-logs` disables the recording, or `--open` has no display.
     """
     if not (options.open or options.serve):
         return

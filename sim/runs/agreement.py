@@ -1,26 +1,23 @@
-"""Comparison of physics with analysis, signal by signal, for as long as the analysis applies.
+"""Comparison of MuJoCo with linear analysis, signal by signal, while the linear analysis applies.
 
-The reference is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, which is
-known: on a linear system RK4 is the Taylor polynomial of degree 4, so its response can be computed without MuJoCo. Physics and
-analysis agree if they differ by no more than that.
+The reference is the exact response of the sampled loop. MuJoCo integrates with RK4, whose error on a linear system is known: RK4
+is the Taylor polynomial of degree 4 of the matrix exponential. A run agrees if its difference from the reference does not exceed
+this error.
 
-A body that pitches and rolls is not linear: its difference from the analysis grows with the amplitude. Then the same road is
-driven at a hundredth of its height. There a relative difference caused by geometry is a hundredth or less, and one caused by a
-mistake is as large as before. A vehicle without such geometry (`models.vehicle.mjcf`), such as a quarter-car, gets no such
-excuse. The integrator's relative error does not depend on the height if geometry is the only nonlinearity. With knots of curves
-near rest it may be larger at a smaller height, and is computed there, too.
+Pitch and roll make a vehicle nonlinear, so its difference from the analysis grows with the amplitude. Two further checks separate
+this geometric effect from errors of the model:
 
-A hundredth of the whole road's geometry is what is expected there. It is that of another vehicle where curves bend: on the whole
-road its springs and dampers are softer or harder. If more than that is found, half of that height tells how much it is: what
-geometry makes is halved, relative to the signal, and what a mistake makes is not.
+- Reduced height. The same road is driven at a hundredth of its height. The relative difference due to geometry falls at least by
+  the same factor; that due to an error does not. If the difference is larger than expected, a run at half that height decides.
+  Vehicles without such geometry (`models.vehicle.mjcf`), such as a quarter-car, do not get this allowance.
+- Single steps. Each step of MuJoCo is compared with the vehicle's exact equations of motion (`sim.runs.steps`), also at large
+  motions and after the linear regime ends. A vehicle type that rotates but has no such equations is driven at half and a quarter
+  of the height instead. The two runs give two terms of a power series in the height, which predict the effect of geometry.
 
-A mistake that only shows at large motions, as in a curve beyond its line or a bump stop, is absent at a hundredth of the height.
-So every step is also compared with the vehicle's exact equations (`sim.runs.steps`), on the whole road, and where the linear
-analysis does not apply. A kind of vehicle that turns and has no such equations is driven at a half and a quarter of the height
-instead. These give two terms of a power series in the height, which predict the effect of geometry on the whole road.
+The integrator's relative error does not depend on the height, unless a curve has knots near rest. It is computed at both heights.
 
-Rounding does not depend on the road: it is relative to the vehicle's weight and lengths, and at a hundredth of the road it counts
-a hundred times as much. In an unstable loop it grows, like everything.
+Rounding errors are relative to the weight and the lengths of the vehicle, not to the road. At a hundredth of the height they
+count a hundred times as much. In an unstable loop they grow with time.
 """
 
 import math

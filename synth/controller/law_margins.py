@@ -3,13 +3,13 @@
 - A law is *unstable by itself* if its own states grow without measurements: a pole right of the imaginary axis, or outside the
   unit circle.
 - A law *winds up* if it is unstable by itself, the vehicle file clips its forces (`actuator_force` or adjustable dampers), and it
-  has no anti-windup. Clipped forces are bounded, and so are the measurements that they cause, but the states of the law grow. The
-  forces then stay clipped or jump between the limits, and no later measurement brings the states back. An integrator has a pole
-  at 0 and does not count: its states grow no faster than the measurements.
-- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and
-  `[implementation]`, with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to
-  1, at which the loop is unstable. Below `LEAST_GAIN`, or its inverse, and below `LEAST_DISK` a margin is small. (Skogestad,
-  Postlethwaite 2005, section 2.4.3, ask for a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
+  has no anti-windup. Its states grow, but its clipped forces and their effect on the measurements are bounded, so that no later
+  measurement brings the states back. An integrator has a pole at 0 and does not count: its states grow no faster than the
+  measurements.
+- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and `[implementation]`,
+  with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to 1, at which the loop
+  is unstable. A margin is small below `LEAST_GAIN`, or its inverse, or below `LEAST_DISK`. (Skogestad, Postlethwaite 2005,
+  section 2.4.3, require a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
 """
 
 import math

@@ -1,16 +1,15 @@
 """A common static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
 
 1. State feedback for all of them: W of the LMIs with C_y = I.
-2. L (14) with W' in the place of X, so that the W of the first step has the form that the second asks for; then the LMIs with
-   W = Q W_Q + R W_R R' and Y = Y_R R'.
+2. L (14) with W' in place of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
+   W_Q + R W_R R' and Y = Y_R R'.
 
-**The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above
-that plant's norm. The scalar f of the LMIs is the one whose gain has the least worst norm.
+**The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above that
+plant's norm. The scalar f of the LMIs is the one whose gain has the smallest worst norm.
 
-The problem is solved in units in which its numbers have size one. These are states as the inputs and disturbances of the first
-plant reach them, forces and disturbances as large as its A, and time so that f is always the same number. Plants may measure in
-different ways, as with a sensor that is 10 % off. Each is put into coordinates of its own in which all measure the same. X_i is
-each plant's own, and needs no common ones.
+The problem is solved in units in which its numbers have size one, by the inputs, the disturbances and A of the first plant; f is
+independent of the time unit. Plants may measure in different ways, as with a sensor that is 10 % off. Each is transformed to its
+own coordinates, in which all measure the same; X_i needs no common ones.
 """
 
 from collections.abc import Sequence

@@ -1,21 +1,21 @@
-"""The two steps for the loop that a computer closes, and descent on its exact norm from there.
+"""The two steps for the sampled-data loop, followed by descent on its exact norm.
 
-For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). The level that a step reaches
-is the one for whose plant its optimum is a norm of 1: found by secants over the logarithms, in a handful of problems. State
-feedback (22) has one such level, and the X of its optimum there makes L (14); the second step, with its slack variable
-(`lmi/slack_variable.py`), has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and
-depends on no solver and no unit. What it gains is then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
+For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). A step reaches the level for
+whose plant its optimum is a norm of 1, found by secants over the logarithms in a few problems. State feedback (22) has one such
+level, and the X of its optimum makes L (14). The second step, with its slack variable (`lmi/slack_variable.py`), has another.
+Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on no solver and no unit. Its norm is
+then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
 
-Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
-state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The gain
-of the two steps stays if descent gains next to nothing. If they find no gain, or if no control does better, descent starts from
-whatever is known, with a remark. The two steps ignore noise of the measurements; descent includes it.
+Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
+without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
+results and from the continuous design, and the lowest end is taken. The gain of the two steps stays if descent gains next to
+nothing. If they find no gain, or if no control does better, descent starts from whatever is known, with a remark. The two steps
+ignore noise of the measurements; descent includes it.
 
-That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
-of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
-what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound,
-or nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
+The norm has several valleys if a mode of the plant turns by more than a fraction of a turn in a period, and a good gain for a
+fast rate may be unstable at a slow one. So descent starts where the norm is smallest along the line through the known gains, on
+either side of no control. If it ends more than 1 % above a lower bound, or finds nothing, the search for static gains
+(`static.py`) continues for the plant of one level.
 """
 
 import contextlib

@@ -1,18 +1,19 @@
-"""Static output feedback for any plant: the smallest norm that a fixed amount of search finds, at most a largest gain.
+"""Static output-feedback design by multi-start descent on the H-infinity norm.
 
-No quick method finds the best static gain for sure. Three things make a poor one, and each has its remedy:
+The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
+guarantee a global optimum, because the problem is not convex. Three measures reduce the risk of a poor local minimum:
 
-- *Where a descent starts.* Samples of every size (`descent/starts.py`), stabilising gains where samples are too few
-  (`descent/starts.py`), and the paper's two steps, refined. Only few of many starts are followed long. After each heat of short
-  descents, the search drops those that lag behind without progress, and duplicates of a minimum.
-- *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
-  (`descent/coordinates.py`), and one kind (`descent/minimax.py`) knows edges and curvature.
-- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`). Where a search
-  ends at the bound, others begin within narrower ones.
+- Many starts (`descent/starts.py`): samples of every size, stabilising gains if few samples are stable, and the refined result of
+  the paper's two steps. After each heat of short descents, the search drops those that lag behind without progress, and
+  duplicates of a minimum.
+- Good coordinates (`descent/coordinates.py`): descents begin in those of the landscape and continue in those in which all
+  directions have similar effect. The last one (`descent/minimax.py`) uses edges and curvature.
+- A fair bound on the gain (`descent/symmetry.py`): among all gains with the same loop, the bound applies to the smallest. If a
+  search ends at the bound, others begin within narrower ones.
 
-The winner is followed as long as it falls, and from its surroundings further descents start. A result is never replaced by a
+Finally, the search follows the best candidate to convergence and starts further descents near it. A result is never replaced by a
 worse one, so the norm is at most that of the refined two steps. If several gains have the same norm, the search returns the
-smallest multiple. The same plant gives the same gain: all samples have fixed seeds.
+smallest multiple. All samples have fixed seeds, so the same plant always gives the same gain.
 """
 
 from collections.abc import Callable, Sequence
@@ -385,7 +386,7 @@ class GainSearch:
         return left
 
     def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
-        """A candidate after a descent; as it was where that led no lower."""
+        """Returns a candidate after a descent, or the candidate itself if the norm did not decrease."""
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []

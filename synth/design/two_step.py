@@ -104,7 +104,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one.
 
     Args:
         states: names of the states; x1, x2, ... without them.
@@ -159,7 +159,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 
 
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
-    """With disturbances that act on the states as the columns of `where` say."""
+    """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
@@ -325,7 +325,7 @@ def two_step_design(
         plant: n states, m inputs.
         Cy: measurements y = C_y x, shape (q, n). Rows that depend on others are omitted and listed in the result.
         path: the central path of (22); computed if empty.
-        lower_bound: of the norm, over all controllers of this kind, for the certificate.
+        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
 
     Raises:

@@ -4,17 +4,17 @@ The law's states x_c become integrators with inputs of their own (El Ghaoui, Ous
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
+For a discrete plant the law is discrete, too, x_c[k+1] = v[k]. A measured disturbance passes through the law directly and is part
+of Bw and Dw of the larger plant.
 
-A measured disturbance passes through the law directly and is part of Bw and Dw of the larger plant.
+A design handles weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's. In series
+with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
+actuator.
 
-A design knows weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's: in series
-with an output it weighs that, in series with a disturbance it shapes its spectrum, in series with an input it is the actuator.
-
-    System            x' = A x + B v, e = C x + D v, whatever v and e are
-    transfer_function one of a ratio of polynomials in s
-    series, append    one after the other, one beside the other
-    generalized       a system from [w; u] to [z; y] as a plant and what it measures
+    System            x' = A x + B v, e = C x + D v, for any v and e
+    transfer_function system of a ratio of polynomials in s
+    series, append    systems in series, systems in parallel with separate signals
+    generalized       a system from [w; u] to [z; y] as a plant and its measurements
     with_weights      a plant between the filter of its w and that of its z
 
 (Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)

@@ -1,16 +1,15 @@
-"""LQR, LQG and H2: the same weights with the mean square in the place of the worst case, which is what a reader compares with.
+"""LQR, LQG and H2: controllers with the least mean square of z for the same weights, for comparison with the worst case.
 
-w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
-loop. From the state that is a gain (LQR). From measurements with noise it is the gain on the state that a Kalman filter
-estimates; no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
+The disturbance w is white noise of intensity one, and the root of the mean square of z is the H2 norm of the loop. With the whole
+state the controller is a gain (LQR). With noisy measurements it is that gain on the state that a Kalman filter estimates. No
+linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
-LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
-plant the second. If a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
-assumed, in the plant's own units, and said. Any noise or cost that is given is used as given, however small: inputs and
-measurements are scaled until theirs is one, so that no small number is in the Riccati equations. An integral that is measured
-without noise is known, and not estimated: it acts on nothing but z, so that the estimate of the other states does without it.
+LQG and H2 are one problem: LQG with separate noise of each measurement, H2 with z and y of a generalized plant. If a measurement
+has no noise, or a force no cost, the problem is singular. Then a small share of either is assumed, in the plant's own units, with
+a remark. Given noise and cost are used unchanged, however small: inputs and measurements are scaled to one, so that the Riccati
+equations contain no small numbers. An integral that is measured without noise is not estimated: it acts on z alone.
 
-White noise through Dw has no mean square; it is what no control changes, and left out.
+White noise through Dw has no mean square. No control changes it, and it is omitted.
 """
 
 from collections.abc import Sequence
