@@ -298,7 +298,11 @@ class Designer:
     def _named(
         self, entry: ControllerEntry, posed: Problem, lower_bound: LowerBound, on_progress: Callable[[float, bool], None]
     ) -> Controller:
-        """Returns a controller that is designed in another way than by two steps."""
+        """Returns a controller that is designed in another way than by two steps.
+
+        Raises:
+            InterruptedDesign: by Ctrl-C, with the best law of fewer states.
+        """
         fewer: list[Controller] = []
 
         def on_found(law: LinearLaw) -> None:

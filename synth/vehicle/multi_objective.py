@@ -181,7 +181,7 @@ def goals_design(
 
     Raises:
         DesignError: no controller was found.
-        InterruptedDesign: Ctrl-C was pressed; it holds what was finished until then.
+        InterruptedDesign: by Ctrl-C, with what was finished until then.
     """
     problem = goal_problem(vehicle, entry, goals)
     # Said of every family, minimised where that is asked for.

@@ -80,7 +80,7 @@ def robust_controller(
         on_progress: called with the robust performance so far, and True.
 
     Raises:
-        InterruptedDesign: Ctrl-C was pressed; it holds the best design so far.
+        InterruptedDesign: by Ctrl-C, with the best so far.
     """
     assert entry.errors is not None, "it has weights"
     posed = nominal.problem(vehicle)

@@ -41,12 +41,12 @@ EDGE = 0.01  # relative height; a cell whose prediction changes within that lies
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The N cells of the map, in the order of their bumps. Values of a cell that was not run are NaN, -1 or 0.
+    """Cells of the map, N of them, in the order of their bumps. Of a run that did not happen all is NaN, or -1, or 0.
 
     Attributes:
-        bumps: bump of each cell.
-        done: True if the cell was run, shape (N,).
-        error: largest difference of physics from linear prediction over the whole run, relative to the signal's peak, shape (N,).
+        bumps: one per cell.
+        done: whether it was run, shape (N,).
+        error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
         first: first end in physics, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
         time: time of that end [s], infinite for none, shape (N,).
         predicted: first end in the linear response, shape (N,).

@@ -23,7 +23,9 @@ from synth.controller.report import built_words
 
 
 def write_csv(path: Path, cells: Cells, threshold: float) -> None:
-    """Writes a row for each cell that was run, in SI units: empty for events that never happen, and if the map is complete."""
+    """Writes a row per cell that was run, in SI units; events that never happen are left empty, and each row says if the map is
+    complete.
+    """
     names = [end.replace(" ", "_").replace("-", "_") for end in END_NAMES]
     with whole_file(path, "csv") as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

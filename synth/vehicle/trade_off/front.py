@@ -72,7 +72,7 @@ class Front:
         limits: lower-bound curves of every two axes.
         tried: number of designs tried.
         unproved: number of designs omitted because a claim fails.
-        interrupted: step that Ctrl-C cut short; empty if none.
+        interrupted: what Ctrl-C cut short; empty for nothing.
     """
 
     vehicle: Vehicle
@@ -117,7 +117,7 @@ def front(
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.
         DesignError: none of its gains keeps its bounds.
-        KeyboardInterrupt: Ctrl-C before the first certified design; after it, the finished designs are returned.
+        KeyboardInterrupt: by Ctrl-C before a first design is certified; what is done by then is returned later on.
     """
     entry, designer = entry_of(vehicle, name), Designer(vehicle)
     trace = _trace(vehicle, entry, axes)
