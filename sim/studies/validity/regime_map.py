@@ -135,7 +135,7 @@ def validity(
         time: equidistant sample times from 0 [s].
         progress: called with the number of finished cells.
         loads: loads on the body over every bump.
-        foretold: True to predict every cell, which is expensive with curves or loads.
+        foretold: whether anybody asks what is predicted of each, which with curves or loads is dear; else nothing is.
 
     Raises:
         Interrupted: Ctrl-C came before the last cell was done.

@@ -41,7 +41,7 @@ def write_csv(path: Path, cells: Cells, threshold: float) -> None:
 
 
 def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, threshold: float) -> dict[str, Any]:
-    """Returns the map as a JSON object: SI units, None for events that never happen."""
+    """The map as JSON has it: SI units, None for what never happens."""
     done = np.flatnonzero(cells.done)
     return {
         "controller": controller,

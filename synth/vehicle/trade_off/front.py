@@ -71,7 +71,7 @@ class Front:
         missing: omitted controllers, each with the reason.
         limits: lower-bound curves of every two axes.
         tried: number of designs tried.
-        unproved: number of designs omitted because a claim fails.
+        unproved: those of them that were left out because a claim fails.
         interrupted: what Ctrl-C cut short; empty for nothing.
     """
 
