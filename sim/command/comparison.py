@@ -165,11 +165,7 @@ def recorded(
 
 
 def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
-    """Writes what `--picture` and `--csv` ask for; returns the outputs that were written, by name.
-
-    Args:
-        where: the road in words, after "over".
-    """
+    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over"."""
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
         from models.figures.picture import write_picture
@@ -264,11 +260,7 @@ def run_named(
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
-    """Returns the run of the passive vehicle, which is one of the runs, or made for the comparison.
-
-    Args:
-        design: gives the passive vehicle's controller.
-    """
+    """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
 

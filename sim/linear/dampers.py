@@ -37,7 +37,7 @@ def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
-    """Returns the velocities that damper coefficients are multiplied by, from the velocities of the suspensions, shape (..., m)."""
+    """Returns the factors from damper coefficients to forces, by the velocities of the suspensions, shape (..., m)."""
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     return velocities if of.bent is None else -of.effective_velocity(-velocities[..., None, :])[..., 0, :]
 

@@ -211,11 +211,7 @@ def undamped(controller: Controller) -> bool:
 
 
 def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
-    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures.
-
-    Args:
-        checked: True for a line on what was checked.
-    """
+    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures."""
     alike = dict[str, list[str]]()
     own = without_copies(row.name for row in rows)
     told = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does

@@ -104,11 +104,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one.
-
-    Args:
-        states: names of the states; x1, x2, ... without them.
-    """
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]

@@ -253,7 +253,7 @@ def _noted(gain: GainMargin, note: str = "") -> str:
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
-    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power -1."""
+    """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")

@@ -23,11 +23,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 def reductions(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
-    """Yields laws of k states, on y = C_y x + Dyw w, from one of at least as many; itself if it has no more.
-
-    Args:
-        law: continuous as the plant, or discrete.
-    """
+    """Yields laws of k states, on y = C_y x + Dyw w, from a law of at least as many; itself if it has no more."""
     if law.states <= k:
         yield law
         return

@@ -22,11 +22,7 @@ SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 
 
 def cost_lines(one: Cost, lag: str = "") -> list[str]:
-    """Returns a line for each rate of a controller.
-
-    Args:
-        lag: lag of the actuators, in words; empty without.
-    """
+    """Returns a line for each rate of a controller; `lag` describes the lag of the actuators, or is empty."""
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
     designs = _has_designs(one)
