@@ -123,13 +123,13 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
         if isinstance(one, Controller) and one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
-                "gain is taken as it is; python -m synth --check says more"
+                "gain is used unchanged; see python -m synth --check"
             )
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
                 f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
-                "taken as it is; python -m synth says more"
+                "used unchanged; see python -m synth"
             )
 
 
