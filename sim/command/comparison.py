@@ -134,7 +134,7 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
 
 
 def _first(claims: Sequence[str]) -> str:
-    """The first of some claims, and how many more there are."""
+    """Returns the first of some claims, and the number of further ones."""
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -148,7 +148,7 @@ def recorded(
     runs: Callable[[], Mapping[str, Run]],
     result: Mapping[str, Any],
 ) -> dict[str, str | None]:
-    """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
+    """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
     Args:
         options: as the command's parser read them, `--logs` among them.
@@ -226,7 +226,7 @@ def check_view(options: argparse.Namespace) -> None:
 
 
 def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
-    """Shows a recording as `--open` and `--serve` want; what the command has printed is out before.
+    """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
 
     Raises:
         InputError: the web viewer does not come up.

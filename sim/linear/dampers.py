@@ -94,7 +94,7 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def squarable(forces: Array) -> Array:
-    """Returns requested forces [N], of which those that have no finite square are cut off; an unstable law asks for such."""
+    """Returns requested forces [N], clipped to finite squares, as unstable laws may exceed them."""
     return np.clip(forces, -MOST_SQUARED, MOST_SQUARED)
 
 

@@ -93,7 +93,7 @@ class Prediction:
 
     @property
     def blur_text(self) -> str:
-        """Names of what `spread` is of; empty without any."""
+        """Names of the sources of `spread`; empty without any."""
         noise, code = self.vehicle.implementation.noise_text, code_of(self.controller)
         return " and ".join(filter(None, [noise, f"rounding to {code.law.numbers}" if self.rounding and code else ""]))
 

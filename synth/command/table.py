@@ -255,8 +255,7 @@ def _failures(row: Row) -> list[str]:
 
 
 def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
-    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it; what was asked
-    about it, and what fails.
+    """Returns the first specification of a controller with goals, or a short designed gain, requested answers, and failures.
 
     Args:
         gains: False to omit the gains.

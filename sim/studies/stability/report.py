@@ -235,7 +235,7 @@ def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
 
 
 def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
-    """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
+    """Returns rows of name, predicted value, value found, and a note to the right, or below if it does not fit."""
     heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
     room = NAME + 2
     lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]

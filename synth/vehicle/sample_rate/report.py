@@ -60,7 +60,7 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
 
 
 def _previews(costs: Sequence[Cost]) -> list[str]:
-    """Returns a line that names the controllers of which the norms are without the road ahead; empty if there are none."""
+    """Returns a line that lists the controllers whose norms ignore their preview; empty if there are none."""
     names = [one.controller.name for one in costs if one.controller.preview is not None]
     return [f"  {', '.join(names)}: of the feedback alone, without the road ahead"] if names else []
 
@@ -71,7 +71,7 @@ def _has_designs(one: Cost) -> bool:
 
 
 def _undesigned_lines(one: Cost) -> list[str]:
-    """Why a design is missing, a line for each reason: what happened, without what causes it and what to do."""
+    """Returns a line for each reason of missing designs: what happened, without cause and remedy."""
     missing: dict[str, list[AtRate]] = {}
     for at in one.rates:
         if at.undesigned:
