@@ -119,7 +119,7 @@ class Classes:
     @property
     def labels(self) -> list[tuple[str, int, int]]:
         """Short name, row and column of the innermost cell of every class that has room for words."""
-        found = []
+        entries = []
         for i, name in enumerate(self.names):
             inside, depth, at = self.kind == i, 0, (0, 0)
             while name and inside.any():
@@ -127,8 +127,8 @@ class Classes:
                 padded = np.pad(inside, 1)
                 inside = inside & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
             if depth * WIDE > len(self.x):
-                found.append((name.partition(" breaks")[0].partition(":")[0], *at))
-        return found
+                entries.append((name.partition(" breaks")[0].partition(":")[0], *at))
+        return entries
 
 
 WIDE = 8  # a class has room for words if it is as deep as this part of a map

@@ -134,23 +134,23 @@ def aligned(column: Sequence[str]) -> list[str]:
     if any(cell.endswith("*") for cell in column):  # the best is marked
         cells = aligned([cell.removesuffix("*") for cell in column])
         return [f"{cell}{'*' if marked.endswith('*') else BLANK}" for cell, marked in zip(cells, column, strict=True)]
-    found = [NUMBER.fullmatch(cell) for cell in column]
-    if not any(found) or not all(one or cell in ("-", "any", "") for one, cell in zip(found, column, strict=True)):
+    matches = [NUMBER.fullmatch(cell) for cell in column]
+    if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)
-    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(found, column, strict=True)]
+    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(matches, column, strict=True)]
     least = NOTHING * max(map(abs, values))
-    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(found, values, column, strict=True)]
-    found = [NUMBER.fullmatch(cell) for cell in cells]
+    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(matches, values, column, strict=True)]
+    matches = [NUMBER.fullmatch(cell) for cell in cells]
     decimals = [
-        len(one[3] or "") for one, value in zip(found, values, strict=True) if one and not one[4] and one[0] != "0" and value
+        len(one[3] or "") for one, value in zip(matches, values, strict=True) if one and not one[4] and one[0] != "0" and value
     ]
     fixed = min(decimals, default=0)
-    kept = [value for value in map(abs, values) if value > least]
-    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in kept)
-    fits = fits and not any(one and one[4] for one in found)
-    most = fixed if fits else max((len(one[3] or "") for one in found if one and not one[4]), default=0)
+    sizes = [value for value in map(abs, values) if value > least]
+    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in sizes)
+    fits = fits and not any(one and one[4] for one in matches)
+    most = fixed if fits else max((len(one[3] or "") for one in matches if one and not one[4]), default=0)
     texts = []
-    for one, cell in zip(found, cells, strict=True):
+    for one, cell in zip(matches, cells, strict=True):
         if one is None:
             texts.append(cell)
             continue

@@ -294,5 +294,5 @@ def _place(where: str, name: str, section: Mapping[str, Any]) -> Place:
 
 def _said(places: Sequence[Place], corner: str, key: str) -> Any:
     """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
-    said = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
-    return getattr(max(said, key=lambda place: len(place.name)), key) if said else None
+    places_with_key = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
+    return getattr(max(places_with_key, key=lambda place: len(place.name)), key) if places_with_key else None

@@ -282,13 +282,16 @@ def summary_lines(runs: Sequence[Run], short: bool = False) -> list[str]:
         short: True for shared lines without what is the same of all good runs: that single steps agree and energy balances.
     """
     width = max(len(run.controller.name) for run in runs)
-    said = [(run.controller.name, f"{_unstable(run)}{verdict(run)}") for run in runs]
+    verdicts = [(run.controller.name, f"{_unstable(run)}{verdict(run)}") for run in runs]
     if short:
-        said = [(name, words.removesuffix("; energy balances").replace(STEPS_TOO, "")) for name, words in said]
-        return [*shared_lines(said), *["energy balances in every run"] * all(run.energy and run.energy.balances for run in runs)]
+        verdicts = [(name, words.removesuffix("; energy balances").replace(STEPS_TOO, "")) for name, words in verdicts]
+        return [
+            *shared_lines(verdicts),
+            *["energy balances in every run"] * all(run.energy and run.energy.balances for run in runs),
+        ]
     if len(runs) <= FEW:
-        return [line for name, words in said for line in wrapped(words, f"{name:{width}}  ", 4)]
-    return shared_lines(said)
+        return [line for name, words in verdicts for line in wrapped(words, f"{name:{width}}  ", 4)]
+    return shared_lines(verdicts)
 
 
 def _unstable(run: Run) -> str:

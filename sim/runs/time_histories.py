@@ -238,13 +238,13 @@ def _hardest_stretch(runs: Sequence[Run]) -> tuple[float, float] | None:
     It has about `MOST_SWINGS` of the signal that swings most often.
     """
     weighed = list(_weighed(runs))
-    kept = [run for run in runs if _bounded(run)]
-    swings = max((_swings(run.physics[name]) for run in kept for name in weighed if _moves(run, name)), default=0)
+    bounded_runs = [run for run in runs if _bounded(run)]
+    swings = max((_swings(run.physics[name]) for run in bounded_runs for name in weighed if _moves(run, name)), default=0)
     if swings <= MOST_SWINGS:
         return None
     time = runs[0].prediction.time
-    first = next(name for name in weighed if any(_moves(run, name) for run in kept))
-    hardest = max((run for run in kept if _moves(run, first)), key=lambda run: float(run.physics.peak(first)))
+    first = next(name for name in weighed if any(_moves(run, name) for run in bounded_runs))
+    hardest = max((run for run in bounded_runs if _moves(run, first)), key=lambda run: float(run.physics.peak(first)))
     at, whole = float(time[int(np.abs(hardest.physics[first]).argmax())]), float(time[-1])
     length = whole * MOST_SWINGS / swings
     start = min(max(0.0, at - length / 2), whole - length)

@@ -180,10 +180,10 @@ class _Pencil(NamedTuple):
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
-        kept = sizes > NEARLY * sizes.max(initial=0.0)
-        directions = directions[:, kept] / sizes[kept]
+        mask = sizes > NEARLY * sizes.max(initial=0.0)
+        directions = directions[:, mask] / sizes[mask]
         best = directions @ np.linalg.svd(directions.conj().T @ y)[0][:, :1]
-        k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and kept.any() else basis[:, 0]
+        k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and mask.any() else basis[:, 0]
         return k / np.linalg.norm(k), basis.conj().T
 
 

@@ -175,9 +175,9 @@ def _strongest(outputs: Array, effects: Array) -> Array:
         effects: shape (k, r).
     """
     directions, sizes, _ = np.linalg.svd(outputs, full_matrices=False)
-    kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
-    directions = directions[:, kept] / sizes[kept]
-    return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if kept.any() else np.zeros(len(outputs))
+    mask = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
+    directions = directions[:, mask] / sizes[mask]
+    return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if mask.any() else np.zeros(len(outputs))
 
 
 def _rates(plant: GeneralizedPlant) -> Array:

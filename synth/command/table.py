@@ -201,8 +201,8 @@ def detail_lines(row: Row, vehicle: Vehicle) -> list[str]:
         lines.append(f"  {row.witness.text}")
     if row.fragile is not None:
         lines += [f"  {line}" for line in row.fragile.lines]
-    said = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
-    return [*lines, *(f"  {note}" for note in said), *(f"  FAILS: {failure}" for failure in _failures(row))]
+    notes = (*growth_lines(vehicle, controller), *row.notes, *certificate.remarks)
+    return [*lines, *(f"  {note}" for note in notes), *(f"  FAILS: {failure}" for failure in _failures(row))]
 
 
 def undamped(controller: Controller) -> bool:
@@ -214,13 +214,13 @@ def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
     """Returns the requested answers about several controllers, equal answers in one sentence, and the failures."""
     alike = dict[str, list[str]]()
     own = without_copies(row.name for row in rows)
-    told = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does
-    for row in told:
+    shown = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does
+    for row in shown:
         for each in _answers(row, checked) if row.controller is not None else []:
             alike.setdefault(each, []).append(row.name)
     if ahead := [row.name for row in rows if row.controller is not None and row.controller.preview is not None]:
         alike.setdefault(FEEDBACK_ALONE, []).extend(ahead)
-    lines = [line for row in told if row.refined and row.controller is not None for line in _gain(row.controller)]
+    lines = [line for row in shown if row.refined and row.controller is not None for line in _gain(row.controller)]
     lines += [line for each, names in alike.items() for line in wrapped(each, f"{', '.join(names)}: ", 4)]
     return [*lines, *(line for row in rows for line in _failure_lines(row))]
 
@@ -330,8 +330,8 @@ def ride_lines(rows: Sequence[Row], passive: float | None, road: str, given: str
     if not rides:
         return []
     rides = ({"passive": passive} if passive is not None else {}) | rides
-    said = {name: "" if not passive or name == "passive" else f" ({_change(ride / passive)})" for name, ride in rides.items()}
-    listed = ", ".join(f"{name} {ride:.3g}{said[name]}" for name, ride in rides.items())
+    changes = {name: "" if not passive or name == "passive" else f" ({_change(ride / passive)})" for name, ride in rides.items()}
+    listed = ", ".join(f"{name} {ride:.3g}{changes[name]}" for name, ride in rides.items())
     lines = [f"ride: expected weighted acceleration, {road}, of the ideal loop{given} [m/s2]: {listed}"]
     worse = [name for name, ride in rides.items() if passive and ride > WORSE * passive]
     lines += [f"ride: WORSE than passive: {', '.join(worse)}; the norm weighs other things than comfort"] if worse else []
@@ -345,16 +345,16 @@ def _change(ratio: float) -> str:
 def verdict_lines(rows: Sequence[Row]) -> list[str]:
     """Returns the verdict: the controllers with claims that fail, and those that are unstable as implemented."""
     wrong = [f"{row.name} {'is not designed' if row.controller is None else 'FAILS'}" for row in rows if row.failures]
-    said = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
-    said = f"not every claim holds: {', '.join(wrong)}" if wrong else said
+    verdict = f"every claim holds, of {len(rows)} controller{'s' * (len(rows) != 1)}"
+    verdict = f"not every claim holds: {', '.join(wrong)}" if wrong else verdict
     judged = [row for row in rows if row.controller is not None and not undamped(row.controller)]
     lost = [row.name for row in judged if row.sampled is not None and not row.sampled.stable]
     if lost:
-        said += f"; UNSTABLE as the computer runs it: {', '.join(lost)}"
+        verdict += f"; UNSTABLE as the computer runs it: {', '.join(lost)}"
     grow = [row.name for row in rows if row.margins is not None and row.margins.growth]
     if grow:
-        said += f"; a law UNSTABLE by itself: {', '.join(grow)}"
-    return [said]
+        verdict += f"; a law UNSTABLE by itself: {', '.join(grow)}"
+    return [verdict]
 
 
 def _at_least(share: float) -> str:

@@ -35,15 +35,15 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
     Args:
         integrated: S, shape (j, q); None for none.
     """
-    kept: dict[int, tuple[int, float]] = {}
+    states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):
         at = int(np.flatnonzero(factors)[0])
         for i in np.flatnonzero(~np.any(law.A, axis=1) & (law.B[:, at] != 0)).tolist():
             ratio = float(law.B[i, at] / factors[at])
-            if np.array_equal(law.B[i], ratio * factors) and i not in [state for state, _ in kept.values()]:
-                kept[row] = i, ratio
+            if np.array_equal(law.B[i], ratio * factors) and i not in [state for state, _ in states.values()]:
+                states[row] = i, ratio
                 break
-    return kept
+    return states
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:

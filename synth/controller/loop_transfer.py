@@ -169,9 +169,9 @@ class SampledLaw:
         chain = np.zeros((k + 2 * q, k + 2 * q))
         chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
         periods = start + step * np.arange(1, count + 1)
-        kept = _powers(chain, start, step, count)
-        A, ramp = kept[:, :k, :k], kept[:, :k, k + q :] / periods[:, None, None]
-        B, through = kept[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
+        powers = _powers(chain, start, step, count)
+        A, ramp = powers[:, :k, :k], powers[:, :k, k + q :] / periods[:, None, None]
+        B, through = powers[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
         # From [x; x_c; previous forces], which are states only where they are measured.
         previous = m if np.any(D) else 0
         seen = np.hstack([C, np.zeros((q, k)), D[:, :previous]])
@@ -234,10 +234,10 @@ def sampled_loop_transfer(
         actuators: those that are cut; None for all.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
     """
-    kept = sampled(vehicle, controller, period)
-    actuators = range(kept.forces) if actuators is None else actuators
-    Phi, Gamma = held_inputs(kept.model.A, period, exponential, kept.model.B)
-    m, others = kept.forces, [i for i in range(kept.forces) if i not in actuators]
-    if len(kept.hold):
-        Phi, Gamma = Phi + Gamma[:, m:] @ kept.kept, Gamma[:, :m] + Gamma[:, m:] @ kept.hold
-    return Phi + Gamma[:, others] @ kept.asked[others], Gamma[:, actuators], kept.asked[actuators]
+    loop = sampled(vehicle, controller, period)
+    actuators = range(loop.forces) if actuators is None else actuators
+    Phi, Gamma = held_inputs(loop.model.A, period, exponential, loop.model.B)
+    m, others = loop.forces, [i for i in range(loop.forces) if i not in actuators]
+    if len(loop.hold):
+        Phi, Gamma = Phi + Gamma[:, m:] @ loop.kept, Gamma[:, :m] + Gamma[:, m:] @ loop.hold
+    return Phi + Gamma[:, others] @ loop.asked[others], Gamma[:, actuators], loop.asked[actuators]

@@ -85,10 +85,10 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
     noisy = any(controller.hardware.noise)
-    heard = ", with the noise of its measurements" if noisy else ""
+    noise = ", with the noise of its measurements" if noisy else ""
     which = "a road with noise" if noisy else "a road"
     lines = [
-        f"sampled norm {norm.value:.7g}{more}{heard}",
+        f"sampled norm {norm.value:.7g}{more}{noise}",
         f"it is less than {norm.upper:.9g} by level sets, and {which} reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:

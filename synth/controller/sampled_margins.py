@@ -109,10 +109,10 @@ def _crossovers(open_: Array, Gamma: Array, F: Array, period: float) -> list[tup
         low, high = grid[i], grid[i + 1]
         for _ in range(4):
             finer = np.linspace(low, high, 40)
-            found = _crossings(eigenvalues(finer))
-            if not len(found):
+            crossings = _crossings(eigenvalues(finer))
+            if not len(crossings):
                 break
-            low, high = finer[found[0]], finer[found[0] + 1]
+            low, high = finer[crossings[0]], finer[crossings[0] + 1]
         omega = (low + high) / 2
         (values,) = eigenvalues(np.array([omega]))
         turned = float(np.angle(values[np.argmin(np.abs(np.log(np.abs(values))))]) % (2 * np.pi))

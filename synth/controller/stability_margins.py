@@ -292,10 +292,10 @@ def _dip(loop: LoopTransfer, period: float, h: float, products: Array) -> float 
     def product(at: float) -> float:
         return max(float(_products(loop.from_sample_to_sample(0.0, at, 1))[0]), -bend)
 
-    found: Any = optimize.minimize_scalar(
+    minimum: Any = optimize.minimize_scalar(
         product, bounds=(period - h, period + h), method="bounded", options={"xatol": SMALL * h}
     )
-    return float(found.x)
+    return float(minimum.x)
 
 
 def _products(transitions: Array) -> Array:

@@ -127,8 +127,8 @@ def two_steps_or_descent(
     except InputError as error:
         left = _known_gain(plant, rows[kept], start, lower_bound, noise)
         if left is None:
-            said = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
-            raise DesignError(f"{said}; the two steps: {failure or reason}") from error
+            message = str(error) if str(error).startswith(NO_GAIN) else no_gain(f"descent on the norm, {error}")
+            raise DesignError(f"{message}; the two steps: {failure or reason}") from error
         gain, certificate, how = left
     unproved = "; rounding leaves no proof of a bound, the norm is what two routes agree on" if certificate.bound is None else ""
     instead = f"not by the two steps but {how}{unproved}, for {reason}"

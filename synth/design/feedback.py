@@ -86,8 +86,8 @@ class FeedbackDesign(Shown):
         law = _law_shown(self.law) if self.law.states else {"gain": gain_text(self.law.D)}
         value = {self.criterion: f"{self.value:.7g}"} if self.criterion != "norm" else {}
         value |= {"sampled lower bound": f"{self.sampled_lower_bound:.7g}"} if self.sampled_lower_bound is not None else {}
-        said = {"remark": self.remark} if self.remark else {}
-        return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **said}
+        remark = {"remark": self.remark} if self.remark else {}
+        return f"feedback by {self.method}, {title}", {**law, **value, **proved, "why": self.why, **remark}
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() + self.certificate.figure
@@ -284,13 +284,13 @@ class _Asked:
     def static(self, largest_gain: float) -> FeedbackDesign:
         """A static gain, by the two steps, and by descent from there or in their place."""
         plant, Dyw = self.loud
-        found, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
-        certificate, left_out = found.certificate, [f"y{i + 1}" for i in found.redundant]
-        said = [found.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
-        why = found.instead or went_on or "the two steps lead to a gain whose certificate holds"
-        method = DESCENT if found.instead else BOTH if went_on else TWO_STEPS
+        result, went_on = near_lower_bound(plant, self.Cy, self.lower_bound, self.states, Dyw, largest_gain)
+        certificate, left_out = result.certificate, [f"y{i + 1}" for i in result.redundant]
+        said = [result.case, f"{', '.join(left_out)} follows from the others: its gain is zero" if left_out else ""]
+        why = result.instead or went_on or "the two steps lead to a gain whose certificate holds"
+        method = DESCENT if result.instead else BOTH if went_on else TWO_STEPS
         remark = "; ".join(text for text in [*said, _distance(certificate)] if text)
-        return FeedbackDesign(static_law(found.gain), certificate, method, why, remark, certificate.norm.value)
+        return FeedbackDesign(static_law(result.gain), certificate, method, why, remark, certificate.norm.value)
 
     def full(self, stable: bool, fastest_pole: float | None) -> FeedbackDesign:
         """Returns a law of full order; if none with the least norm is found, that of the least mean square, or a gain."""
@@ -335,9 +335,9 @@ class _Asked:
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
         plant, Dyw = self.loud
-        found = fixed_order_design(plant, self.Cy, Dyw, structure, self.lower_bound, self.states, stable=stable)
-        why = f"from {found.origin}, for {structure.text}"
-        return FeedbackDesign(found.law, found.certificate, DESCENT, why, found.remark, found.certificate.norm.value)
+        result = fixed_order_design(plant, self.Cy, Dyw, structure, self.lower_bound, self.states, stable=stable)
+        why = f"from {result.origin}, for {structure.text}"
+        return FeedbackDesign(result.law, result.certificate, DESCENT, why, result.remark, result.certificate.norm.value)
 
     def quadratic(self, name: str) -> FeedbackDesign:
         """The law of the least mean square."""
@@ -346,10 +346,10 @@ class _Asked:
         plant, Dyw = self.loud if name == "h2" else (self.plant, self.Dyw)
         check_continuous(plant)
         noise = tuple(self.noise) if name == "lqg" and len(self.noise) else None
-        found = quadratic_design(name, plant, self.Cy, self.states, noise, Dyw)
-        certificate = replace(found.certificate, below=self.lower_bound)
+        result = quadratic_design(name, plant, self.Cy, self.states, noise, Dyw)
+        certificate = replace(result.certificate, below=self.lower_bound)
         how = "a Riccati equation" if name == "lqr" else "two Riccati equations"
-        return FeedbackDesign(found.law, certificate, how, f'design = "{name}"', found.remark, found.h2_norm, "H2 norm")
+        return FeedbackDesign(result.law, certificate, how, f'design = "{name}"', result.remark, result.h2_norm, "H2 norm")
 
     def sampled(self, period: float, delay: float, full: bool, stable: bool, structure: LawStructure | None) -> FeedbackDesign:
         """A gain or a law for the loop that a computer closes."""
@@ -382,14 +382,14 @@ class _Asked:
 
             near, _ = lowest_level(problem, near, 0.0)
             bound = find_sampled_bound(problem, near)
-            found = sampled_full_order(problem, bound, near, self.states, stable)
-            law, norm, method, why, remark = found.law, found.norm, "Riccati equations for the sampled loop", "", found.remark
+            result = sampled_full_order(problem, bound, near, self.states, stable)
+            law, norm, method, why, remark = result.law, result.norm, "Riccati equations for the sampled loop", "", result.remark
         elif structure is not None:
             from synth.design.fixed_order.sampled_data import sampled_fixed_order
 
             bound = find_sampled_bound(problem, near)
-            found = sampled_fixed_order(problem, bound, near, self.states, stable, structure, work)
-            law, norm, remark = found.law, found.norm, found.remark
+            result = sampled_fixed_order(problem, bound, near, self.states, stable, structure, work)
+            law, norm, remark = result.law, result.norm, result.remark
             method, why = "descent on the sampled norm", f"for {structure.text}"
         else:
             from synth.design.sampled_data import held_design
@@ -427,11 +427,11 @@ class _Asked:
         goals, problem = goals_of_plants(WHERE, section, plants, self.Cy, Dyw)
         for each in plants:
             check_stabilisable(each, self.Cy, self.states)
-        found = run_search(with_individual_optima(problem) if goals.over == REGRET else problem)
-        law, said = static_law(found.gain), [*remarks(found)]
+        result = run_search(with_individual_optima(problem) if goals.over == REGRET else problem)
+        law, notes = static_law(result.gain), [*remarks(result)]
         certificate = certify_tightly(*on_larger_plant(plant, self.Cy, law, Dyw), self.lower_bound, by_itself=plant)
-        if unproved := found.unproved:
-            said.append(f"stability with all errors is not proved of member {', '.join(map(str, unproved))}")
+        if unproved := result.unproved:
+            notes.append(f"stability with all errors is not proved of member {', '.join(map(str, unproved))}")
         over = "largest ratio to a plant's own best" if goals.over == REGRET else f"goal, {goals.minimise.text}"
         why = f"of goals, {listing([*section, *['family'] * bool(family)])}"
-        return FeedbackDesign(law, certificate, "descent for goals", why, "; ".join(said), found.goal, over)
+        return FeedbackDesign(law, certificate, "descent for goals", why, "; ".join(notes), result.goal, over)

@@ -104,8 +104,8 @@ def slack_design(
     Cys, allowed = _checked(plants, Cys, structure, f)
     n, m = plants[0].B.shape
     fits(len(plants) * (n * (n + 1) // 2) + n * n + m * n, MOST, "those with a slack variable are solved")
-    kept = independent_rows(plants[0], Cys[0])
-    problem = _Problem(plants, [Cy[kept] for Cy in Cys], allowed[:, kept])
+    rows = independent_rows(plants[0], Cys[0])
+    problem = _Problem(plants, [Cy[rows] for Cy in Cys], allowed[:, rows])
     candidates: list[tuple[float, float, float, Array]] = []
     failures: list[DesignError] = []
     for each in f:
@@ -115,10 +115,10 @@ def slack_design(
             failures.append(error)
             continue
         gain = np.zeros(allowed.shape)
-        gain[:, kept] = K
+        gain[:, rows] = K
         norms = [hinf_norm(plant.closed_loop(Feedback(gain, Cy))).value for plant, Cy in zip(plants, Cys, strict=True)]
         candidates.append((max(norms), each, bound, gain))
-    redundant = tuple(i for i in range(len(Cys[0])) if i not in kept)
+    redundant = tuple(i for i in range(len(Cys[0])) if i not in rows)
     best: list[SlackDesign] = []
     for worst, each, bound, gain in sorted(candidates, key=lambda one: one[0]):
         if not np.isfinite(worst):

@@ -130,16 +130,16 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
         raise DesignError("the sampled loop is not stable, or its norm is that within a period; there is nothing to refine")
-    kept = independent_rows(plant, problem.rows)
-    few = problem.of(kept)
-    start = from_some(K, np.hstack([problem.Cy, problem.through]), kept)
+    rows = independent_rows(plant, problem.rows)
+    few = problem.of(rows)
+    start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
     moved, after = down(few, start, before)
     last = problem.at(after)
     refused = refine(last, few.rows, moved, few.Dyw(after)).refused if last is not None else None
     landscape = Landscape(plant, few.rows, few.Dyw(before))
     sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
     gain = np.zeros_like(K)
-    gain[:, kept] = moved
+    gain[:, rows] = moved
     growth = sizes[1] / sizes[0] if sizes[0] else 1.0
     return Refinement(gain, before, after, growth, refused, "the sampled norm")
 
@@ -207,17 +207,17 @@ def held_design(
     if slow is None:
         within = f"within one of {1e3 * problem.period:g} ms, where no force answers, w gains {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
-    kept = independent_rows(slow, problem.rows)
-    few = problem.of(kept)
-    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
+    rows = independent_rows(slow, problem.rows)
+    few = problem.of(rows)
+    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), rows) for K in known]
     try:
         K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
     except DesignError as error:
         if reasons := "; ".join(stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)):
             raise InfeasibleError(reasons) from error
         raise
-    gain = on_all_rows(K, kept, len(problem.Cy))
-    return SampledDataDesign(gain, norm, level, tuple(kept), instead)
+    gain = on_all_rows(K, rows, len(problem.Cy))
+    return SampledDataDesign(gain, norm, level, tuple(rows), instead)
 
 
 def _gain(

@@ -144,13 +144,13 @@ def static_output_feedback(
     """
     check_inputs(plant)
     Cy, Dyw = measured_with(plant, Cy, Dyw)
-    kept = independent_rows(plant, Cy)
+    rows = independent_rows(plant, Cy)
     try:
-        two_steps = two_step_design(plant, Cy[kept])
+        two_steps = two_step_design(plant, Cy[rows])
     except InputError as error:
         two_steps = str(error)
-    found = descended(plant, Cy[kept], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[kept], rival)
-    return replace(found, gain=on_all_rows(found.gain, kept, len(Cy)))
+    found = descended(plant, Cy[rows], two_steps, largest_gain, lower_bound, None if Dyw is None else Dyw[rows], rival)
+    return replace(found, gain=on_all_rows(found.gain, rows, len(Cy)))
 
 
 @numerics()

@@ -71,8 +71,8 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
     if not np.any(plant.D) and not _leaves(own.B, blind):
-        said = "no control force reaches z: its norm is the same for every gain"
-        return WellPosedProblem(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
+        text = "no control force reaches z: its norm is the same for every gain"
+        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; none is applied")
 
     kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
@@ -81,12 +81,12 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
     how = "only through Dw" if direct else "in no way"
     if not _leaves(own.Bw, blind):
-        said = f"without control w reaches z {how}"
-        return WellPosedProblem(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
+        text = f"without control w reaches z {how}"
+        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; none is applied")
     best = forces[:, None] * F / scale
     stable = is_stable(plant.closed_loop(best).A, plant.dt)
-    said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
-    return WellPosedProblem(beside, said, best if stable else None, f"with this gain w reaches z {how}")
+    text = f"with the right state feedback w reaches z {how}; {INSTEAD}"
+    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w reaches z {how}")
 
 
 def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
@@ -214,8 +214,8 @@ class Design(Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns gain and certificate as text."""
         title, proved = self.certificate.shown
-        said = {"case": self.case, "instead": self.instead}
-        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in said.items() if text}
+        words = {"case": self.case, "instead": self.instead}
+        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in words.items() if text}
 
 
 @numerics()

@@ -63,8 +63,8 @@ def full_order_sampled_design(
     given = held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable
     design = sampled_full_order(*given) if entry.structure is None else sampled_fixed_order(*given, entry.structure)
     law = replace(design.law, anti_windup=entry.anti_windup)
-    said = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
-    return _controller(entry, posed, lower_bound, law, said)
+    remark = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
+    return _controller(entry, posed, lower_bound, law, remark)
 
 
 def sampled_refinement(

@@ -175,13 +175,13 @@ def _road_failures(one: Sweep) -> list[str]:
     """The claims that do not hold of the worst road of a sampled loop."""
     if one.road is None or one.sampled is None:
         return []
-    said, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
-    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{said}; {one.road.predicted:.7g} is predicted"]
+    failure, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
+    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{failure}; {one.road.predicted:.7g} is predicted"]
     step = SLACK * abs(one.road.predicted - one.road.finer)  # energies between leaps are exact to the square of the timestep
     if not gain <= norm * (1 + DRIVEN) + step:
-        failed.append(f"{said}, above the norm {norm:.7g} of the sampled loop")
+        failed.append(f"{failure}, above the norm {norm:.7g} of the sampled loop")
     if not one.road.twisted and not gain >= norm * (1 - REACHED) - step:
-        failed.append(f"{said} only; the norm of the sampled loop is {norm:.7g}")
+        failed.append(f"{failure} only; the norm of the sampled loop is {norm:.7g}")
     return failed
 
 

@@ -273,16 +273,16 @@ def metric_lines(run: Run, metrics: RunMetrics, start: float, end: float, roughn
 
 def expected_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str]:
     """Returns the ride that is expected of each run over all random roads of its kind; empty if a run has no expectation."""
-    said = []
+    lines = []
     for run, of_run in zip(runs, measured, strict=True):
         rides = [of_run.metrics[f"{name}_weighted"] for name in points(run.vehicle).accelerations]
         known = [(one.expected, one.spread) for one in rides if one.expected is not None]
         if known:
             mean, spread = max(known, key=lambda one: one[0])
-            said.append(f"{run.controller.name} {mean:.3g}{f' +- {spread:.2g}' if spread is not None else ''}")
+            lines.append(f"{run.controller.name} {mean:.3g}{f' +- {spread:.2g}' if spread is not None else ''}")
     return (
-        wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(said)}", hang=2)
-        if len(said) == len(runs)
+        wrapped(f"ride expected over all such roads [m/s2], +- by road: {', '.join(lines)}", hang=2)
+        if len(lines) == len(runs)
         else []
     )
 

@@ -151,7 +151,7 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     routes = {"sampled": sampled(run, run.sampled, names), "continuous": exact(run, names) if continuous is None else continuous}
     if run.broke_off is None:
         routes["mujoco"] = sampled(run, run.physics, names)
-    found = {}
+    metrics = {}
     for name in names:
         known = {route: by[name] for route, by in routes.items() if name in by and np.isfinite(by[name].values).all()}
         pieces = {route: one.counted_from(step.start) for route, one in known.items()}
@@ -164,8 +164,8 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
             route: step_metrics(pieces[route], final, bool(final), half_band) if route in pieces else None
             for route in ("mujoco", "sampled", "continuous")
         }
-        found[name] = SignalSteps(units[name], final, half_band, **by_route)
-    return found
+        metrics[name] = SignalSteps(units[name], final, half_band, **by_route)
+    return metrics
 
 
 def step_object(run: Run, metrics: Mapping[str, SignalSteps]) -> dict[str, Any]:

@@ -176,7 +176,7 @@ def find_exported_margins(
     inverse = 1 / predicted.gain_lower if predicted.gain_lower else math.inf
     delay = predicted.delay if predicted.delay < LATEST else math.inf
     step = timestep * (max(1, round(COARSE * delay / timestep)) if blur.coarse and math.isfinite(delay) else 1)
-    found = ExportedMargins(
+    margins = ExportedMargins(
         about,
         predicted,
         Bisection(lambda amount: trial(amount, 0), predicted.gain, most=AMPLE, width=width),
@@ -185,9 +185,9 @@ def find_exported_margins(
         timestep,
         blur.share > HIDDEN,
     )
-    if not found.hidden:
-        run_searches([found.gain, found.lower, found.delay], timestep, progress)
-    return found
+    if not margins.hidden:
+        run_searches([margins.gain, margins.lower, margins.delay], timestep, progress)
+    return margins
 
 
 @dataclass(frozen=True)

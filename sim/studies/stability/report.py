@@ -175,9 +175,9 @@ def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robus
     if wrong:
         return f"DOES NOT AGREE: {'; '.join(wrong)}"
     others = f", {len(box.corners)} other vehicles too" if box is not None else ""
-    found = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
-    found += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
-    decided = ", where its runs decide" if any(map(math.isnan, found)) else ""
+    edges = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
+    edges += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
+    decided = ", where its runs decide" if any(map(math.isnan, edges)) else ""
     return f"agrees: the loop bears in MuJoCo what is predicted{decided}{others}"
 
 

@@ -143,16 +143,16 @@ def fixed_order_design(
     search.check_stabilisable(structure, states)
     best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
     stopped = counted.text if counted.over else ""
-    said = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
-    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in said if text))
+    remarks = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
+    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in remarks if text))
 
 
 def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> str:
     if structure.kind:
         return f"{ITS_GAINS}{gains_text(structure, law)}"
-    asked = structure.states(m)
-    if law.states < asked:
-        few = f"{asked} states" if asked > 1 else "1 state"
+    states = structure.states(m)
+    if law.states < states:
+        few = f"{states} states" if states > 1 else "1 state"
         designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
         why = "more were not searched" if stopped else "its norm is next to what no controller beats"
         return f"{FEWER} {few} {designed} used: {why}"
@@ -327,7 +327,7 @@ class _Search:
         generator, dt = np.random.default_rng(SEED), self.plant.dt
         read = READS * self.fastest * generator.standard_normal((count, q)) / np.maximum(np.linalg.norm(self.Cy, axis=1), 1e-300)
         read = read * (np.array(rows, dtype=float) if rows is not None else 1.0)
-        found = []
+        laws = []
         for part in POLES:
             rate = part * self.fastest
             pole, into = (-rate, read) if dt is None else (np.exp(-rate * dt), dt * read)
@@ -343,8 +343,8 @@ class _Search:
             for i, block in enumerate(A):
                 at = slice(i * structure.order, (i + 1) * structure.order)
                 whole[at, at] = block
-            found.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
-        return found
+            laws.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
+        return laws
 
     def reaches(self, law: LinearLaw) -> bool:
         """Returns True if a law is next to what no controller beats, by the search's own measure."""
@@ -355,7 +355,7 @@ class _Search:
 
     def of(self, posed: StructuredGain, states: int, limit: float) -> GainSearch:
         """The search for a static gain that is a law of so many states."""
-        found = GainSearch(
+        search = GainSearch(
             posed.plant,
             posed.Cy,
             1.0,
@@ -367,8 +367,8 @@ class _Search:
             WITHIN,
             work=self.work,
         )
-        found.limit = np.full(len(found.limit), limit)
-        return found
+        search.limit = np.full(len(search.limit), limit)
+        return search
 
     def ended(
         self, structure: LawStructure, starts: Sequence[Start], origin: str, whole: bool = True, sought: int = MOST

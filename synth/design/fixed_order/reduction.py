@@ -71,8 +71,8 @@ def bilinear(law: LinearLaw, period: float) -> LinearLaw:
 
 def _gramian(A: Array, B: Array, dt: float | None) -> Array:
     square = B @ B.T
-    found = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
-    return (found + found.T) / 2
+    gramian = linalg.solve_continuous_lyapunov(A, -square) if dt is None else linalg.solve_discrete_lyapunov(A, square)
+    return (gramian + gramian.T) / 2
 
 
 def _cut(law: LinearLaw, reached: Array, seen: Array, k: int) -> Iterator[LinearLaw]:

@@ -63,8 +63,8 @@ def named_design(
         InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
     """
     if structure is not None:
-        found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
-        return NamedDesign(found.law, found.certificate, found.remarks)
+        result = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
+        return NamedDesign(result.law, result.certificate, result.remarks)
     if name == "full":
         full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run, fastest_pole=fastest_pole)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())

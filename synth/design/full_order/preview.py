@@ -74,12 +74,12 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     """
     seconds = checked_preview("a", preview)
     Cy, _ = measurement_matrices(plant, np.eye(len(plant.A)) if Cy is None else Cy)
-    kept = state_rows(plant, Cy)
-    found = lqr_design(plant, states)
-    if found.remark:
+    rows = state_rows(plant, Cy)
+    lqr = lqr_design(plant, states)
+    if lqr.remark:
         raise DesignError("a preview needs a cost of every force, and z does not weigh one; weigh it in [performance]")
     units = own_units(plant, np.eye(len(plant.A)))
-    own, K = units.into(plant), found.law.D * units.states / units.inputs[:, None]
+    own, K = units.into(plant), lqr.law.D * units.states / units.inputs[:, None]
     closed, cost = own.A + own.B @ K, own.C + own.D @ K
     X = linalg.solve_continuous_lyapunov(closed.T, -cost.T @ cost)
     half = np.linalg.pinv(own.D)
@@ -90,4 +90,4 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
     least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
     ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None
-    return PreviewDesign(on_rows(found.law, Cy, kept), ahead, float(least), found.h2_norm, found.certificate)
+    return PreviewDesign(on_rows(lqr.law, Cy, rows), ahead, float(least), lqr.h2_norm, lqr.certificate)

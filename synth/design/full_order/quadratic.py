@@ -162,9 +162,9 @@ def quadratic_design(
     if name != "lqr":
         return lqg_design(plant, Cy, noise, states) if name == "lqg" else h2_design(plant, Cy, Dyw, states)
     Cy, _ = measurement_matrices(plant, Cy)
-    kept = state_rows(plant, Cy)
+    rows = state_rows(plant, Cy)
     lqr = lqr_design(plant, states)
-    return replace(lqr, law=on_rows(lqr.law, Cy, kept))
+    return replace(lqr, law=on_rows(lqr.law, Cy, rows))
 
 
 def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
@@ -173,13 +173,13 @@ def state_rows(plant: GeneralizedPlant, Cy: Array) -> list[int]:
     Raises:
         DesignError: not every state is measured.
     """
-    kept, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
-    if len(kept) < n:
+    rows, n = independent(Cy * own_units(plant, Cy).states), len(plant.A)
+    if len(rows) < n:
         raise DesignError(
-            f"LQR feeds back every state, and {len(kept)} of {n} are measured; those of filters in [performance] never are: "
+            f"LQR feeds back every state, and {len(rows)} of {n} are measured; those of filters in [performance] never are: "
             'give design = "lqg" or "h2", or order = "full", or constant weights'
         )
-    return kept
+    return rows
 
 
 def on_rows(law: LinearLaw, Cy: Array, kept: Sequence[int]) -> LinearLaw:

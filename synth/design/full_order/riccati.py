@@ -362,11 +362,11 @@ class RiccatiSearch:
             slow = sorted((each for each in points if each.speed_up <= fastest), key=lambda each: each.trouble)
             return next((each for each in slow if each.within(most)), None)
 
-        found = least_trouble(points)
-        if found is None or found.excess > 1:
+        best = least_trouble(points)
+        if best is None or best.excess > 1:
             less = self.slower([each for each in points if each.within(most)], fastest)
-            found = least_trouble(less if found is None else [found, *less])
-        return found
+            best = least_trouble(less if best is None else [best, *less])
+        return best
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
         """Returns controllers of all shares and of some gamma, also without their poles beyond the fastest allowed."""

@@ -123,18 +123,18 @@ class BandLandscape(Landscape):
         ports, own, known = self.ports(x), slice(self.own), self._closed(x) if self.own == len(self.A) else None
         if known is not None and known.vectors is not None:
             poles, (right, left) = known.poles, known.vectors
-            kept = np.imag(poles) >= 0
-            left, right = left[kept], right[:, kept].T
+            mask = np.imag(poles) >= 0
+            left, right = left[mask], right[:, mask].T
         else:
             A = self.loop(x)[0][own, own]
             poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
-            kept = np.imag(poles) >= 0
-            left, right = left[:, kept].conj().T, right[:, kept].T
+            mask = np.imag(poles) >= 0
+            left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
         along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
         driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
-        return np.real(poles[kept]), slopes.reshape(len(slopes), -1)
+        return np.real(poles[mask]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:
         """Returns the frequencies within the band and its finite ends, ascending."""

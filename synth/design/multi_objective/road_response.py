@@ -167,9 +167,9 @@ class RoadResponse:
         from scipy.signal import lfilter  # half a second
 
         # Of a pair of conjugate modes one is computed, and counts twice.
-        kept = np.imag(values) >= 0
-        twice = np.where(np.imag(values[kept]) > 0, 2.0, 1.0)
-        values, vectors, driven = values[kept], vectors[:, kept] * twice, inverse[kept] @ E
+        mask = np.imag(values) >= 0
+        twice = np.where(np.imag(values[mask]) > 0, 2.0, 1.0)
+        values, vectors, driven = values[mask], vectors[:, mask] * twice, inverse[mask] @ E
         forcing = self._modal(values, driven)
         ends, state, into = np.zeros((len(self.pieces), len(values)), complex), np.zeros(len(values), complex), -1
         decays = np.exp(self.piece_lengths[:, None] * values)

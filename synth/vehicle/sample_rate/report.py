@@ -99,15 +99,15 @@ def sentence(one: Cost) -> list[str]:
     name = one.controller.name
     if not math.isfinite(one.ideal):
         stable = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
-        said = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
-        return wrapped(f"{said}; {_ends(one)}" if stable else said, hang=4)
+        text = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
+        return wrapped(f"{text}; {_ends(one)}" if stable else text, hang=4)
     if not one.controller.law.acts:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
-    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
+    text = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
     if at.designed is not None:
-        said += f"; designed for it {_costs(one, at.designed)}"
-    return wrapped(f"{said}; {_ends(one)}", hang=4)
+        text += f"; designed for it {_costs(one, at.designed)}"
+    return wrapped(f"{text}; {_ends(one)}", hang=4)
 
 
 def failures(one: Cost) -> list[str]:
@@ -186,10 +186,10 @@ def _lost(period: float, again: Sequence[AtRate]) -> str:
     """Returns the highest unstable rate in words, and the slower rates of the table that are stable again."""
     if math.isinf(period):
         return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    said = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
+    text = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
     if not again:
-        return said
-    return f"{said} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
+        return text
+    return f"{text} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
 
 
 def _highest_lost(period: float) -> str:
