@@ -213,7 +213,7 @@ class _Group:
         steps: timesteps between two of its samples.
         ahead: number of road heights that it previews under each wheel.
         runs: indices of the runs; a single one unless the law is vectorised.
-        parameters: parameters of the vehicle or, for a vectorised law, of the vehicles, by name.
+        parameters: of the vehicle or, for a vectorised law, of the vehicles, by name.
     """
 
     law: "OwnLaw"
