@@ -81,8 +81,8 @@ def attributes(owner: type) -> dict[str, str]:
     """Returns what a class's docstring says of its attributes, by name."""
     text = (inspect.getdoc(owner) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
     entries = re.split(r"^    (?=\w[\w, ]*: )", text, flags=re.M)
-    found = [entry.partition(": ") for entry in entries if entry.strip()]
-    return {name: " ".join(said.split()) for some, _, said in found for name in some.split(", ")}
+    parts = [entry.partition(": ") for entry in entries if entry.strip()]
+    return {name: " ".join(said.split()) for some, _, said in parts for name in some.split(", ")}
 
 
 # Commands, from their parsers
@@ -138,7 +138,7 @@ def how_to() -> list[tuple[Path, str]]:
 
 
 def shown_in(key: str) -> str:
-    """Returns links to the pages on which a key of a vehicle file stands as code."""
+    """Returns links to the pages that contain a key of a vehicle file as code."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
     found = [path for path, text in how_to() if there.search(text)]
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
@@ -156,32 +156,32 @@ def key_sections() -> dict[str, list[tuple[str, str, str]]]:
     own, entry, goals = attributes(Implementation), attributes(ControllerEntry), attributes(Goals)
     limits, stops = {one.name: one for one in LIMITS}, attributes(Limits)
     laws = ", ".join(f"`{name}`" for name in semi_active.LAWS)
-    found = {
+    sections = {
         f"[parameters] of a {name}": [(one.name, one.unit, one.meaning + default(one)) for one in kind(name).parameters]
         for name in kinds()
     }
-    found["[performance]"] = [("road", "", "filter from the disturbance w to the road's velocity under every wheel")]
-    found["[performance]"] += [(key, "", "of a signal's weight with a filter") for key in weights.KEYS]
-    found["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
-    found["bounds of a controller"] = [
+    sections["[performance]"] = [("road", "", "filter from the disturbance w to the road's velocity under every wheel")]
+    sections["[performance]"] += [(key, "", "of a signal's weight with a filter") for key in weights.KEYS]
+    sections["[controllers.NAME]"] = [(key, "", goals.get(key, entry.get(key, ""))) for key in CONTROLLER_KEYS]
+    sections["bounds of a controller"] = [
         (key, "", f"example: `{example}`" + (f"; beside it {', '.join(more)}" if more else ""))
         for key, (more, example) in BOUND_KINDS.items()
     ]
-    found["semi-active laws"] = [
+    sections["semi-active laws"] = [
         (key, "" if key == "semi_active" else semi_active.UNITS.get(key, "N s/m"), laws if key == "semi_active" else "")
         for key in semi_active.KEYS
     ]
-    found["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
-    found["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
-    found["[implementation]"] = [
+    sections["[limits]"] = [(key, "", stops[key]) for key in STOP_KEYS]
+    sections["[limits]"] += [(key, one.unit, one.meaning) for key, one in limits.items()]
+    sections["[implementation]"] = [
         (key, "", own.get(key, "designs are for the sampled loop, where a section says nothing else"))
         for key in IMPLEMENTATION_KEYS
     ]
-    found["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
-    found["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
-    found["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
-    found["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
-    return found
+    sections["[curves]"] = [(key, "", "") for key in dict.fromkeys((*curve_keys(VELOCITY), *curve_keys(DEFLECTION)))]
+    sections["[actuators]"] = [(key, "", attributes(damper.Damper).get(key, "")) for key in damper.KEYS]
+    sections["[payload]"] = [(key, "kg" if key == "mass" else "m", PAYLOAD[key]) for key in payload.KEYS]
+    sections["a campaign file"] = [(key, "", attributes(Campaign).get(key, "")) for key in CAMPAIGN_KEYS]
+    return sections
 
 
 def default(parameter: Any) -> str:
@@ -244,9 +244,9 @@ def signal_tables() -> str:
 
 def numbers(owner: type) -> str:
     """Returns the table of a road's or load's numbers, with their defaults."""
-    said = attributes(owner)
-    fields = [one for one in inspect.signature(owner).parameters.values() if one.name in said]
-    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(said[one.name])) for one in fields]
+    meanings = attributes(owner)
+    fields = [one for one in inspect.signature(owner).parameters.values() if one.name in meanings]
+    rows = [(f"`{one.name}`", "" if one.default is one.empty else f"{one.default}", cell(meanings[one.name])) for one in fields]
     return table(("number", "default", "meaning"), rows) if rows else ""
 
 
@@ -283,7 +283,7 @@ def metric_tables() -> str:
 
 
 def told(node: ast.expr) -> str:
-    """Returns the text of a message as its expression has it, with <names> of what it quotes; empty if it is made elsewhere."""
+    """Returns the text of a message's expression, with <names> of what it quotes; empty if it is made elsewhere."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
@@ -411,17 +411,17 @@ def car() -> str:
 
 def drawn() -> list[tuple[str, str, str, Path]]:
     """Returns every picture that a command on a page draws: its file, what it shows, the command, the page."""
-    found = []
+    pictures = []
     for path in sorted((HERE / "how-to").glob("*.md")):
         text = path.read_text(encoding="utf-8")
         shown = dict((name, alt) for alt, name in re.findall(r"!\[([^\]]*)\]\([^)]*/([^/)]+)\)", text))
         for line in re.findall(r"^python -m .*--picture \S+.*$", text, re.M):
             (name,) = re.findall(r"--picture (\S+)", line)
             if name in shown:
-                found.append((name, shown.pop(name), line, path))
+                pictures.append((name, shown.pop(name), line, path))
         for line in re.findall(r"^python -m .*--figures \S+.*$", text, re.M):  # draws whatever else the page shows
-            found += [(name, alt, line, path) for name, alt in shown.items()]
-    return found
+            pictures += [(name, alt, line, path) for name, alt in shown.items()]
+    return pictures
 
 
 def gallery() -> str:

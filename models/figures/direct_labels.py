@@ -1,4 +1,4 @@
-"""Direct labels of curves: each name beside its own line, where no other line passes, for readers who do not tell hues apart.
+"""Direct labels of curves: each name next to its own line, far from other lines, for readers who cannot distinguish hues.
 
 A panel is divided into columns, in each of which a line covers an interval. A label lies above or below its line, at the columns
 where the distance to all other lines and labels is largest. Lines on each other share a label. A line without room has none.
@@ -50,11 +50,10 @@ def direct_labels(
     """Returns labels of a panel's lines, if it has several with names, in panel's units, in a rectangle from (0, 0) to `size`.
 
     Args:
-        panel: with the curves.
+        panel: panel with the curves.
         points: x and y of every curve in that rectangle, shapes (N,); NaN interrupts a line.
-        size: of the rectangle.
-        width: of a text.
-        height: of a line of text.
+        width: returns the width of a text.
+        height: height of a line of text.
     """
     curves = panel.curves
     named = [i for i, one in enumerate(curves) if one.label and one.dash != "none" and len(one.x) > 1]

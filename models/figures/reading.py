@@ -38,11 +38,11 @@ class Pivot:
 
 @dataclass(frozen=True)
 class Reading:
-    """A table as it is read.
+    """A table in short form for reading.
 
     Attributes:
-        headings: of the columns that differ between rows.
-        rows: their cells.
+        headings: headings of the columns that differ between rows.
+        rows: cells of these columns.
         words: number of left-aligned columns.
         same: columns that are the same in all rows, as `heading: value`.
         notes: repeated remarks, by mark.
@@ -114,7 +114,7 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
 
 
 def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
-    """Returns a column whose long remarks that stand in several rows are marks of footnotes."""
+    """Returns a column with footnote marks in place of long remarks that occur in several rows."""
     often = Counter(column)
     iterator = iter(marks)
     cells = []
@@ -127,30 +127,30 @@ def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Returns numbers with one number of decimals where each keeps three digits; what is rounding beside the others is 0.
+    """Returns numbers with a common number of decimals that keeps three digits of each; rounding errors become 0.
 
     Figure spaces align the decimal points of others. A column with an other word than - is unchanged.
     """
     if any(cell.endswith("*") for cell in column):  # the best is marked
         cells = aligned([cell.removesuffix("*") for cell in column])
         return [f"{cell}{'*' if marked.endswith('*') else BLANK}" for cell, marked in zip(cells, column, strict=True)]
-    found = [NUMBER.fullmatch(cell) for cell in column]
-    if not any(found) or not all(one or cell in ("-", "any", "") for one, cell in zip(found, column, strict=True)):
+    matches = [NUMBER.fullmatch(cell) for cell in column]
+    if not any(matches) or not all(one or cell in ("-", "any", "") for one, cell in zip(matches, column, strict=True)):
         return list(column)
-    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(found, column, strict=True)]
+    values = [float(cell.removesuffix(" %")) if one else 0.0 for one, cell in zip(matches, column, strict=True)]
     least = NOTHING * max(map(abs, values))
-    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(found, values, column, strict=True)]
-    found = [NUMBER.fullmatch(cell) for cell in cells]
+    cells = ["0" if one and 0 < abs(value) <= least else cell for one, value, cell in zip(matches, values, column, strict=True)]
+    matches = [NUMBER.fullmatch(cell) for cell in cells]
     decimals = [
-        len(one[3] or "") for one, value in zip(found, values, strict=True) if one and not one[4] and one[0] != "0" and value
+        len(one[3] or "") for one, value in zip(matches, values, strict=True) if one and not one[4] and one[0] != "0" and value
     ]
     fixed = min(decimals, default=0)
-    kept = [value for value in map(abs, values) if value > least]
-    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in kept)
-    fits = fits and not any(one and one[4] for one in found)
-    most = fixed if fits else max((len(one[3] or "") for one in found if one and not one[4]), default=0)
+    sizes = [value for value in map(abs, values) if value > least]
+    fits = all(value >= 10 ** (DIGITS - 1 - fixed) for value in sizes)
+    fits = fits and not any(one and one[4] for one in matches)
+    most = fixed if fits else max((len(one[3] or "") for one in matches if one and not one[4]), default=0)
     texts = []
-    for one, cell in zip(found, cells, strict=True):
+    for one, cell in zip(matches, cells, strict=True):
         if one is None:
             texts.append(cell)
             continue

@@ -143,7 +143,7 @@ class RigidBody:
 
     @property
     def sways(self) -> Array:
-        """How far its centre of mass sways out per heave, pitch (and roll) [m], shape (2,) or (3,)."""
+        """Lateral displacement of the centre of mass per heave, pitch (and roll) [m/m, m/rad], shape (2,) or (3,)."""
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0][: 2 if self.roll_inertia is None else 3])
 
     def arms(self, bar: Bar) -> Array:
@@ -201,7 +201,7 @@ def linear_model(
         states: (d, P t, q', z_u'), c + p + k + c of them.
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
-        outputs: in this order: the states, the tyre deflections if they are no states, q'', the body's velocity and
+        outputs: in this order: the states, the tyre deflections unless they are states, q'', the body's velocity and
             acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above each
             corner, and of the wheels.
     """
@@ -300,11 +300,7 @@ def wheelbase(p: Parameters) -> float:
 
 
 def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
-    """Refuses an inertia that no body of this mass and size can have.
-
-    Raises:
-        InputError: the radius of gyration is larger than the size [m].
-    """
+    """Raises an InputError if the radius of gyration of an inertia is larger than the size of the body [m]."""
     radius = float(np.sqrt(inertia / mass))
     if radius > size:
         raise InputError(
@@ -314,11 +310,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
 
 
 def check_stands(body: RigidBody) -> None:
-    """Refuses a body that its own weight turns over.
-
-    Raises:
-        InputError: springs, bars and tyres hold it with less than its weight's moment.
-    """
+    """Raises an InputError if springs, bars and tyres cannot hold the body against the moment of its own weight."""
     if not body.guided:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness

@@ -48,12 +48,12 @@ class Stop:
     stiffness: tuple[float, float, float]
 
     def acts(self, beyond: Array) -> Array:
-        """Returns its force [N] where it is squeezed by so much [m], shape (...)."""
+        """Returns its force [N] at a compression [m], shape (...)."""
         first, second, third = self.stiffness
         return beyond * (first + beyond * (second + beyond * third))
 
     def work(self, beyond: Array) -> Array:
-        """Returns the energy that it stores where it is squeezed by so much [J], shape (...)."""
+        """Returns its stored energy [J] at a compression [m], shape (...)."""
         first, second, third = self.stiffness
         return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
 
@@ -199,7 +199,7 @@ class Place:
     """Keys of the stops of a corner, an axle, or all corners.
 
     Attributes:
-        name: of the corner or axle; empty for all.
+        name: name of the corner or axle; empty for all.
         suspension_stroke: travel either way before the bump stop [m], or one for each or one side; None: that of more corners.
         stop_stiffness: stiffness of the stop [N/m], or the coefficients of a progressive one, or these for each side; likewise.
     """
@@ -232,7 +232,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             continue
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is no suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
+            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
         for key in value:
             if key not in STOP_KEYS:
                 raise InputError(
@@ -294,5 +294,5 @@ def _place(where: str, name: str, section: Mapping[str, Any]) -> Place:
 
 def _said(places: Sequence[Place], corner: str, key: str) -> Any:
     """Returns a key of a corner's stops, from the section with the fewest corners that has it, or None if no section has it."""
-    said = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
-    return getattr(max(said, key=lambda place: len(place.name)), key) if said else None
+    places_with_key = [place for place in places if place.holds(corner) and getattr(place, key) is not None]
+    return getattr(max(places_with_key, key=lambda place: len(place.name)), key) if places_with_key else None

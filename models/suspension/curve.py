@@ -48,9 +48,9 @@ class ForceCurve:
     """Force over velocity or deflection.
 
     Attributes:
-        x: its points [m/s or m], ascending, rest, 0, among them and neither first nor last, shape (n,).
-        force: at the points [N], 0 at rest, shape (n,).
-        slope: of its line in linear analysis [N s/m or N/m].
+        x: points [m/s or m], ascending, with 0 among the inner ones, shape (n,).
+        force: forces at the points [N], 0 at x = 0, shape (n,).
+        slope: slope of its line in linear analysis [N s/m or N/m].
         words: its description, a phrase.
     """
 
@@ -100,7 +100,7 @@ class ForceCurve:
 
     @cached_property
     def left_at(self) -> tuple[float, float]:
-        """Arguments below and above rest where it first leaves its line by `LEAVES` of its range; infinite if it never does."""
+        """Arguments below and above rest at which it first differs from its line by `LEAVES` of its range; infinite if never."""
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]

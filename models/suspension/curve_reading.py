@@ -30,12 +30,12 @@ def thinned(x: Array, force: Array, error: float) -> Array:
         error: largest allowed error, in the force's unit.
     """
     rest = int(np.searchsorted(x, 0.0))
-    kept, first = [], 0
+    indices, first = [], 0
     for last in (rest, len(x) - 1):
         while first < last:
-            kept.append(first)
+            indices.append(first)
             first = _farthest(x, force, first, last, error)
-    return np.array([*kept, len(x) - 1])
+    return np.array([*indices, len(x) - 1])
 
 
 def _farthest(x: Array, force: Array, first: int, last: int, error: float) -> int:
@@ -59,8 +59,8 @@ def friction_points(force: float, velocity: float) -> tuple[Array, Array]:
     """
     v = np.linspace(0.0, FRICTION_ENDS, FRICTION_POINTS)
     smooth = np.append(np.tanh(v[:-1]), 1.0)
-    kept = thinned(v, smooth, FRICTION_ERROR - 1e-4)
-    half = np.append(v[kept], 2 * FRICTION_ENDS), np.append(smooth[kept], 1.0)
+    indices = thinned(v, smooth, FRICTION_ERROR - 1e-4)
+    half = np.append(v[indices], 2 * FRICTION_ENDS), np.append(smooth[indices], 1.0)
     v, smooth = (np.concatenate([-part[:0:-1], part]) for part in half)
     return velocity * v, force * smooth
 
@@ -102,17 +102,17 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
-        section: as read, tables in place of files.
+        section: the section, with tables in place of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
 
     Raises:
-        InputError: an entry is no curve, or one that no suspension can have.
+        InputError: an entry is not a curve, or not one that a suspension can have.
     """
     curves = {}
     for name, entry in section.items():
         if name not in parameters:
             raise InputError(
-                f"[curves] {name!r} is no stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
+                f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         try:
             curves[name] = curve_of(entry, parameters[name])
@@ -130,11 +130,11 @@ def curve_of(entry: Any, over: Argument) -> ForceCurve:
     """Returns a curve from its table.
 
     Raises:
-        InputError: the entry is no curve, or one that no suspension can have.
+        InputError: the entry is not a curve, or not one that a suspension can have.
     """
     what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
     if not isinstance(entry, Mapping):
-        raise InputError(f"{quoted(entry)} is no curve; give {what}")
+        raise InputError(f"{quoted(entry)} is not a curve; give {what}")
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     for key in entry:
@@ -223,18 +223,18 @@ def _as_lines(x: Array, force: Array, fit_error: Any) -> tuple[Array, Array, str
             f"{LARGEST_ERROR:g}"
         )
     largest = float(np.abs(force).max())
-    kept = thinned(x, force, ROUNDING * largest / 1e3)
+    indices = thinned(x, force, ROUNDING * largest / 1e3)
     words = f"{len(x)} points"
-    if fit_error is not None or len(kept) > MOST_LINES + 1:
+    if fit_error is not None or len(indices) > MOST_LINES + 1:
         error = USUAL_ERROR if fit_error is None else float(fit_error)
-        kept = thinned(x, force, error * largest)
-        words = f"{len(x)} points as {len(kept) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
-        if len(kept) > MOST_LINES + 1:
+        indices = thinned(x, force, error * largest)
+        words = f"{len(x)} points as {len(indices) - 1} straight lines, within {100 * error:g} % of {largest:.4g} N"
+        if len(indices) > MOST_LINES + 1:
             raise InputError(
-                f"needs {len(kept) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
+                f"needs {len(indices) - 1} straight lines to be within {100 * error:g} % of its largest force, and at most "
                 f"{MOST_LINES} are allowed; smooth the table, or give fit_error, up to {LARGEST_ERROR:g}"
             )
-    return x[kept], force[kept], words
+    return x[indices], force[indices], words
 
 
 def _slope_at_rest(x: Array, force: Array) -> float:

@@ -75,11 +75,7 @@ def controllers_of(
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
-    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period.
-
-    Args:
-        timestep: of the runs [s]; the sample period if the vehicle gives none.
-    """
+    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period."""
 
     def designed(name: str) -> Controller:
         controller = design(name)
@@ -90,15 +86,15 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
 
 def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
-    """Returns the requested controllers that are not driven as JSON has them; empty if all are."""
+    """Returns the requested controllers that are not driven as a JSON object; empty if all are."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
 
 
 def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
-    """Returns what the numbers of exported code make of its loop, as JSON has it, under `exported`; empty without such code.
+    """Returns the effect of the numbers of exported code on its loop under `exported`; empty without such code.
 
-    See `synth.vehicle.exported_numbers.numbers_object`; of a law that sets dampers there is nothing to say.
+    See `synth.vehicle.exported_numbers.numbers_object`. A law that sets dampers has no such numbers.
     """
     for run in runs:
         code, driver = code_of(run.controller), run.controller
@@ -127,18 +123,18 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
         if isinstance(one, Controller) and one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
-                "gain is taken as it is; python -m synth --check says more"
+                "gain is used unchanged; see python -m synth --check"
             )
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
                 f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
-                "taken as it is; python -m synth says more"
+                "used unchanged; see python -m synth"
             )
 
 
 def _first(claims: Sequence[str]) -> str:
-    """The first of some claims, and how many more there are."""
+    """Returns the first of some claims, and the number of further ones."""
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -152,7 +148,7 @@ def recorded(
     runs: Callable[[], Mapping[str, Run]],
     result: Mapping[str, Any],
 ) -> dict[str, str | None]:
-    """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
+    """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
     Args:
         options: as the command's parser read them, `--logs` among them.
@@ -169,11 +165,7 @@ def recorded(
 
 
 def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
-    """Writes what `--picture` and `--csv` ask for; returns the outputs that were written, by name.
-
-    Args:
-        where: the road in words, after "over".
-    """
+    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over"."""
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
         from models.figures.picture import write_picture
@@ -216,10 +208,10 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequenc
 
 
 def check_view(options: argparse.Namespace) -> None:
-    """Ask before the long work whether its recording can be shown afterwards, as `--open` and `--serve` want.
+    """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: there will be none, or no screen to show it on.
+        InputError: `--no-logs` disables the recording, or `--open` has no display.
     """
     if not (options.open or options.serve):
         return
@@ -234,7 +226,7 @@ def check_view(options: argparse.Namespace) -> None:
 
 
 def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
-    """Shows a recording as `--open` and `--serve` want; what the command has printed is out before.
+    """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
 
     Raises:
         InputError: the web viewer does not come up.
@@ -268,11 +260,7 @@ def run_named(
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
-    """Returns the run of the passive vehicle, which is one of the runs, or made for the comparison.
-
-    Args:
-        design: gives the passive vehicle's controller.
-    """
+    """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
 
@@ -316,7 +304,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
 
 
 def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str]:
-    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` has them with each run.
+    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` prints them with each run.
 
     Args:
         full: True with `-v`.
@@ -330,7 +318,7 @@ def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str
 
 
 def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:
-    """Returns the note below the table of standings; it names `-v` where no line of a controller's claims stands above."""
+    """Returns the note below the table of standings; it mentions `-v` if the claims of no controller are printed above."""
     short = len(runs) > FEW and not (options.verbose or options.brief)
     return f"{about}; -v: norms, signals" if short else about
 
@@ -346,10 +334,10 @@ def standings_of(
     """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
 
     Args:
-        samples: the first one that is measured, and the one after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples, where they are known.
-        without: the part of the vehicle that each run leaves out; empty if all are as built.
-        title: of the vehicle, among several.
+        samples: first measured sample, and the one after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, if known.
+        without: part of the vehicle that each run omits; empty if all are as built.
+        title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
     from sim.studies.ride.standing import TRAVEL, standing, strokes_used, without_unsound

@@ -60,7 +60,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """The last line of what a program has said, without colours, as a reason."""
+    """Returns the last line of a program's output, without colours, as a reason."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
 
@@ -108,7 +108,7 @@ def _command() -> list[str]:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Ports that nobody listens on: several commands may serve at a time."""
+    """Returns free ports, as several commands may serve at the same time."""
     sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
     ports = [one.getsockname()[1] for one in sockets]
     for one in sockets:
@@ -118,7 +118,7 @@ def _free_ports(count: int) -> list[int]:
 
 @contextmanager
 def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
-    """A program that Ctrl-C does not reach, and that is ended with the block."""
+    """Context of a program that Ctrl-C does not reach, and that ends with the block."""
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )

@@ -36,10 +36,10 @@ def record(
     If one of these files exists, the stem becomes `<stem>-2`, `-3`, ... An error or an interruption leaves nothing behind.
 
     Args:
-        folder: of the files; made if it does not exist.
+        folder: folder of the files; made if it does not exist.
         stem: common name of the files, without suffix.
-        runs: with distinct names.
-        metadata: of all runs.
+        runs: runs with distinct names.
+        metadata: metadata of all runs.
         attachments: (media type, content) by name; only in the MCAP file, as Rerun files have no attachments.
 
     Returns:
@@ -100,5 +100,5 @@ def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str
 def _not_writable(folder: Path, error: OSError) -> InputError:
     return InputError(
         f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
-        "give another one, or mend this one"
+        "give another one, or fix this one"
     )

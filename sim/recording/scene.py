@@ -79,7 +79,7 @@ class Tyre:
         radius: undeformed radius [m].
         half_width: [m].
         middle: middle of its width along the axle, y of the body's frame [m].
-        height: of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the road.
+        height: height of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the ground.
         rgba: colour, 0 to 1, shape (4,).
     """
 
@@ -104,8 +104,8 @@ class Track:
     Attributes:
         name: unique.
         middle: middle of its width, along y [m].
-        position: of its points along x at time 0 [m], ascending, shape (N,).
-        height: of the points [m], shape (N,).
+        position: ascending positions of its points along x at time 0 [m], shape (N,).
+        height: heights of the points [m], shape (N,).
         travelled: distance by which the points have moved back, per frame [m], shape (F,).
         bodies: pieces of road under the wheels, which replace the profile in other viewers.
     """
@@ -144,17 +144,17 @@ class Scene:
         """Returns the scene with only the frames in which all numbers are finite: after a run broke off, the car stops."""
         numbers = [part for motion in self.bodies.values() for part in (motion.positions, motion.quaternions)]
         numbers += [*self.springs.values(), *self.forces.values(), *(tyre.height for tyre in self.tyres)]
-        kept = np.ones(len(self.time), dtype=bool)
+        mask = np.ones(len(self.time), dtype=bool)
         for array in numbers:
-            kept &= np.isfinite(array).reshape(len(kept), -1).all(axis=1)
+            mask &= np.isfinite(array).reshape(len(mask), -1).all(axis=1)
         return Scene(
-            time=self.time[kept],
+            time=self.time[mask],
             shapes=self.shapes,
-            bodies={name: Motion(motion.positions[kept], motion.quaternions[kept]) for name, motion in self.bodies.items()},
-            springs={name: ends[kept] for name, ends in self.springs.items()},
-            tyres=tuple(replace(tyre, height=tyre.height[kept]) for tyre in self.tyres),
-            forces={name: force[kept] for name, force in self.forces.items()},
-            tracks=tuple(replace(track, travelled=track.travelled[kept]) for track in self.tracks),
+            bodies={name: Motion(motion.positions[mask], motion.quaternions[mask]) for name, motion in self.bodies.items()},
+            springs={name: ends[mask] for name, ends in self.springs.items()},
+            tyres=tuple(replace(tyre, height=tyre.height[mask]) for tyre in self.tyres),
+            forces={name: force[mask] for name, force in self.forces.items()},
+            tracks=tuple(replace(track, travelled=track.travelled[mask]) for track in self.tracks),
         )
 
     def extent(self) -> tuple[Array, Array]:

@@ -18,8 +18,8 @@ class Touch:
     Attributes:
         side: one of `SIDES`.
         squeeze: travel beyond the stroke [m].
-        force: of the stop [N].
-        time: of that sample [s].
+        force: force of the stop [N].
+        time: time of that sample [s].
     """
 
     side: str
@@ -36,22 +36,22 @@ class Touch:
 def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
     """Returns MuJoCo's deepest contact with every stop, by deflection and side, until a run broke off; None without one."""
     physics = run.physics.until(run.broke_off[1]) if run.broke_off is not None else run.physics
-    found: dict[str, dict[str, Touch | None]] = {}
+    contacts: dict[str, dict[str, Touch | None]] = {}
     for name, stops in run.vehicle.limits.stops(run.vehicle.kind.suspensions).items():
-        found[name] = {}
+        contacts[name] = {}
         for side, (sign, stop) in stops.sides.items():
             travel = sign * physics[name]
             k = int(travel.argmax()) if len(travel) else 0
             if not len(travel) or travel[k] < AT * stop.stroke:
-                found[name][side] = None
+                contacts[name][side] = None
                 continue
             squeeze = max(0.0, float(travel[k]) - stop.stroke)
-            found[name][side] = Touch(side, squeeze, float(stop.acts(np.array(squeeze))), float(physics.time[k]))
-    return found
+            contacts[name][side] = Touch(side, squeeze, float(stop.acts(np.array(squeeze))), float(physics.time[k]))
+    return contacts
 
 
 def stops_object(run: Run) -> dict[str, dict[str, dict[str, float | None] | None]]:
-    """Returns the same as JSON has it: squeeze [m], force [N] and time [s] of every stop, or None of one that is not reached."""
+    """Returns the contacts as a JSON object: squeeze [m], force [N] and time [s] of every stop, or None if it is not reached."""
     return {
         name: {
             side: touch and {"squeeze": finite(touch.squeeze), "force": finite(touch.force), "time": finite(touch.time)}
@@ -81,8 +81,8 @@ def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
     """
     if len(runs) == 1:
         return [line for words in run_stop_lines(runs[0], what) for line in wrapped(words, "  ", 4)]
-    found = [(run, touches(run)) for run in runs]
-    hardest = [(run.controller.name, side, one) for run, each in found for side in SIDES if (one := _hardest(run, each, side))]
+    contacts = [(run, touches(run)) for run in runs]
+    hardest = [(run.controller.name, side, one) for run, each in contacts for side in SIDES if (one := _hardest(run, each, side))]
     if len(runs) > few and hardest:
         name, side, (corner, touch) = max(hardest, key=lambda each: (each[2][1].force, each[2][1].squeeze))
         some = len({name for name, *_ in hardest})
@@ -96,14 +96,10 @@ def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
 
 
 def _hardest(run: Run, reached: Mapping[str, Mapping[str, Touch | None]], side: str) -> tuple[str, Touch] | None:
-    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact.
-
-    Args:
-        reached: all contacts of the run, see `touches`.
-    """
+    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact."""
     corners = {part.deflection: f" {part.corner}" if part.corner else "" for part in run.vehicle.kind.suspensions}
-    found = [(corners[name], touch) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
-    return max(found, key=lambda one: (one[1].force, one[1].squeeze), default=None)
+    contacts = [(corners[name], touch) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
+    return max(contacts, key=lambda one: (one[1].force, one[1].squeeze), default=None)
 
 
 def stop_names(run: Run, when: float) -> str:

@@ -54,9 +54,9 @@ class Node(NamedTuple):
 
     Attributes:
         zero: s [rad/s].
-        p: of length one, shape (d,).
+        p: direction of length one, shape (d,).
         y: shape (r,).
-        radii: of the enclosures of s, p and y.
+        radii: radii of the enclosures of s, p and y.
     """
 
     zero: complex
@@ -76,7 +76,7 @@ def zero_limit(
 
     Args:
         Cy: shape (q, n); None if all states are measured, when only the zeros from u to z count.
-        inequalities: of the plant and the transposed plant, if they are known already.
+        inequalities: inequalities of the plant and the transposed plant, if known.
         Dyw: shape (q, r); zero if it is not given.
     """
     one, other = _sides(plant, Cy, Dyw, inequalities)
@@ -136,7 +136,7 @@ class _Pencil(NamedTuple):
     Attributes:
         U, Q, b, c: every entry rounded once.
         rate: unit of s [rad/s].
-        unit: of y.
+        unit: unit of y.
     """
 
     U: Array
@@ -180,10 +180,10 @@ class _Pencil(NamedTuple):
         basis = np.linalg.svd(self.Q - s * self.U)[0][:, self.U.shape[1] - 1 :].conj()
         p, y = basis.T @ self.c, basis.T @ self.b
         directions, sizes, _ = np.linalg.svd(p, full_matrices=False)
-        kept = sizes > NEARLY * sizes.max(initial=0.0)
-        directions = directions[:, kept] / sizes[kept]
+        mask = sizes > NEARLY * sizes.max(initial=0.0)
+        directions = directions[:, mask] / sizes[mask]
         best = directions @ np.linalg.svd(directions.conj().T @ y)[0][:, :1]
-        k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and kept.any() else basis[:, 0]
+        k = (basis @ best.conj())[:, 0] if basis.shape[1] > 1 and mask.any() else basis[:, 0]
         return k / np.linalg.norm(k), basis.conj().T
 
 

@@ -98,8 +98,8 @@ def without_control(plant: GeneralizedPlant, omega: float) -> float:
 def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns M = [A - j omega, B; C, D] and what [q; p]* turns into the effect of w, in integers; see `limit_at`.
 
-    Real and imaginary part of [q; p] lie below each other. Of a discrete plant z = (1 + j t) / (1 - j t), t = tan(omega dt / 2) a
-    float, lies on the unit circle exactly, and 1 - j t multiplies the rows of the states.
+    Real and imaginary part of [q; p] lie below each other. For a discrete plant z = (1 + j t) / (1 - j t), with a float t =
+    tan(omega dt / 2), is on the unit circle exactly, and 1 - j t multiplies the rows of the states.
 
     Returns:
         The real and the imaginary part of M, up to one factor, shapes (n + d, n + m). The effects of w on the real and the
@@ -175,9 +175,9 @@ def _strongest(outputs: Array, effects: Array) -> Array:
         effects: shape (k, r).
     """
     directions, sizes, _ = np.linalg.svd(outputs, full_matrices=False)
-    kept = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
-    directions = directions[:, kept] / sizes[kept]
-    return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if kept.any() else np.zeros(len(outputs))
+    mask = sizes > NEGLIGIBLE * sizes.max(initial=0.0)
+    directions = directions[:, mask] / sizes[mask]
+    return directions @ np.linalg.svd(directions.T @ effects)[0][:, 0] if mask.any() else np.zeros(len(outputs))
 
 
 def _rates(plant: GeneralizedPlant) -> Array:

@@ -119,11 +119,7 @@ def stability_of_balanced(A: Array) -> Stability:
 
 
 def sampled_growth(Phi: Array) -> float:
-    """Returns the spectral radius of Phi in x[k+1] = Phi x[k], exactly 1 if that is 1 to rounding.
-
-    Args:
-        Phi: shape (n, n), finite.
-    """
+    """Returns the spectral radius of a finite Phi, shape (n, n), in x[k+1] = Phi x[k]: exactly 1 if that is 1 to rounding."""
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
@@ -181,21 +177,13 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,).
-
-    Args:
-        asked: mask of those that matter; the others are False.
-    """
+    """Returns a mask of the `asked` eigenvalues of a balanced matrix that are on the unit circle to rounding, shape (n,)."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,).
-
-    Args:
-        distances: from there; infinite for an eigenvalue that is not asked about.
-    """
+    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
     allowed = rounding(A)
     # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
@@ -271,8 +259,8 @@ def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
     """Returns a closed loop's A without the states of weights, whose poles no control moves.
 
     Args:
-        plant: without control, n states.
-        A: of a loop with it, whose states come first, shape (n + k, n + k).
+        plant: plant without control, n states.
+        A: state matrix of a loop with the plant, whose states come first, shape (n + k, n + k).
     """
     n = len(plant.A)
     own = np.r_[: n - plant.weights, n : len(A)]

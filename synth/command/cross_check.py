@@ -124,15 +124,17 @@ def cross_check(designer: Designer, controller: Controller, zero_l: bool = False
         Dw=plant.Dw * output_unit * disturbance_unit,
     )
     optima: list[float | None] = [None, None]
-    said = []
+    remarks = []
     for i, gain in enumerate((None, K @ scaling[a:, a:] / input_unit)):
         what = "" if gain is None else " with our gain"
         try:
             solved = solve_lmi(plant, eye[:, :a], eye[:, a:], gain)
         except DesignError as error:
-            said.append(f"{which}{what}: {error}")
+            remarks.append(f"{which}{what}: {error}")
             continue
         optima[i] = solved.gamma / (disturbance_unit * output_unit)
         if solved.status != "optimal":
-            said.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
-    return CrossCheck(which, bound / (1 + controller.optimum_gap), controller.optimum_gap, optima[0], optima[1], "; ".join(said))
+            remarks.append(f"of {which}{what} Clarabel itself says {solved.status!r}")
+    return CrossCheck(
+        which, bound / (1 + controller.optimum_gap), controller.optimum_gap, optima[0], optima[1], "; ".join(remarks)
+    )

@@ -86,10 +86,10 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
         for name, reason in undesigned.items():
             lines += ["", f"controller {name}", f"  NOT DESIGNED: {reason}"]
         about = ["", *about_lines(chosen, lag)] if whole else []
-        said = [line for one in chosen for line in sentence(one)] if whole else []
+        sentences = [line for one in chosen for line in sentence(one)] if whole else []
         if not (whole or failed or undesigned):
-            said = [f"every claim holds, of {len(chosen)} controllers"]
-        say([*lines, *about, *written_lines(outputs), "", *said, *(f"DOES NOT HOLD: {text}" for text in failed)])
+            sentences = [f"every claim holds, of {len(chosen)} controllers"]
+        say([*lines, *about, *written_lines(outputs), "", *sentences, *(f"DOES NOT HOLD: {text}" for text in failed)])
     return 1 if failed or undesigned else 0
 
 

@@ -22,11 +22,7 @@ RETURNS = 1e-9  # relative to the sum of the terms' sizes: less is zero at 0 rad
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
-    """Returns the law on readings y of a law on [y; integrals of S y]: the integrals are its first states.
-
-    Args:
-        integrated: S, shape (j, q).
-    """
+    """Returns the law on readings y of a law on [y; integrals of S y], S of shape (j, q): the integrals are its first states."""
     (j, q), k = integrated.shape, law.states
     A = np.block([[np.zeros((j, j + k))], [law.B[:, q:], law.A]])
     B = np.vstack([integrated, law.B[:, :q]])
@@ -39,15 +35,15 @@ def integrators_of(law: LinearLaw, integrated: Array | None) -> dict[int, tuple[
     Args:
         integrated: S, shape (j, q); None for none.
     """
-    kept: dict[int, tuple[int, float]] = {}
+    states: dict[int, tuple[int, float]] = {}
     for row, factors in enumerate(() if integrated is None else integrated):
         at = int(np.flatnonzero(factors)[0])
         for i in np.flatnonzero(~np.any(law.A, axis=1) & (law.B[:, at] != 0)).tolist():
             ratio = float(law.B[i, at] / factors[at])
-            if np.array_equal(law.B[i], ratio * factors) and i not in [state for state, _ in kept.values()]:
-                kept[row] = i, ratio
+            if np.array_equal(law.B[i], ratio * factors) and i not in [state for state, _ in states.values()]:
+                states[row] = i, ratio
                 break
-    return kept
+    return states
 
 
 def on_integrals(law: LinearLaw, integrated: Array | None, kept: Mapping[int, tuple[int, float]]) -> LinearLaw:

@@ -29,10 +29,10 @@ class LoopTransfer:
 
     Attributes:
         A: state matrix with the other actuators' loops closed, shape (n, n).
-        B: from the forces that act, shape (n, k).
-        G: to the forces asked for, shape (k, n).
-        H: to those from the forces that act, shape (k, k).
-        sampling: of a controller with states, the loop that it makes sampled; None for a static one.
+        B: input matrix of the forces that act, shape (n, k).
+        G: gain to the commanded forces, shape (k, n).
+        H: feedthrough from the forces that act to the commanded ones, shape (k, k).
+        sampling: the sampled loop with a controller with states; None for a static one.
     """
 
     A: Array
@@ -169,9 +169,9 @@ class SampledLaw:
         chain = np.zeros((k + 2 * q, k + 2 * q))
         chain[:k, :k], chain[:k, k : k + q], chain[k : k + q, k + q :] = law.A, law.B, np.eye(q)
         periods = start + step * np.arange(1, count + 1)
-        kept = _powers(chain, start, step, count)
-        A, ramp = kept[:, :k, :k], kept[:, :k, k + q :] / periods[:, None, None]
-        B, through = kept[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
+        powers = _powers(chain, start, step, count)
+        A, ramp = powers[:, :k, :k], powers[:, :k, k + q :] / periods[:, None, None]
+        B, through = powers[:, :k, k : k + q] - ramp + A @ ramp, law.D + law.C @ ramp
         # From [x; x_c; previous forces], which are states only where they are measured.
         previous = m if np.any(D) else 0
         seen = np.hstack([C, np.zeros((q, k)), D[:, :previous]])
@@ -224,20 +224,20 @@ def sampled_loop_transfer(
     actuators: Sequence[int] | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> tuple[Array, Array, Array]:
-    """The same from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i]: Phi, Gamma and G.
+    """Returns Phi, Gamma and G of the loop from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i].
 
     The others' forces are sampled and held, too.
 
     Args:
-        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        period: from sample to sample [s].
+        vehicle: the vehicle; sampling and delay of its `[implementation]` do not count.
+        period: sample period [s].
         actuators: those that are cut; None for all.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
     """
-    kept = sampled(vehicle, controller, period)
-    actuators = range(kept.forces) if actuators is None else actuators
-    Phi, Gamma = held_inputs(kept.model.A, period, exponential, kept.model.B)
-    m, others = kept.forces, [i for i in range(kept.forces) if i not in actuators]
-    if len(kept.hold):
-        Phi, Gamma = Phi + Gamma[:, m:] @ kept.kept, Gamma[:, :m] + Gamma[:, m:] @ kept.hold
-    return Phi + Gamma[:, others] @ kept.asked[others], Gamma[:, actuators], kept.asked[actuators]
+    loop = sampled(vehicle, controller, period)
+    actuators = range(loop.forces) if actuators is None else actuators
+    Phi, Gamma = held_inputs(loop.model.A, period, exponential, loop.model.B)
+    m, others = loop.forces, [i for i in range(loop.forces) if i not in actuators]
+    if len(loop.hold):
+        Phi, Gamma = Phi + Gamma[:, m:] @ loop.kept, Gamma[:, :m] + Gamma[:, m:] @ loop.hold
+    return Phi + Gamma[:, others] @ loop.asked[others], Gamma[:, actuators], loop.asked[actuators]

@@ -85,10 +85,10 @@ def norm_lines(vehicle: Vehicle, controller: Controller, norm: SampledNorm | Non
     alike = math.isfinite(ideal) and ideal and controller.hardware == NOMINAL
     more = f", {relative_difference_text(norm.value, ideal)} the ideal loop's" if alike else ""
     noisy = any(controller.hardware.noise)
-    heard = ", with the noise of its measurements" if noisy else ""
+    noise = ", with the noise of its measurements" if noisy else ""
     which = "a road with noise" if noisy else "a road"
     lines = [
-        f"sampled norm {norm.value:.7g}{more}{heard}",
+        f"sampled norm {norm.value:.7g}{more}{noise}",
         f"it is less than {norm.upper:.9g} by level sets, and {which} reaches {norm.reached:.9g} of it",
     ]
     if norm.inside:
@@ -163,7 +163,7 @@ def false_norm(
 
     Args:
         record: a checked certificate; None for a controller without one.
-        vehicle: with the controller's implementation.
+        vehicle: vehicle with the controller's implementation.
         norm_of_loop: computes the norm (`norm_if_implemented`); called only if a norm is claimed.
     """
     said = (record or {}).get(SAMPLED_NORM)
@@ -208,7 +208,7 @@ def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
 
 
 def pid_line(controller: Controller) -> str:
-    """Returns the gains of a designed PI or PID law, a discrete one's too, as a vehicle file has them; empty of others."""
+    """Returns the gains of a designed PI or PID law, continuous or discrete, as in a vehicle file; empty for other laws."""
     from models.laws.law_structure import ITS_GAINS, pid_text
 
     remarked = (remark.partition(ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
@@ -292,9 +292,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up where forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{margins.growth:.4g} 1/s){winds}"] if margins.growth else []
-    notes += (
-        [f"{margins.small} of the ideal loop: small changes make it unstable; sim.margins says more"] if margins.small else []
-    )
+    notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
         follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"
@@ -303,7 +301,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 
 
 def growth_object(controller: Controller) -> dict[str, float]:
-    """Returns the growth of a law that is unstable by itself as JSON has it [1/s]; empty of any other."""
+    """Returns the growth [1/s] of a law that is unstable by itself as a JSON object; empty for other laws."""
     return {"law_growth": controller.law.growth} if controller.law.growth else {}
 
 

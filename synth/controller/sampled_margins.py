@@ -32,8 +32,8 @@ class SampledMargins:
     Attributes:
         gain: smallest factor above 1 on all forces at which the loop is unstable.
         gain_lower: largest factor below 1 at which it is unstable; 0 without one.
-        delay: shortest delay of all forces, beside that of the implementation, at which it is unstable [s].
-        frequency: of the loop that is then marginal [rad/s]; NaN without one.
+        delay: shortest delay of all forces, added to that of the implementation, at which it is unstable [s].
+        frequency: oscillation of the loop that is then marginal [rad/s]; NaN without one.
         lead: smallest phase lead of all forces, at every frequency alike, at which it is unstable [rad].
     """
 
@@ -50,15 +50,10 @@ class SampledMargins:
 
 
 def sampled_margins(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledMargins | None:
-    """Returns the margins of all loops at once, or None if the loop is not stable.
-
-    Args:
-        vehicle: with the controller's implementation.
-        controller: its controller.
-        timestep: of which delays are multiples [s].
+    """Returns the margins of all loops together, or None if the loop is not stable.
 
     Raises:
-        InputError: the sample period or the delay is no multiple of the timestep.
+        InputError: the sample period or the delay is not a multiple of the timestep [s].
     """
     loop = LoopModel(vehicle, controller, timestep)
     if loop.radius >= 1:
@@ -114,10 +109,10 @@ def _crossovers(open_: Array, Gamma: Array, F: Array, period: float) -> list[tup
         low, high = grid[i], grid[i + 1]
         for _ in range(4):
             finer = np.linspace(low, high, 40)
-            found = _crossings(eigenvalues(finer))
-            if not len(found):
+            crossings = _crossings(eigenvalues(finer))
+            if not len(crossings):
                 break
-            low, high = finer[found[0]], finer[found[0] + 1]
+            low, high = finer[crossings[0]], finer[crossings[0] + 1]
         omega = (low + high) / 2
         (values,) = eigenvalues(np.array([omega]))
         turned = float(np.angle(values[np.argmin(np.abs(np.log(np.abs(values))))]) % (2 * np.pi))

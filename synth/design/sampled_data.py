@@ -1,21 +1,21 @@
-"""The two steps for the loop that a computer closes, and descent on its exact norm from there.
+"""The two steps for the sampled-data loop, followed by descent on its exact norm.
 
-For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). The level that a step reaches
-is the one for whose plant its optimum is a norm of 1: found by secants over the logarithms, in a handful of problems. State
-feedback (22) has one such level, and the X of its optimum there makes L (14); the second step, with its slack variable
-(`lmi/slack_variable.py`), has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and
-depends on no solver and no unit. What it gains is then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
+For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). A step reaches the level for
+whose plant its optimum is a norm of 1, found by secants over the logarithms in a few problems. State feedback (22) has one such
+level, and the X of its optimum makes L (14). The second step, with its slack variable (`lmi/slack_variable.py`), has another.
+Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on no solver and no unit. Its norm is
+then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
 
-Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
-state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The
-gain of the two steps stays where descent gains next to nothing. If they find no gain, or if no control does better, descent
-starts from whatever is known. The result says so. The two steps know no noise of the readings; descent does.
+Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
+without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
+results and from the continuous design, and the lowest end is taken. The gain of the two steps stays if descent gains next to
+nothing. If they find no gain, or if no control does better, descent starts from whatever is known, with a remark. The two steps
+ignore noise of the measurements; descent includes it.
 
-That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
-of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
-what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound,
-or nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
+The norm has several valleys if a mode of the plant turns by more than a fraction of a turn in a period, and a good gain for a
+fast rate may be unstable at a slow one. So descent starts where the norm is smallest along the line through the known gains, on
+either side of no control. If it ends more than 1 % above a lower bound, or finds nothing, the search for static gains
+(`static.py`) continues for the plant of one level.
 """
 
 import contextlib
@@ -130,16 +130,16 @@ def refined_further(problem: SampledDataProblem, K: Array, near: float) -> Refin
     plant = problem.at(before) if np.isfinite(before) else None
     if plant is None:
         raise DesignError("the sampled loop is not stable, or its norm is that within a period; there is nothing to refine")
-    kept = independent_rows(plant, problem.rows)
-    few = problem.of(kept)
-    start = from_some(K, np.hstack([problem.Cy, problem.through]), kept)
+    rows = independent_rows(plant, problem.rows)
+    few = problem.of(rows)
+    start = from_some(K, np.hstack([problem.Cy, problem.through]), rows)
     moved, after = down(few, start, before)
     last = problem.at(after)
     refused = refine(last, few.rows, moved, few.Dyw(after)).refused if last is not None else None
     landscape = Landscape(plant, few.rows, few.Dyw(before))
     sizes = [float(np.abs(landscape.point(each)).max()) for each in (start, moved)]
     gain = np.zeros_like(K)
-    gain[:, kept] = moved
+    gain[:, rows] = moved
     growth = sizes[1] / sizes[0] if sizes[0] else 1.0
     return Refinement(gain, before, after, growth, refused, "the sampled norm")
 
@@ -186,17 +186,17 @@ class SampledDataDesign:
 def held_design(
     problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
 ) -> SampledDataDesign:
-    """The two steps, or the first alone where all states are measured.
+    """Runs the two steps, or the first alone if all states are measured.
 
     Args:
-        near: a level to start from, as the norm of the continuous design.
-        known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+        near: level to start from, for example the norm of the continuous design.
+        known: gains from the same measurements, shapes (m, q), for example the continuous design's; the result is not worse.
         work: counts the norms of the search; `bounded_work` if it is not given.
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
         TooLargeError: too many forces are on their way.
-        DesignError: none was found; the message says what was tried.
+        DesignError: no gain was found; the message lists what was tried.
     """
     check_size(problem)
     far, slow = near, None
@@ -207,17 +207,17 @@ def held_design(
     if slow is None:
         within = f"within one of {1e3 * problem.period:g} ms, where no force answers, w gains {far:g}"
         raise DesignError(f"{NO_GAIN}; give a shorter sample period: {within}")
-    kept = independent_rows(slow, problem.rows)
-    few = problem.of(kept)
-    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), kept) for K in known]
+    rows = independent_rows(slow, problem.rows)
+    few = problem.of(rows)
+    of_kept = [from_some(K, np.hstack([problem.Cy, problem.through]), rows) for K in known]
     try:
         K, norm, level, instead = _gain(few, near, of_kept, far, bounded_work(problem.plant) if work is None else work)
     except DesignError as error:
         if reasons := "; ".join(stabilisability_failures(slow, few.rows) or static_feedback_obstructions(slow, few.rows)):
             raise InfeasibleError(reasons) from error
         raise
-    gain = on_all_rows(K, kept, len(problem.Cy))
-    return SampledDataDesign(gain, norm, level, tuple(kept), instead)
+    gain = on_all_rows(K, rows, len(problem.Cy))
+    return SampledDataDesign(gain, norm, level, tuple(rows), instead)
 
 
 def _gain(
@@ -363,7 +363,7 @@ class _Tries:
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """R (9) with the L (14) of an X: what the states are as a rule where so much is measured, shape (n, q)."""
+    """Returns R (9) with the L (14) of an X, an estimate of the states from the measurements, shape (n, q)."""
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
@@ -429,9 +429,9 @@ def _level(
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:
-    """The level where the norm is 1: that of the polynomial in log norm which is log level where it was seen; NaN of no slope.
+    """Returns the level where the norm is 1, by a polynomial of log level over log norm; NaN without a slope.
 
-    Of one pair the norm falls as the level rises.
+    For a single pair the norm is assumed to fall as the level rises.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

@@ -71,8 +71,8 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     everything = _counting(_disturbed(plant, strength * np.diag(scale)), own, scale, forces)
 
     if not np.any(plant.D) and not _leaves(own.B, blind):
-        said = "no control force reaches z: its norm is the same for every gain"
-        return WellPosedProblem(everything, f"{said} that stabilises the plant", alone, f"{said}; none is applied")
+        text = "no control force reaches z: its norm is the same for every gain"
+        return WellPosedProblem(everything, f"{text} that stabilises the plant", alone, f"{text}; none is applied")
 
     kept, rest, F = _seen(own, step)
     direct = bool(np.any(plant.Dw))
@@ -81,16 +81,16 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
     beside = _disturbed(plant, strength * scale[:, None] * kept) if len(rest.A) else everything
     how = "only through Dw" if direct else "in no way"
     if not _leaves(own.Bw, blind):
-        said = f"without control w reaches z {how}"
-        return WellPosedProblem(beside, f"{said}, but the plant is not stable; {INSTEAD}", alone, f"{said}; none is applied")
+        text = f"without control w reaches z {how}"
+        return WellPosedProblem(beside, f"{text}, but the plant is not stable; {INSTEAD}", alone, f"{text}; none is applied")
     best = forces[:, None] * F / scale
     stable = is_stable(plant.closed_loop(best).A, plant.dt)
-    said = f"with the right state feedback w reaches z {how}; {INSTEAD}"
-    return WellPosedProblem(beside, said, best if stable else None, f"with this gain w reaches z {how}")
+    text = f"with the right state feedback w reaches z {how}; {INSTEAD}"
+    return WellPosedProblem(beside, text, best if stable else None, f"with this gain w reaches z {how}")
 
 
 def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
-    """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
+    """Returns a message if a control force costs nothing, as (22) then has no optimum; empty otherwise."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -104,11 +104,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
-
-    Args:
-        states: names of the states; x1, x2, ... without them.
-    """
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
@@ -159,7 +155,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 
 
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
-    """With disturbances that act on the states as the columns of `where` say."""
+    """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
@@ -191,7 +187,7 @@ class Design(Shown):
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: of its loop.
+        certificate: certificate of its loop.
         state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
             central path, more if the second problem is infeasible from there.
         optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
@@ -199,10 +195,10 @@ class Design(Shown):
         redundant: rows of C_y that follow from others, by index; their gain is zero.
         case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
         instead: the fallback method and why the two steps found no gain, in words, or empty.
-        moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
-            times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
-            of 40 states. But the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
-            gain the norm is proved, and no digit is that of the optimum.
+        moved: last change of the gain along its path, relative to its largest entry: about a hundred times the distance to the
+            limit. It is at most 4e-5 for the built-in cars, and for the two steps of a chain of 40 states. But the state feedback
+            of chains of 26 and 40 states still grows a hundredfold as mu falls as much. The norm of such a gain is proved, but
+            none of its digits is that of the optimum.
     """
 
     gain: Array
@@ -218,19 +214,18 @@ class Design(Shown):
     def shown(self) -> tuple[str, dict[str, str]]:
         """Returns gain and certificate as text."""
         title, proved = self.certificate.shown
-        said = {"case": self.case, "instead": self.instead}
-        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in said.items() if text}
+        words = {"case": self.case, "instead": self.instead}
+        return f"design, {title}", {"gain": gain_text(self.gain), **proved} | {name: text for name, text in words.items() if text}
 
 
 @numerics()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own
-    units.
+    """Returns the central path of (22), or of a regularised problem if that has no optimum, in the plant's own units.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
-            or it could not be followed.
+        DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or it could not
+            be followed; the message gives the reason.
     """
     problem, own = well_posed(plant).plant, own_units(plant)
     modes = unobservable_marginal_modes(problem, states)
@@ -254,11 +249,11 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 @numerics()
 def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> Design:
-    """State feedback, the optimum of (22).
+    """Returns the state feedback, the optimum of (22).
 
     Args:
-        path: of `state_path`, if it is there already.
-        lower_bound: what no controller of this kind can beat, for the certificate.
+        path: path of `state_path`, if known.
+        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
 
     Raises:
         InfeasibleError, DesignError: as `state_path`, or no certificate holds.
@@ -324,9 +319,9 @@ def two_step_design(
 
     Args:
         plant: n states, m inputs.
-        Cy: what is measured, y = C_y x, shape (q, n). Rows that depend on others are left out, and the result names them.
+        Cy: measurements y = C_y x, shape (q, n). Rows that depend on others are omitted and listed in the result.
         path: the central path of (22); computed if empty.
-        lower_bound: of the norm, over all controllers of this kind, for the certificate.
+        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
 
     Raises:

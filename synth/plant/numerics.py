@@ -10,7 +10,7 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """Failure of a design. The message says what happened, what usually causes it, what to do."""
+    """Failure of a design. The message contains the problem, its usual cause and what to do."""
 
 
 class InfeasibleError(DesignError):
@@ -35,11 +35,11 @@ NUMERIC = (  # what numpy, scipy, LAPACK and Python say
 
 def of_rounding(error: BaseException) -> bool:
     """Returns True if an error comes from rounding, as for a singular matrix, not from a mistake like a wrong shape."""
-    said = str(error)
+    message = str(error)
     if isinstance(error, np.linalg.LinAlgError):
-        return not any(word in said for word in OF_SHAPES)
+        return not any(word in message for word in OF_SHAPES)
     return isinstance(error, ArithmeticError) or (
-        isinstance(error, ValueError) and not isinstance(error, InputError) and any(word in said for word in NUMERIC)
+        isinstance(error, ValueError) and not isinstance(error, InputError) and any(word in message for word in NUMERIC)
     )
 
 

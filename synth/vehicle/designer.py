@@ -45,7 +45,7 @@ NOT_REFINED = "and what is refined is a static gain, which has none; leave --ref
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
-    """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
+    """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
     beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
     return Controller(
@@ -73,10 +73,6 @@ class SharedDesignData:
     """
 
     def __init__(self, vehicle: Vehicle, hardware: DesignConditions = NOMINAL) -> None:
-        """Args:
-        vehicle: the vehicle.
-        hardware: its actuators' lag, and its loads.
-        """
         self.vehicle, self.hardware, bandwidth = vehicle, hardware, hardware.bandwidth
         self.plant, self.states = generalized_plant(vehicle, bandwidth, loads=hardware.loads), plant_states(vehicle, bandwidth)
         self._bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], LowerBound] = {}
@@ -188,14 +184,13 @@ class Designer:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
-            name: of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
             on_progress: called with what a design for goals has reached, as it goes on.
 
         Raises:
             InputError: no controller has that name.
-            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
-                two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
+            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported unchanged. If the
+                two steps cannot be completed, descent on the norm continues instead; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -250,7 +245,7 @@ class Designer:
     def _for_errors(
         self, entry: ControllerEntry, controller: Controller, on_progress: Callable[[float, bool], None]
     ) -> Controller:
-        """Returns a controller that is designed for its weighted errors, if it has some that its design knows; else as it is."""
+        """Returns a controller designed for its weighted errors, if its design handles them; otherwise unchanged."""
         if entry.errors is None:
             return controller
         from synth.vehicle.weighted_errors import is_robust_design, robust_controller
@@ -270,7 +265,7 @@ class Designer:
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-        """Certifies a known law, from what is measured to the forces, under any name, as it is.
+        """Certifies a known law from measurements to forces under any name, unchanged.
 
         Raises:
             InputError: it has another number of signals or forces, or no loop.
@@ -346,7 +341,7 @@ class Designer:
         lower_bound: LowerBound,
         on_found: Callable[[LinearLaw], None],
     ) -> Controller:
-        """A controller whose law on the readings themselves has a structure, of each force by itself."""
+        """Returns a controller whose law on the measurements themselves has a structure, separately for each force."""
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
         states, through = self.shared(entry.hardware).states, posed.feedthrough
@@ -440,12 +435,12 @@ def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], A
     """Returns controllers of a vehicle by name, each with its certificate. They share the state-feedback step (22).
 
     Args:
-        vehicle: whose file asks for them.
-        names: of the file's controllers, `passive` or `state`. A single one is a list of one.
+        vehicle: vehicle whose file defines the controllers.
+        names: names of controllers of the file, `passive` or `state`; a single name gives a list of one.
 
     Raises:
         InputError: a name is unknown, or none is given.
-        DesignError: there is no such controller, or none could be proved; the message says why.
+        DesignError: no such controller exists, or none could be proved; the message gives the reason.
 
     Example:
         >>> from models import read_vehicle

@@ -66,7 +66,6 @@ def preview_optimum(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) ->
 
     Args:
         entry: its `design` is "preview".
-        posed: its problem.
 
     Raises:
         InputError: the states of filters in [performance] are not measured; or as `preview_design`.
@@ -80,13 +79,13 @@ def preview_optimum(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) ->
             f"controller {entry.name!r}: a preview is of the measured state, and no sensor reads the states of filters in "
             "[performance]; give constant weights, integrals of deflections, or another design"
         ) from None
-    found = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
-    law, ahead, model = on_readings(found.law, posed), found.preview, vehicle.linear_model
+    design = preview_design(posed.plant, entry.preview, plant_states(vehicle, entry.hardware.bandwidth), Cy)
+    law, ahead, model = on_readings(design.law, posed), design.preview, vehicle.linear_model
     if ahead is None:
-        return replace(found, law=law)
+        return replace(design, law=law)
     r = len(model.disturbances)
     heights = ahead.B[:, r:] @ (model.twist_rate * road_twist_inputs(model))
-    return replace(found, law=law, preview=RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C))
+    return replace(design, law=law, preview=RoadPreview(ahead.seconds, ahead.A, ahead.B[:, :r], heights, ahead.C))
 
 
 def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) -> Controller:
@@ -95,17 +94,17 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
     Raises:
         InputError, DesignError: as `preview_design`.
     """
-    found = preview_optimum(vehicle, entry, posed)
+    design = preview_optimum(vehicle, entry, posed)
     best = (
-        f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {found.h2_norm:.7g}, and {found.without:.7g} "
+        f"the best in the mean with the road {entry.preview:g} s ahead: H2 norm {design.h2_norm:.7g}, and {design.without:.7g} "
         f"without, the rms of z where road velocity is white noise of intensity one{AT_ONCE if np.any(posed.plant.Dw) else ''}"
     )
-    made = Controller(entry.name, entry.measured, found.law, True, found.certificate, remarks=(best,), hardware=entry.hardware)
-    return replace(made, preview=found.preview)
+    made = Controller(entry.name, entry.measured, design.law, True, design.certificate, remarks=(best,), hardware=entry.hardware)
+    return replace(made, preview=design.preview)
 
 
 def h2_norm_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
-    """The H2 norm that `quadratic_optimum` makes the smallest, of any law on what the sensors read whose loop is stable.
+    """Returns the H2 norm that `quadratic_optimum` minimises, for any law on the measurements with a stable loop.
 
     Raises:
         InputError: its loop has no solution.

@@ -1,4 +1,4 @@
-"""A controller after `--refine`, and what that took; and whether that is worth it."""
+"""A controller after `--refine`, with its trade-off, and the estimated benefit of `--refine`."""
 
 from dataclasses import dataclass
 
@@ -51,18 +51,18 @@ def refined(
     Raises:
         DesignError: the start does not stabilise the vehicle, or no start leads to a gain.
     """
-    kept = independent_rows(posed.plant, posed.Cy)
-    (Cy, Dyw), origin = posed.select_rows(kept), ""
+    rows = independent_rows(posed.plant, posed.Cy)
+    (Cy, Dyw), origin = posed.select_rows(rows), ""
     if start is None:
         from synth.design.static import static_output_feedback
 
         static = static_output_feedback(posed.plant, Cy, lower_bound=lower_bound, Dyw=Dyw)
         K, origin = static.gain, static.origin
     else:
-        K = _gain(vehicle, start, posed, kept)
+        K = _gain(vehicle, start, posed, rows)
     refinement = refine(posed.plant, Cy, K, Dyw)
     gain = np.zeros((len(K), len(entry.measured)))
-    gain[:, kept] = refinement.gain
+    gain[:, rows] = refinement.gain
     certificate = certify_tightly(
         *on_larger_plant(posed.plant, Cy, static_law(refinement.gain), Dyw), lower_bound, by_itself=posed.plant
     )
@@ -76,9 +76,9 @@ def worth(vehicle: Vehicle, controller: Controller, posed: Problem) -> float:
     gap = controller.certificate.gap
     if gap is not None and gap <= SEEN:
         return 0.0
-    kept = independent_rows(posed.plant, posed.Cy)
-    Cy, Dyw = posed.select_rows(kept)
-    share = worth_refining(posed.plant, Cy, _gain(vehicle, controller, posed, kept), Dyw)
+    rows = independent_rows(posed.plant, posed.Cy)
+    Cy, Dyw = posed.select_rows(rows)
+    share = worth_refining(posed.plant, Cy, _gain(vehicle, controller, posed, rows), Dyw)
     return share if share > SEEN else 0.0
 
 

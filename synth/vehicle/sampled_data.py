@@ -27,8 +27,8 @@ def sampled_design(
     """Designs a gain for the sampled loop. Returns it with the certificate of its ideal loop and a remark on the sampled one.
 
     Args:
-        vehicle: with sample period and delay.
-        posed: the problem that its ideal loop is judged with.
+        vehicle: vehicle with sample period and delay.
+        posed: the problem by which its ideal loop is evaluated.
         ideal: returns the design for the ideal loop, which is a start of this one, or raises a DesignError.
 
     Raises:
@@ -63,8 +63,8 @@ def full_order_sampled_design(
     given = held_problem(vehicle, entry), bound, lower_bound.gamma or 1.0, states, entry.stable
     design = sampled_full_order(*given) if entry.structure is None else sampled_fixed_order(*given, entry.structure)
     law = replace(design.law, anti_windup=entry.anti_windup)
-    said = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
-    return _controller(entry, posed, lower_bound, law, said)
+    remark = f"designed for the sampled loop{f'; {design.remark}' if design.remark else ''}"
+    return _controller(entry, posed, lower_bound, law, remark)
 
 
 def sampled_refinement(

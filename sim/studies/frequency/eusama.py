@@ -83,10 +83,10 @@ IN_JSON = (
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """The minimum load of every wheel under every controller.
+    """Returns the minimum load of every wheel under every controller.
 
     Args:
-        controllers: of which each has a loop that decays.
+        controllers: controllers with stable loops.
         timestep: [s].
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
@@ -175,14 +175,14 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 
 def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
-    """The minimum loads as a table, and what is said against them."""
+    """Returns the minimum loads as a table, with a note on the criticism of this test."""
     name = Column[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
     ended = Column[MinimumLoad]("", lambda one: one.end)
     return [*column_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]
 
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
-    """The same as JSON has it."""
+    """Returns the minimum loads as a JSON object."""
     return {
         "disputed": DISPUTED.removeprefix("disputed: "),
         "tyres": {one.tyre: json_object(IN_JSON, one) for one in loads},

@@ -1,4 +1,4 @@
-"""Results of a sweep against the claims of a controller: in words, and as `--json` has them."""
+"""Results of a sweep compared with the claims of a controller: text and JSON."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -83,7 +83,7 @@ def sweep(
     speed: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Sweep]:
-    """Everything, of every controller, in two stages that `progress` is told of, `LINES` and `EXTREMES`.
+    """Returns the sweep of every controller. `progress` is called with each of two stages, `LINES` and `EXTREMES`.
 
     Other arguments and errors as for `sim.studies.frequency.identification.identify`.
     """
@@ -175,13 +175,13 @@ def _road_failures(one: Sweep) -> list[str]:
     """The claims that do not hold of the worst road of a sampled loop."""
     if one.road is None or one.sampled is None:
         return []
-    said, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
-    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{said}; {one.road.predicted:.7g} is predicted"]
+    failure, gain, norm = f"the worst road has an L2 gain of {one.road.gain:.7g}", one.road.gain, one.sampled.value
+    failed = [] if abs(gain - one.road.predicted) <= ABOVE * gain else [f"{failure}; {one.road.predicted:.7g} is predicted"]
     step = SLACK * abs(one.road.predicted - one.road.finer)  # energies between leaps are exact to the square of the timestep
     if not gain <= norm * (1 + DRIVEN) + step:
-        failed.append(f"{said}, above the norm {norm:.7g} of the sampled loop")
+        failed.append(f"{failure}, above the norm {norm:.7g} of the sampled loop")
     if not one.road.twisted and not gain >= norm * (1 - REACHED) - step:
-        failed.append(f"{said} only; the norm of the sampled loop is {norm:.7g}")
+        failed.append(f"{failure} only; the norm of the sampled loop is {norm:.7g}")
     return failed
 
 
@@ -284,7 +284,7 @@ def _verdict(one: Sweep | DescribingFunction) -> str:
 
 
 def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
-    """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    """Returns a sweep as a JSON object: SI units, complex numbers as [real, imaginary], None for missing values."""
     if isinstance(one, DescribingFunction):
         return describing_object(one)
     lines, norm = one.lines, one.extremes.worst
@@ -317,7 +317,7 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
 
 
 def _road_object(one: Sweep) -> dict[str, Any]:
-    """The exact norm of a sampled loop and the road that reaches it; nothing where the vehicle file has no such loop."""
+    """Returns the exact norm of a sampled loop and the road that reaches it; empty without such a loop."""
     if one.sampled is None:
         return {}
     road, measured = one.road, None

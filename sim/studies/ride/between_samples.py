@@ -33,12 +33,12 @@ ROUNDING = 1e-13  # of the largest value: less is no change of sign
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Signal as one polynomial per step, or part of one.
+    """Signal as one polynomial for each step or part of a step.
 
     Attributes:
-        start: of every step [s], shape (K,).
-        length: of every step [s], shape (K,).
-        values: at equidistant points of every step, both ends included, shape (K, d + 1).
+        start: start of every step [s], shape (K,).
+        length: length of every step [s], shape (K,).
+        values: values at equidistant points of every step, both ends included, shape (K, d + 1).
     """
 
     start: Array
@@ -194,7 +194,7 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
     else:
         return {}
     start = (prediction.time[:steps, None] + np.arange(cut) * (h / cut)).ravel()
-    found = {}
+    pieces = {}
     for name in signals:
         values = response[name]
         ends = values[parts::parts].copy()
@@ -204,8 +204,8 @@ def _exact_steps(run: Run, signals: tuple[str, ...], steps: int, cut: int) -> di
         values = np.column_stack([values[:-1].reshape(-1, parts), ends])
         if road.road.jumps:
             values[:, 0] += _behind_jumps(run, name, start, h / cut)
-        found[name] = Pieces(start, np.full(steps * cut, h / cut), values)
-    return found
+        pieces[name] = Pieces(start, np.full(steps * cut, h / cut), values)
+    return pieces
 
 
 def _behind_jumps(run: Run, name: str, start: Array, length: float) -> Array:
@@ -264,13 +264,13 @@ def _cubics(values: Array) -> Array:
     first = np.clip(np.arange(count - 1) - 1, 0, count - 4)
     offset = np.arange(count - 1) - first
     grid = np.arange(4.0)
-    found = np.empty((count - 1, 4))
+    coefficients = np.empty((count - 1, 4))
     for where in range(3):  # which of the three gaps between four samples the step is
         rows = np.flatnonzero(offset == where)
         x = where + grid / 3
         lagrange = np.array([np.prod([(x - m) / (j - m) for m in grid if m != j], axis=0) for j in grid])
-        found[rows] = values[first[rows, None] + np.arange(4)] @ lagrange
-    return found
+        coefficients[rows] = values[first[rows, None] + np.arange(4)] @ lagrange
+    return coefficients
 
 
 def _fit(points: int) -> Array:
@@ -295,7 +295,7 @@ def _roots(coefficients: Array) -> Iterator[float]:
     size = np.abs(coefficients)
     if not size.any():
         return iter(())
-    kept = chebyshev.chebtrim(coefficients, 1e-15 * float(size.max()))
-    roots = chebyshev.chebroots(kept) if len(kept) > 1 else np.zeros(0)
+    trimmed = chebyshev.chebtrim(coefficients, 1e-15 * float(size.max()))
+    roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
     real = np.real(roots[np.abs(np.imag(roots)) < 1e-9])
     return iter(np.sort(real[(real > -1) & (real < 1)]).tolist())

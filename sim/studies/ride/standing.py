@@ -59,11 +59,11 @@ class Standing:
     """A row of the comparison: a controller's metrics on a road, in MuJoCo.
 
     Attributes:
-        controller: its name.
-        values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
+        controller: name of the controller.
+        values: values by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: the part of the vehicle that this run leaves out, see `Vehicle.without`; empty as built.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty as built.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
             A side without a stop is left out; empty without strokes or a run.
     """
@@ -97,11 +97,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> list[Standing]:
-    """Returns the rows with those of unsound laws marked.
-
-    Args:
-        unsound: names of the controllers whose law is unstable by itself or winds up.
-    """
+    """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
     return [replace(one, sound=False) if one.controller in unsound else one for one in standings]
 
 
@@ -216,11 +212,7 @@ def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn
 
 
 def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
-    """Returns the table, with a note below.
-
-    Args:
-        about: the note: when is measured.
-    """
+    """Returns the table, with a note below on what is measured."""
     columns, legend = compared_columns(standings)
     if not columns:
         return ["no ride to compare: of every controller a run broke off"]

@@ -52,10 +52,10 @@ class ExportedMargins:
     """Margins of one loop with exported code.
 
     Attributes:
-        about: norm, margins and promises with ideal numbers and with those of the code, see `numbers_object`.
-        predicted: with the numbers of the code.
+        about: norm, margins and specifications with ideal numbers and with those of the code, see `numbers_object`.
+        predicted: margins with the numbers of the code.
         gain, lower, delay: the searches; `lower` is for the inverse of a factor below 1.
-        timestep: of the physics [s].
+        timestep: timestep of the physics [s].
         hidden: True if rounding hides motion that grows or decays: then nothing is searched.
     """
 
@@ -78,7 +78,7 @@ class ExportedMargins:
 
     @property
     def digits(self) -> str:
-        """Format of what is found."""
+        """Format of the values found."""
         return ".6g" if self.gain.width == GAIN_WIDTH else ".3g"
 
     @property
@@ -96,7 +96,7 @@ class ExportedMargins:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns them as JSON has them: what `numbers_object` has, and what MuJoCo found."""
+        """Returns the margins as a JSON object: the content of `numbers_object`, and MuJoCo's results."""
         mujoco = None
         if not self.hidden:
             mujoco = {
@@ -144,12 +144,12 @@ def _close(predicted: float, found: float, within: float) -> bool:
 def find_exported_margins(
     vehicle: Vehicle, controller: CompiledController, timestep: float, progress: Callable[[str], None] = no_progress
 ) -> ExportedMargins:
-    """Returns the margins of the loop of all forces at once that exported code closes.
+    """Returns the margins of the loop that exported code closes, for all forces together.
 
     Args:
-        vehicle: with its implementation, of force actuators.
-        controller: driven by its code.
-        timestep: of MuJoCo [s], of which sample period and delay are multiples.
+        vehicle: vehicle with force actuators and its implementation.
+        controller: controller driven by its code.
+        timestep: MuJoCo's timestep [s]; sample period and delay are multiples of it.
 
     Raises:
         InputError: the code sets adjustable dampers, or the loop with these numbers is not stable.
@@ -176,7 +176,7 @@ def find_exported_margins(
     inverse = 1 / predicted.gain_lower if predicted.gain_lower else math.inf
     delay = predicted.delay if predicted.delay < LATEST else math.inf
     step = timestep * (max(1, round(COARSE * delay / timestep)) if blur.coarse and math.isfinite(delay) else 1)
-    found = ExportedMargins(
+    margins = ExportedMargins(
         about,
         predicted,
         Bisection(lambda amount: trial(amount, 0), predicted.gain, most=AMPLE, width=width),
@@ -185,9 +185,9 @@ def find_exported_margins(
         timestep,
         blur.share > HIDDEN,
     )
-    if not found.hidden:
-        run_searches([found.gain, found.lower, found.delay], timestep, progress)
-    return found
+    if not margins.hidden:
+        run_searches([margins.gain, margins.lower, margins.delay], timestep, progress)
+    return margins
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class _Blur:
     """Bump, and how much of its motion rounding hides.
 
     Attributes:
-        height: of the bump [m].
+        height: height of the bump [m].
         share: rms of the error of a signal over that of the signal, the largest of any.
         coarse: True if readings have steps that a run shows.
     """

@@ -1,4 +1,4 @@
-"""Margins in words, and as JSON has them."""
+"""Output of margins: text and JSON."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ COUNTERPART = "the law is discrete: all numbers are of the continuous law whose 
 def margins_object(
     vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> dict[str, Any]:
-    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns the result as a JSON object: SI units, None for infinite or missing values."""
     loops = {name: _loop_object(one) for name, one in margins.items() if name}
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
@@ -175,9 +175,9 @@ def verdict(margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robus
     if wrong:
         return f"DOES NOT AGREE: {'; '.join(wrong)}"
     others = f", {len(box.corners)} other vehicles too" if box is not None else ""
-    found = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
-    found += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
-    decided = ", where its runs decide" if any(map(math.isnan, found)) else ""
+    edges = [one for loop in margins.values() for one in (loop.gain.found, loop.found_gain_lower, loop.found_delay)]
+    edges += [*(loop.found_sample_period for loop in margins.values()), fragile.edge.found]
+    decided = ", where its runs decide" if any(map(math.isnan, edges)) else ""
     return f"agrees: the loop bears in MuJoCo what is predicted{decided}{others}"
 
 
@@ -235,7 +235,7 @@ def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
 
 
 def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
-    """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
+    """Returns rows of name, predicted value, value found, and a note to the right, or below if it does not fit."""
     heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
     room = NAME + 2
     lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]
@@ -253,9 +253,7 @@ def _noted(gain: GainMargin, note: str = "") -> str:
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
-    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power
-    -1.
-    """
+    """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")

@@ -54,7 +54,7 @@ def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, thr
 
 
 def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
-    """The loads over every bump, as they were asked for; no key where there are none."""
+    """Returns the requested loads over every bump as a JSON object; empty without loads."""
     return {"loads": list(given)} if given else {}
 
 
@@ -72,7 +72,7 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
 
 
 def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns lines on what linear analysis knows of the computer and the actuators, and what only MuJoCo has."""
+    """Returns lines on the parts of computer and actuators in linear analysis, and those in MuJoCo only."""
     how = vehicle.implementation
     if not controller.law.acts or (how.ideal and vehicle.limits.actuator_bandwidth is None):
         return []
@@ -126,14 +126,14 @@ def envelope_figure(
     threshold: float,
     loads: Sequence[Load] = (),
 ) -> Figure:
-    """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
+    """Returns the map: colours show the first end in MuJoCo, the solid line its prediction, the dashed line the error threshold.
 
     Args:
-        cells: of the grid, the last axis running fastest.
-        axes: one or two; of one the shares of the way to each end are drawn.
-        fixed: what is not varied.
-        threshold: error at which linear analysis is said to hold.
-        loads: on the body over every bump.
+        cells: cells of the grid, the last axis running fastest.
+        axes: one or two axes; with one, the shares of the way to each end are drawn.
+        fixed: values that are not varied.
+        threshold: error up to which linear analysis holds.
+        loads: loads on the body over every bump.
     """
     rest = ", ".join(
         f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()

@@ -23,11 +23,7 @@ SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """M, shape (N, N): with x + M t for the point, t has these coordinates.
-
-    Args:
-        x: a stable point.
-    """
+    """Returns M, shape (N, N), at a stable point x: with x + M t for the point, t has these coordinates."""
     A, C = landscape.loop(x)
     triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
     ports = landscape.ports(x)
@@ -53,10 +49,9 @@ def _root(variance: Array) -> Array:
 
 
 def directions(landscape: Landscape, x: Array, free: Array) -> Array:
-    """Shape (N, free).
+    """Returns the directions as columns, shape (N, free).
 
     Args:
-        landscape: whose points they are of.
         free: which entries of a point may be other than zero, by index.
     """
     try:

@@ -65,10 +65,10 @@ class FixedOrderDesign:
     """A law of a given order or structure.
 
     Attributes:
-        law: on y = C_y x + Dyw w + `through` u.
-        certificate: of its loop.
+        law: law on y = C_y x + Dyw w + `through` u.
+        certificate: certificate of its loop.
         origin: the start that led to it, in words.
-        remark: its gains, or why it has fewer states than it may; empty without either.
+        remark: its gains, or the reason for fewer states than allowed; empty without either.
     """
 
     law: LinearLaw
@@ -103,13 +103,13 @@ def fixed_order_design(
         plant: n states, m inputs, continuous or discrete.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
-        structure: of the law.
-        lower_bound: what no controller from these measurements beats, if known.
+        structure: structure of the law.
+        lower_bound: lower bound for any controller from these measurements, if known.
         states: names of the states, for messages.
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
-        known: laws of this structure to start from alone, in place of all other starts; of fewer states, too.
+        known: laws of this structure, also of fewer states, as the only starts.
         on_found: called with the best law of fewer states, each time that there is one of more.
         work: counts the norms of the search; where it is over, the best so far is returned. About 14 s of processor time for a
             plant of 8 states if it is not given.
@@ -143,16 +143,16 @@ def fixed_order_design(
     search.check_stabilisable(structure, states)
     best, origin = search.kept(structure, known) if known else search.designed(structure, states, on_found)
     stopped = counted.text if counted.over else ""
-    said = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
-    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in said if text))
+    remarks = [_remark(structure, best, m, stopped), CAPPED if search.capped else "", stopped]
+    return FixedOrderDesign(best, search.certified(best), origin, "; ".join(text for text in remarks if text))
 
 
 def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> str:
     if structure.kind:
         return f"{ITS_GAINS}{gains_text(structure, law)}"
-    asked = structure.states(m)
-    if law.states < asked:
-        few = f"{asked} states" if asked > 1 else "1 state"
+    states = structure.states(m)
+    if law.states < states:
+        few = f"{states} states" if states > 1 else "1 state"
         designed = {0: "none is", 1: "1 is"}.get(law.states, f"{law.states} are")
         why = "more were not searched" if stopped else "its norm is next to what no controller beats"
         return f"{FEWER} {few} {designed} used: {why}"
@@ -160,7 +160,7 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
 
 
 def gains_text(structure: LawStructure, law: LinearLaw) -> str:
-    """Returns the gains of a law of PI or PID as `pid` of a vehicle file has them, a table for each force."""
+    """Returns the gains of a PI or PID law as in `pid` of a vehicle file, a table for each force."""
     gain, texts = gains_on_filters(structure, law), []
     filter = f", filter = {structure.filter:g}" if structure.kind == PID else ""
     for each in gain:
@@ -299,7 +299,7 @@ class _Search:
         return law if self.plant.dt is None else discrete_law(law, where, self.plant.dt)
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of a structure from one of full order: reduced, for each force by itself where it has a law of its own."""
+        """Returns laws of a structure by reduction of a full-order law, separately for each force with a law of its own."""
         reduce = partial(reductions, self.plant, self.Cy, self.Dyw)
         if structure.rows is None:
             return [*reduce(full, structure.order)]
@@ -327,7 +327,7 @@ class _Search:
         generator, dt = np.random.default_rng(SEED), self.plant.dt
         read = READS * self.fastest * generator.standard_normal((count, q)) / np.maximum(np.linalg.norm(self.Cy, axis=1), 1e-300)
         read = read * (np.array(rows, dtype=float) if rows is not None else 1.0)
-        found = []
+        laws = []
         for part in POLES:
             rate = part * self.fastest
             pole, into = (-rate, read) if dt is None else (np.exp(-rate * dt), dt * read)
@@ -343,8 +343,8 @@ class _Search:
             for i, block in enumerate(A):
                 at = slice(i * structure.order, (i + 1) * structure.order)
                 whole[at, at] = block
-            found.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
-        return found
+            laws.append(LinearLaw(whole, np.vstack(B), np.hstack(C), law.D, dt))
+        return laws
 
     def reaches(self, law: LinearLaw) -> bool:
         """Returns True if a law is next to what no controller beats, by the search's own measure."""
@@ -355,7 +355,7 @@ class _Search:
 
     def of(self, posed: StructuredGain, states: int, limit: float) -> GainSearch:
         """The search for a static gain that is a law of so many states."""
-        found = GainSearch(
+        search = GainSearch(
             posed.plant,
             posed.Cy,
             1.0,
@@ -367,8 +367,8 @@ class _Search:
             WITHIN,
             work=self.work,
         )
-        found.limit = np.full(len(found.limit), limit)
-        return found
+        search.limit = np.full(len(search.limit), limit)
+        return search
 
     def ended(
         self, structure: LawStructure, starts: Sequence[Start], origin: str, whole: bool = True, sought: int = MOST

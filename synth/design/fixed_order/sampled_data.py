@@ -38,7 +38,6 @@ def sampled_fixed_order(
     """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
 
     Args:
-        structure: of the law.
         work: counts the norms of all descents; `bounded_work` if it is not given.
 
     Raises:
@@ -75,5 +74,5 @@ def sampled_fixed_order(
         level = norm
     if law is None:
         raise DesignError(str(failure) if failure else "no law was found whose sampled loop is stable")
-    said = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
-    return SampledFullOrderDesign(law, norm, "; ".join([*said, *[remark] * bool(remark)]))
+    remarks = [f"{percent(norm / goal - 1)} above the lower bound of the sampled loop" if goal else "no lower bound is proved"]
+    return SampledFullOrderDesign(law, norm, "; ".join([*remarks, *[remark] * bool(remark)]))

@@ -49,10 +49,10 @@ def named_design(
 
     Args:
         name: "full", "lqr", "lqg" or "h2"; "order" with a structure.
-        structure: of the law, for "order".
+        structure: structure of the law, for "order".
         Cy: shape (q, n); for "lqr" as many rows as states.
         lower_bound: for controllers from these measurements.
-        noise: of each measurement, for "lqg", see `lqg_design`; None without noise.
+        noise: noise of each measurement, for "lqg", see `lqg_design`; None without noise.
         Dyw: shape (q, r), for "full", "order" and "h2"; None for zero.
         stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.
@@ -63,8 +63,8 @@ def named_design(
         InputError, InfeasibleError, DesignError: as `full_order_design`, `fixed_order_design` and `quadratic_design`.
     """
     if structure is not None:
-        found = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
-        return NamedDesign(found.law, found.certificate, found.remarks)
+        result = fixed_order_design(plant, Cy, Dyw, structure, lower_bound, states, None, stable, as_run, on_found=on_found)
+        return NamedDesign(result.law, result.certificate, result.remarks)
     if name == "full":
         full = full_order_design(plant, Cy, Dyw, lower_bound, states, stable=stable, as_run=as_run, fastest_pole=fastest_pole)
         return NamedDesign(full.law, full.certificate, (full.remark,) if full.remark else ())

@@ -1,12 +1,11 @@
-"""Preview LQ: the best law in the mean for a plant whose disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
+"""Preview LQ: the law with the least mean square of z if the disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
 
-z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR,
-R = D'D and A_K = A + B K,
+z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR, R =
+D'D and A_K = A + B K,
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is that of LQR, and what is known ahead changes no pole. It takes from the mean square of z what it would cost to
-wait for it:
+The feedback is that of LQR, and the preview changes no pole. It reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 
@@ -32,14 +31,14 @@ from synth.plant.units import own_units
 
 @dataclass(frozen=True, eq=False)
 class PreviewDesign:
-    """A controller that is the best in the mean for a disturbance that is known ahead.
+    """A controller with the least mean square for a disturbance that is known ahead.
 
     Attributes:
         law: its feedback, that of LQR.
-        preview: F(s) from w as from the road's velocity, and with no part from its height; None if nothing is known ahead.
+        preview: F(s) on w, the road's velocity, without a part from its height; None if nothing is known ahead.
         h2_norm: rms of z under white noise w.
-        without: the same where nothing is known ahead.
-        certificate: of the feedback for the worst case of w, without what is known ahead.
+        without: rms of z if nothing is known ahead.
+        certificate: certificate of the feedback for the worst case of w, without the preview.
     """
 
     law: LinearLaw
@@ -75,12 +74,12 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     """
     seconds = checked_preview("a", preview)
     Cy, _ = measurement_matrices(plant, np.eye(len(plant.A)) if Cy is None else Cy)
-    kept = state_rows(plant, Cy)
-    found = lqr_design(plant, states)
-    if found.remark:
+    rows = state_rows(plant, Cy)
+    lqr = lqr_design(plant, states)
+    if lqr.remark:
         raise DesignError("a preview needs a cost of every force, and z does not weigh one; weigh it in [performance]")
     units = own_units(plant, np.eye(len(plant.A)))
-    own, K = units.into(plant), found.law.D * units.states / units.inputs[:, None]
+    own, K = units.into(plant), lqr.law.D * units.states / units.inputs[:, None]
     closed, cost = own.A + own.B @ K, own.C + own.D @ K
     X = linalg.solve_continuous_lyapunov(closed.T, -cost.T @ cost)
     half = np.linalg.pinv(own.D)
@@ -91,4 +90,4 @@ def preview_design(plant: GeneralizedPlant, preview: float, states: Sequence[str
     saved = np.trace(B.T @ (saved - later.T @ saved @ later) @ B)
     least = np.sqrt(max(np.trace(own.Bw.T @ X @ own.Bw) - saved, 0.0))
     ahead = RoadPreview(seconds, closed.T, B, np.zeros_like(B), units.inputs[:, None] * C) if seconds else None
-    return PreviewDesign(on_rows(found.law, Cy, kept), ahead, float(least), found.h2_norm, found.certificate)
+    return PreviewDesign(on_rows(lqr.law, Cy, rows), ahead, float(least), lqr.h2_norm, lqr.certificate)

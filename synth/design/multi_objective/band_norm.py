@@ -23,7 +23,7 @@ class BandLandscape(Landscape):
     """The landscape of one plant in one band.
 
     Attributes:
-        band: from and to [rad/s]; for a discrete plant, of the continuous plant that it is mapped to.
+        band: lower and upper frequency [rad/s]; for a discrete plant, of its continuous image.
         own: number of its states without those of filters.
     """
 
@@ -40,8 +40,8 @@ class BandLandscape(Landscape):
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
-        band: from and to [rad/s].
-        like: one whose points are the same gains; None for its own scales.
+        band: lower and upper frequency [rad/s].
+        like: landscape whose points are the same gains; None for its own scales.
         through: feedthrough from forces to measurements, shape (q, m); zero where it is not given.
         """
         super().__init__(plant, Cy, Dyw, through)
@@ -123,18 +123,18 @@ class BandLandscape(Landscape):
         ports, own, known = self.ports(x), slice(self.own), self._closed(x) if self.own == len(self.A) else None
         if known is not None and known.vectors is not None:
             poles, (right, left) = known.poles, known.vectors
-            kept = np.imag(poles) >= 0
-            left, right = left[kept], right[:, kept].T
+            mask = np.imag(poles) >= 0
+            left, right = left[mask], right[:, mask].T
         else:
             A = self.loop(x)[0][own, own]
             poles, left, right = (np.asarray(part) for part in linalg.eig(A, left=True, right=True))
-            kept = np.imag(poles) >= 0
-            left, right = left[:, kept].conj().T, right[:, kept].T
+            mask = np.imag(poles) >= 0
+            left, right = left[:, mask].conj().T, right[:, mask].T
         along = np.sum(left * right, axis=1)
         along = np.where(along == 0, np.finfo(float).tiny, along)  # where poles meet, the slope is infinite
         driven, seen = left @ ports.B[own], right @ ports.Cy[:, own].T
         slopes = np.real(driven[:, :, None] * seen[:, None, :] / along[:, None, None]) * self.scale
-        return np.real(poles[kept]), slopes.reshape(len(slopes), -1)
+        return np.real(poles[mask]), slopes.reshape(len(slopes), -1)
 
     def _inside(self, omega: Array) -> Array:
         """Returns the frequencies within the band and its finite ends, ascending."""

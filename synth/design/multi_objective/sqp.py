@@ -193,12 +193,12 @@ class _Walk:
         slopes = np.vstack([np.zeros((1, s.shape[1])), self.penalty * w])
         pairs = (v[:, None] + values).ravel()
         along = (s[:, None] + slopes).reshape(len(pairs), -1)
-        kept = np.argsort(-pairs)[:MOST_PAIRS]
-        t, some = lowest_point(pairs[kept], along[kept], self.hessian, self.M, self.x, self.minimax.limit)
+        order = np.argsort(-pairs)[:MOST_PAIRS]
+        t, some = lowest_point(pairs[order], along[order], self.hessian, self.M, self.x, self.minimax.limit)
         if not some.sum() > 0:
             raise np.linalg.LinAlgError("no function of the model counts")
         weights = np.zeros(len(pairs))
-        weights[kept] = some / some.sum()
+        weights[order] = some / some.sum()
         table = weights.reshape(len(v), -1)
         now = max(float(values.max()), 0.0)
         return t, table.sum(axis=1), self.penalty * table[:, 1:].sum(axis=0), now - float(np.max(pairs + along @ t))

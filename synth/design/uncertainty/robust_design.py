@@ -78,7 +78,7 @@ def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System
     """Returns the plant between scales of its errors, and its C_y and Dyw.
 
     Args:
-        filters: of each error, the scale of q, and its inverse, which p comes out of.
+        filters: for each error, the scale of q and its inverse, whose output is p.
     """
     plant, k = structured.plant, structured.errors
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))
@@ -111,14 +111,14 @@ def _first_order(grid: Array, logarithms: Array, weight: Array) -> tuple[System,
         return weight * (x[0] + (np.log(grid**2 + a) - np.log(grid**2 + b)) / 2 - logarithms)
 
     level, middle = float(np.average(logarithms, weights=weight)), float(np.average(np.log(grid), weights=weight))
-    found = min(
+    best = min(
         (
             optimize.least_squares(off, [level, *start], bounds=([-np.inf, low, low], [np.inf, high, high]))
             for start in ((middle - 1, middle + 1), (middle + 1, middle - 1))
         ),
         key=lambda one: one.cost,
     )
-    g, (a, b) = np.exp(found.x[0]), np.exp(found.x[1:])
+    g, (a, b) = np.exp(best.x[0]), np.exp(best.x[1:])
     return _system(g, a, b), _system(1 / g, b, a)
 
 

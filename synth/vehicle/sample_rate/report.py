@@ -22,11 +22,7 @@ SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 
 
 def cost_lines(one: Cost, lag: str = "") -> list[str]:
-    """A controller at all rates, a line each.
-
-    Args:
-        lag: of the actuators, in words; empty without.
-    """
+    """Returns a line for each rate of a controller; `lag` describes the lag of the actuators, or is empty."""
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
     designs = _has_designs(one)
@@ -64,7 +60,7 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
 
 
 def _previews(costs: Sequence[Cost]) -> list[str]:
-    """Returns a line that names the controllers of which the norms are without the road ahead; empty if there are none."""
+    """Returns a line that lists the controllers whose norms ignore their preview; empty if there are none."""
     names = [one.controller.name for one in costs if one.controller.preview is not None]
     return [f"  {', '.join(names)}: of the feedback alone, without the road ahead"] if names else []
 
@@ -75,7 +71,7 @@ def _has_designs(one: Cost) -> bool:
 
 
 def _undesigned_lines(one: Cost) -> list[str]:
-    """Why a design is missing, a line for each reason: what happened, without what causes it and what to do."""
+    """Returns a line for each reason of missing designs: what happened, without cause and remedy."""
     missing: dict[str, list[AtRate]] = {}
     for at in one.rates:
         if at.undesigned:
@@ -103,15 +99,15 @@ def sentence(one: Cost) -> list[str]:
     name = one.controller.name
     if not math.isfinite(one.ideal):
         stable = any(norm is not None and norm.stable for at in one.rates for norm in (at.undelayed_norm, at.late, at.designed))
-        said = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
-        return wrapped(f"{said}; {_ends(one)}" if stable else said, hang=4)
+        text = f"controller {name} is unstable {'' if stable else 'even '}in continuous time"
+        return wrapped(f"{text}; {_ends(one)}" if stable else text, hang=4)
     if not one.controller.law.acts:
         return wrapped(f"controller {name} asks for no force, so that no rate changes anything", hang=4)
     at = _spoken(one)
-    said = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
+    text = f"at {1 / at.period:.4g} Hz controller {name} {_costs(one, at.undelayed_norm)}, {late(one)} {_costs(one, at.late)}"
     if at.designed is not None:
-        said += f"; designed for it {_costs(one, at.designed)}"
-    return wrapped(f"{said}; {_ends(one)}", hang=4)
+        text += f"; designed for it {_costs(one, at.designed)}"
+    return wrapped(f"{text}; {_ends(one)}", hang=4)
 
 
 def failures(one: Cost) -> list[str]:
@@ -126,7 +122,7 @@ def failures(one: Cost) -> list[str]:
 
 
 def cost_object(one: Cost) -> dict[str, Any]:
-    """A controller at all rates as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns a controller at all rates as a JSON object: SI units, None for infinite or missing values."""
     return {
         "name": one.controller.name,
         "norm": finite(one.ideal),
@@ -190,10 +186,10 @@ def _lost(period: float, again: Sequence[AtRate]) -> str:
     """Returns the highest unstable rate in words, and the slower rates of the table that are stable again."""
     if math.isinf(period):
         return f"is stable at every rate down to {1 / LONGEST_PERIOD:g} Hz"
-    said = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
+    text = f"{'loses stability' if period else 'is unstable even'} at {_highest_lost(period)}"
     if not again:
-        return said
-    return f"{said} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
+        return text
+    return f"{text} ({_named(again)} {'is' if len(again) == 1 else 'are'} stable again)"
 
 
 def _highest_lost(period: float) -> str:
