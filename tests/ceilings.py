@@ -21,8 +21,8 @@ SKIPPED = re.compile(r".*__pycache__/.*|docs/(_build/.*|reference/.*|gallery\.md
 COLUMNS = ("source", "tests", "docs")
 
 TABLE = """
-what all commands share: files, options, checks, tables of numbers   2598   2856      0
-    models/common/* tests/test_{columns,files,hostile_inputs,interrupts,interrupts_attack,loaded,locale,messages,portable}.py
+what all commands share: files, options, checks, tables of numbers   2583   2671      0
+    models/common/* tests/test_{columns,files,hostile_inputs,interrupts*,loaded,messages,portable}.py
     tests/test_{printed,progress,roadproof,shell,tables,wrong_calls}.py tests/benchmarks/hostile_inputs.py
 vehicle file, types, equations, MJCF                           4983   1518    297
     models/{README.md,__init__.py,full_car.py,half_car.py,quarter_car.py} models/laws/{__init__,linear}.py sim/new.py
@@ -31,7 +31,7 @@ vehicle file, types, equations, MJCF                           4983   1518    29
     tests/test_{cars,mjcf,new,on_demand,sketch,units,vehicle_file,written_units}.py
     docs/tutorials/your-own-car.md docs/how-to/{limits-and-implementation,new,vehicles-that-ship,your-own-vehicle}.md
 laws and families in files                                      584    459     13
-    models/vehicle/{in_place,mat_file}.py tests/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
+    models/vehicle/{in_place,*_file}.py tests/test_{law_files,toml}.py docs/how-to/a-law-from-matlab.md
 foreign FMU as a controller                                     388    241      0
     models/vehicle/*fmu*.py tests/test_foreign_fmu.py
 laws in Python                                                  639    884    146
@@ -142,7 +142,7 @@ commands that drive                                            1320   1405    30
     sim/{README.md,__init__.py,__main__.py,bump.py,drive.py} tests/drives.py tests/test_{bump,drive,options,several}.py
     sim/command/{__init__,bump_options,comparison,drive_options,driving,road_options}.py
     docs/how-to/{bump,drive}.md docs/tutorials/first-bump.md
-house, pages, benchmarks                                          0   3681    985
+house, pages, benchmarks                                          0   3634    985
     tests/{__init__,ceilings,commands,conftest,pages,same_numbers,shared,sources}.py
     tests/test_{architecture,pages,public,readme,recipes,sentences,shared,site,slow_pages}.py
     tests/benchmarks/{__init__,all,bench_*,compleib,mutants,mutating,pairs,states,watching}.py

@@ -74,34 +74,19 @@ def size(rows: list[Any]) -> str:
     return f"{len(rows)} row(s) of {lengths} number(s)"
 
 
-ESCAPES = {"\\": r"\\", "'": r"\'", "\n": r"\n", "\r": r"\r", "\t": r"\t"}
-
-
 def pasted(words: Sequence[str]) -> str:
     """Returns a command as one line, its words quoted for a shell."""
-    return " ".join(map(_word, words))
+    return shlex.join(words)
 
 
 def option(name: str, value: str) -> str:
-    """Returns an option with its value, as one word if the value begins with "-"."""
-    return pasted([f"{name}={value}"] if value.startswith("-") else [name, value])
+    """Returns an option with its value, quoted for a shell."""
+    return shlex.join([name, value])
 
 
 def pasted_path(path: Path) -> str:
-    """Returns a path as a quoted argument; one that begins with "-" is preceded by "./"."""
-    return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
-
-
-def _word(text: str) -> str:
-    if text.isprintable():
-        return shlex.quote(text)
-    return "$'" + "".join(map(_escaped, text)) + "'"
-
-
-def _escaped(letter: str) -> str:
-    if letter in ESCAPES or letter.isprintable():
-        return ESCAPES.get(letter, letter)
-    return "".join(f"\\{byte:03o}" for byte in letter.encode("utf-8", "surrogateescape"))
+    """Returns a path, quoted for a shell."""
+    return shlex.quote(str(path))
 
 
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
