@@ -138,7 +138,7 @@ def how_to() -> list[tuple[Path, str]]:
 
 
 def shown_in(key: str) -> str:
-    """Returns links to the pages on which a key of a vehicle file stands as code."""
+    """Returns links to the pages that contain a key of a vehicle file as code."""
     there = re.compile(rf"`{key}\b|^{key} = |[{{,] *{key} = |^\[{key}[\].]|\b{key} \[", re.M)
     found = [path for path, text in how_to() if there.search(text)]
     return ", ".join(f"[{path.stem.replace('-', ' ')}](../how-to/{path.name})" for path in found[:3])
@@ -283,7 +283,7 @@ def metric_tables() -> str:
 
 
 def told(node: ast.expr) -> str:
-    """Returns the text of a message as its expression has it, with <names> of what it quotes; empty if it is made elsewhere."""
+    """Returns the text of a message's expression, with <names> of what it quotes; empty if it is made elsewhere."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
