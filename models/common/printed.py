@@ -80,13 +80,13 @@ def pasted(words: Sequence[str]) -> str:
 
 
 def option(name: str, value: str) -> str:
-    """Returns an option with its value, quoted for a shell."""
-    return shlex.join([name, value])
+    """Returns an option with its value, as one word if the value begins with "-"."""
+    return pasted([f"{name}={value}"] if value.startswith("-") else [name, value])
 
 
 def pasted_path(path: Path) -> str:
-    """Returns a path, quoted for a shell."""
-    return shlex.quote(str(path))
+    """Returns a path as a quoted argument; one that begins with "-" is preceded by "./"."""
+    return pasted([f"./{path}" if str(path).startswith("-") else str(path)])
 
 
 WIDEST = 79  # a longer line would wrap, and could not be overwritten
