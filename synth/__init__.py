@@ -4,17 +4,16 @@ Public names, imported when they are first used; all units are SI:
 
 - of a vehicle: `design_controllers`, `Designer`, `Controller`
 - any plant: `GeneralizedPlant`, continuous or with `dt`, and `Feedback`
-- any plant, one door: `design_feedback`, whatever is asked of the controller, which returns a `FeedbackDesign`
+- any plant, every type of design: `design_feedback`, which returns a `FeedbackDesign`
 - static gains: `two_step_design`, `static_output_feedback`, `refine`; for a family of plants `slack_design`; for goals
-  `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`,
-  `MeasuredPlant`, `GainErrors`
+  `multi_objective_design` of a `MultiObjectiveProblem` with `NormSpecification`, `FamilyMember`, `MeasuredPlant`, `GainErrors`
 - controllers with states: `full_order_design`, `lqr_design`, `lqg_design`, `h2_design`, `preview_design`
-- what is true of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
+- analysis of a loop: `certify`, `hinf_norm`, `norm_in_band`, `worst_norm`, `find_lower_bound`; of one that a computer closes
   `sampled_norm` of a `SampledLoop`, as of `SampledLoop.of_gain`; its period has a `HoldInterval` or two
 - python-control: `from_state_space`, `controller_from`, `closed_loop`, `law_system`
-- no controller is ever empty: `DesignError`, `InfeasibleError` say why
+- failures: `DesignError`, `InfeasibleError`; a design never returns an empty controller
 
-Whatever else a module holds may move without notice.
+All other names of a module may move without notice.
 """
 
 import sys

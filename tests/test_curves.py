@@ -250,7 +250,7 @@ def test_a_parameter_that_changes_scales_its_curve():
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("3", "3 is no curve; give { velocity = [...], force = [...] }"),
+        ("3", "3 is not a curve; give { velocity = [...], force = [...] }"),
         ("{ velocity = [0.0], force = [0.0] }", "velocity has 1 point(s); give a list of at least two"),
         ("{ velocity = [-1.0, 1.0] }", "force is missing"),
         ("{ velocity = [-1.0, 1.0], force = [-1.0] }", "force has 1 point(s)"),
@@ -303,12 +303,12 @@ def test_a_spring_that_is_none(table, said):
 
 
 def test_what_curves_cannot_stand_in_for():
-    """A curve of what is no stiffness or damping, of what is a number, too, and of a million points is refused."""
+    """A curve of neither a stiffness nor a damping, of one that is also a number, or of a million points is refused."""
     text = curved_text(suspension_damping=DIGRESSIVE)
-    with pytest.raises(InputError, match="suspension_damping stands in \\[parameters\\] and in \\[curves\\]"):
+    with pytest.raises(InputError, match="suspension_damping is in \\[parameters\\] and in \\[curves\\]"):
         parse_vehicle(text.replace("[parameters]", "[parameters]\nsuspension_damping = 400.0\n#", 1))
     with pytest.raises(
-        InputError, match="'sprung_mass' is no stiffness or damping of a suspension; this vehicle has suspension_d"
+        InputError, match="'sprung_mass' is not a stiffness or damping of a suspension; this vehicle has suspension_d"
     ):
         with_curves(sprung_mass=DIGRESSIVE)
     with pytest.raises(InputError, match="velocity has 1000000 points; at most 20000 are read"):
@@ -454,7 +454,7 @@ def test_own_kinds_have_curves_where_they_say_so(tmp_path):
     np.testing.assert_array_equal(found["suspension_velocity"], expected["suspension_velocity"])
 
     (tmp_path / "mine.py").write_text(source.replace('p["c_strut"], weight)', "400.0, weight)"))
-    with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can stand in for it"):
+    with pytest.raises(InputError, match="'suspension' has 400 where c_strut is 1750, so no curve can replace it"):
         build_model(read_vehicle(tmp_path / "mine.toml"), 1e-3)
 
 

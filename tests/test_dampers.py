@@ -105,7 +105,7 @@ def runs(text, *names, road: Road = BUMP, duration=0.8):
         (
             "c_min = 300.0",
             "c_min = 1100.0",
-            "suspension_damping = 1000 N s/m, which acts where no force is asked for, is not among",
+            "suspension_damping = 1000 N s/m, which acts if no force is commanded, is not among",
         ),
         ("c_max = 4000.0", "c_max = [1, 2]", r"c_max = \[1, 2\] is not allowed"),
         ("c_max = 4000.0", "c_max = 4000.0\nbandwidth = 0", r"bandwidth = 0 is not allowed; give a number from 1e-06 .* rad/s"),
@@ -113,10 +113,10 @@ def runs(text, *names, road: Road = BUMP, duration=0.8):
         (
             "c_max = 4000.0",
             "c_max = 4000.0\n[actuators.front]\nc_min = 1",
-            r"\[actuators.front\] is no suspension of this vehicle",
+            r"\[actuators.front\] is not a suspension of this vehicle",
         ),
-        ('kind = "damper"\n', "", r'has c_min and no kind = "damper"'),
-        ('kind = "damper"\n', 'kind = "force"\n', r'has c_min and no kind = "damper"'),
+        ('kind = "damper"\n', "", r'has c_min without kind = "damper"'),
+        ('kind = "damper"\n', 'kind = "force"\n', r'has c_min without kind = "damper"'),
         ("[actuators]", "[limits]\nactuator_force = 900.0\n[actuators]", r"\[limits\] actuator_force is of actuators that push"),
     ],
 )

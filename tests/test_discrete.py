@@ -399,21 +399,21 @@ def test_python_controls_sampled_system():
     omega = np.linspace(0, np.pi / 0.05, 50)
     theirs = np.array([weighted(np.exp(1j * at * 0.05)) for at in omega])
     np.testing.assert_allclose(plant.frequency_response(omega), theirs.reshape(50, 2, 1), rtol=1e-12, atol=1e-13)  # rounding
-    with pytest.raises(InputError, match=r"does not say how often \(dt = True\); give dt in seconds"):
+    with pytest.raises(InputError, match=r"without a sample period \(dt = True\); give dt in seconds"):
         from_state_space(control.ss(A, B, np.eye(2), np.zeros((2, 2)), True), ["u[0]"], {"y[0]": 1.0}, ["y[1]"])
 
 
 @pytest.mark.parametrize(
     ("dt", "message"),
     [
-        (0, "dt = 0 is no sample period"),
-        (-0.01, "dt = -0.01 is no sample period"),
-        (float("nan"), "dt = nan is no sample period"),
-        (float("inf"), "dt = inf is no sample period"),
-        (True, "dt = True is no number"),
-        ("often", "dt = 'often' is no number"),
-        ([0.1], "is no number"),
-        (10**400, "is no number"),
+        (0, "dt = 0 is not a sample period"),
+        (-0.01, "dt = -0.01 is not a sample period"),
+        (float("nan"), "dt = nan is not a sample period"),
+        (float("inf"), "dt = inf is not a sample period"),
+        (True, "dt = True is not a number"),
+        ("often", "dt = 'often' is not a number"),
+        ([0.1], "is not a number"),
+        (10**400, "is not a number"),
     ],
 )
 def test_bad_periods(dt, message):

@@ -169,7 +169,7 @@ def test_a_source_with_a_grid(tmp_path, monkeypatch, capsys):
     [
         ("where =", "were =", "'were' means nothing"),
         ('what = "zero"', 'what = "root"', "what = 'root' is not allowed"),
-        ('what = "zero"', 'what = "pole"', "is no pole; give"),
+        ('what = "zero"', 'what = "pole"', "is not a pole; give"),
         ("licence =", 'sources = ["nobody"]\nlicence =', "unknown source 'nobody'"),
         ("sprung_acceleration", "heave", "unknown signal 'heave'"),
         ("licence =", "license =", "license"),

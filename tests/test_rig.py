@@ -235,8 +235,8 @@ def test_bad_files(text, said, tmp_path, capsys):
         (["--road", "rig:file=DRIVE:height_unit=foot"], "height_unit = 'foot' is unknown"),
         (["--road", "rig:file=DRIVE:speed=2"], "'speed=2' is not NAME=VALUE with a NAME out of"),
         (["--road", "rig:file=DRIVE:height_unit=m"], "column 2, 'front [mm]', is in mm, and height_unit = m was asked for"),
-        (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed says how fast a vehicle drives, and on a rig it stands"),
-        (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed says which random road"),
+        (["--road", "rig:file=DRIVE", "--speed", "10"], "--speed does not apply to a rig, on which"),
+        (["--road", "rig:file=DRIVE", "--seed", "1"], "--seed chooses a random road"),
         (["--road", "DRIVE"], "heights over time are of a rig's posts: give rig:file=..."),
     ],
 )

@@ -108,7 +108,7 @@ def test_order_of_forces():
     ("measured", "system", "said"),
     [
         (["sprung_velocity"], SimpleNamespace(A=[[1]]), "has no A, B, C and D"),
-        (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], True), "does not say how often"),
+        (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], True), "without a sample period"),
         (["sprung_velocity"], ss([[0.5]], [[1]], [[1]], [[0]], 0.01), r"\[implementation\] sample_period = 0.01"),
         (
             ["sprung_velocity"],

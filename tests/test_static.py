@@ -263,7 +263,7 @@ def test_table_of_held_plants(tmp_path, capsys):
     assert hinf_norm(loop).value == pytest.approx(row["norm"], rel=1e-9)
     assert row["lower_bound"] * (1 - 1e-9) <= row["norm"] <= row["bound"]
     for bad in (["0"], ["-1"], ["nan"], ["often"], []):
-        with pytest.raises(InputError, match=r"is no sample period; give seconds above 0"):
+        with pytest.raises(InputError, match=r"is not a sample period; give seconds above 0"):
             compleib([str(file), "--dt", *bad])
 
 

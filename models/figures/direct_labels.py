@@ -50,11 +50,10 @@ def direct_labels(
     """Returns labels of a panel's lines, if it has several with names, in panel's units, in a rectangle from (0, 0) to `size`.
 
     Args:
-        panel: with the curves.
+        panel: panel with the curves.
         points: x and y of every curve in that rectangle, shapes (N,); NaN interrupts a line.
-        size: of the rectangle.
-        width: of a text.
-        height: of a line of text.
+        width: returns the width of a text.
+        height: height of a line of text.
     """
     curves = panel.curves
     named = [i for i, one in enumerate(curves) if one.label and one.dash != "none" and len(one.x) > 1]

@@ -17,9 +17,9 @@ class Style(NamedTuple):
     """Look of a controller: no two differ by colour alone.
 
     Attributes:
-        color: as `#rrggbb`.
-        dash: of its lines.
-        marker: of its points.
+        color: colour as `#rrggbb`.
+        dash: dash of its lines.
+        marker: marker of its points.
     """
 
     color: str
@@ -75,10 +75,10 @@ class Curve:
         x, y: shape (N,); NaN interrupts the line.
         label: in the legend, where equal labels have one entry; empty for no entry.
         name: shown at the pointer on a page. Default: the label.
-        color: as `#rrggbb`.
-        dash: of the line.
+        color: colour as `#rrggbb`.
+        dash: dash of the line.
         marker: at every point.
-        width: of the line [points].
+        width: width of the line [points].
         filled: True for full markers instead of hollow ones.
     """
 
@@ -100,8 +100,8 @@ class Classes:
     Attributes:
         x, y: centres, shapes (N,) and (M,), equidistant.
         kind: index into `colors`, shape (M, N).
-        colors: of the classes.
-        names: of the classes; those that occur are in the legend.
+        colors: colours of the classes.
+        names: names of the classes; those that occur are in the legend.
     """
 
     x: Array
@@ -155,10 +155,10 @@ class Bars:
     """Horizontal bars from zero, the first on top. Bar k is at y = k, where points of a curve may mark it.
 
     Attributes:
-        names: of the bars.
+        names: names of the bars.
         values: their nonnegative lengths, shape (N,); NaN for no bar.
         words: text at the end of each bar.
-        colors: of the bars.
+        colors: colours of the bars.
     """
 
     names: tuple[str, ...]
@@ -173,8 +173,8 @@ class Spans:
 
     Attributes:
         ends: start and end of each; an infinite end is the border.
-        names: of each.
-        color: of all.
+        names: name of each interval.
+        color: colour of all intervals.
     """
 
     ends: tuple[tuple[float, float], ...]
@@ -188,12 +188,12 @@ class Panel:
 
     Attributes:
         title: above the axes; may have two lines.
-        xlabel, ylabel: with units; a panel of bars has no ylabel.
+        xlabel, ylabel: labels with units; a panel of bars has no ylabel.
         curves: drawn in order.
         ground: below the curves.
         xlog, ylog: True for a logarithmic axis.
         xticks: ticks of the horizontal axis; empty for automatic ones.
-        xnames: their labels instead of the numbers.
+        xnames: labels of the ticks instead of numbers.
         xlim, ylim: shown range; None for all.
     """
 
@@ -215,12 +215,12 @@ class Figure:
     """Panels that belong together.
 
     Attributes:
-        name: of its file, without suffix.
-        title: caption: what it shows and how to read it.
+        name: name of its file, without suffix.
+        title: caption that explains how to read it.
         panels: in rows.
-        columns: of panels.
-        size: of one panel [inches].
-        finding: what it shows in one sentence, or empty.
+        columns: number of columns of panels.
+        size: size of one panel [inches].
+        finding: its result in one sentence, or empty.
     """
 
     name: str

@@ -55,10 +55,9 @@ def gain_panel(title: str, omega: Array, curve: Array, levels: dict[str, float])
     """Returns a panel with a gain over frequency, and horizontal lines at given levels.
 
     Args:
-        title: of the panel.
         omega: frequencies [rad/s], shape (N,).
         curve: largest singular value at each, shape (N,).
-        levels: by name, at most two.
+        levels: at most two levels by name.
     """
     dashes: tuple[Dash, ...] = ("dash", "dot")
     lines = [

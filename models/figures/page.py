@@ -70,9 +70,9 @@ class Table:
     """A table.
 
     Attributes:
-        name: of its CSV file, without suffix.
+        name: name of its CSV file, without suffix.
         caption: what it shows.
-        headings: of the columns.
+        headings: headings of the columns.
         rows: cells as text; the first is the row's name.
         words: number of left-aligned columns of text; the other columns are numbers, right-aligned.
         pivot: short form for reading, or None to show all columns that differ.
@@ -144,16 +144,16 @@ class Page:
     """Whole report.
 
     Attributes:
-        title: of the page.
+        title: title of the page.
         answer: the result, one entry per sentence.
         summary: the first section, figures and tables, without a title.
         sections: the others, in order.
         state: verdict on physics against analysis: green if all holds, amber if something ended early, red if something fails.
         headline: the answer in a line.
-        lead: who is best at what, at which cost, a sentence each.
+        lead: a sentence for each controller that is best at something, with its cost.
         warnings: sentences of the answer that do not hold throughout.
         verdict: the state in words; empty for those of a report on a vehicle file.
-        sketch: of the vehicle, at the top; None without one.
+        sketch: sketch of the vehicle at the top, or None.
     """
 
     title: str

@@ -130,7 +130,7 @@ def _key(entry: Entry) -> Any:
 
 
 def _look(color: str, marker: str, filled: bool) -> dict[str, Any]:
-    """Returns colour and marker as matplotlib has them."""
+    """Returns colour and marker as keywords of matplotlib."""
     inner = None if filled or marker in ("x", "+") else "white"
     return {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": inner}
 

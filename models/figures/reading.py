@@ -38,11 +38,11 @@ class Pivot:
 
 @dataclass(frozen=True)
 class Reading:
-    """A table as it is read.
+    """A table in short form for reading.
 
     Attributes:
-        headings: of the columns that differ between rows.
-        rows: their cells.
+        headings: headings of the columns that differ between rows.
+        rows: cells of these columns.
         words: number of left-aligned columns.
         same: columns that are the same in all rows, as `heading: value`.
         notes: repeated remarks, by mark.
@@ -114,7 +114,7 @@ def read(headings: Sequence[str], rows: Sequence[Sequence[str]], words: int, piv
 
 
 def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -> list[str]:
-    """Returns a column whose long remarks that stand in several rows are marks of footnotes."""
+    """Returns a column with footnote marks in place of long remarks that occur in several rows."""
     often = Counter(column)
     iterator = iter(marks)
     cells = []

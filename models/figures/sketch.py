@@ -24,10 +24,10 @@ class Strut:
     """A wheel with its suspension and its tyre.
 
     Attributes:
-        place: along the view [m].
-        name: of the wheel; empty if there is one alone.
+        place: position along the view [m].
+        name: name of the wheel; empty for a single wheel.
         parts: between body and wheel, or road.
-        mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` stand on the road.
+        mass: symbol of the wheel's mass; empty if there is no wheel, and `parts` touch the road.
         tyre: parts between wheel and road.
         stopped: True with bump stops.
     """
@@ -50,7 +50,7 @@ class View:
     """A side of a vehicle.
 
     Attributes:
-        struts: from left to right.
+        struts: struts from left to right.
         body: symbols in the body, as in "m_s, I_y".
         spans: distances below the road: both ends [m], and a symbol.
         bar: symbol of an anti-roll bar; empty without one.
@@ -73,18 +73,18 @@ class View:
 
     @property
     def width(self) -> float:
-        """Of the drawing."""
+        """Width of the drawing [m]."""
         return self.middles[-1] + self.struts[-1].half + (COMPUTER + 24) * bool(self.computer) + SIDE
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """A vehicle as it is drawn.
+    """Sketch of a vehicle.
 
     Attributes:
-        title: what it is.
-        views: from above to below.
-        rows: symbol, meaning and value of everything that it shows or has; a symbol may be empty.
+        title: title of the sketch.
+        views: views from top to bottom.
+        rows: symbol, meaning and value of everything shown or present; a symbol may be empty.
     """
 
     title: str
@@ -93,7 +93,7 @@ class Sketch:
 
     @property
     def single(self) -> "tuple[Sketch, ...]":
-        """Every view as a sketch of its own, to stand beside the others where there is room."""
+        """Every view as a separate sketch, to be placed side by side if there is room."""
         return tuple(replace(self, views=(view,)) for view in self.views)
 
 

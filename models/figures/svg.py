@@ -86,7 +86,7 @@ def _ground(panel: Panel) -> list[str]:
 
 
 def _curves(panel: Panel) -> list[str]:
-    """Returns descriptions of the curves: of a line its extremes and its end, of points their number."""
+    """Returns a description of each curve in words: extremes and end of a line, number of points."""
     (_, unit), (_, per) = quantity(panel.ylabel), quantity(panel.xlabel)
     descriptions = []
 
@@ -254,9 +254,9 @@ class Entry:
 
     Attributes:
         label: text.
-        color: as `#rrggbb`.
-        dash, width: of the line; no line with `none`.
-        marker: of the points, or empty.
+        color: colour as `#rrggbb`.
+        dash, width: style of the line; no line with `none`.
+        marker: marker of the points, or empty.
         filled: True for full markers.
         ground: True for an area of a map.
     """

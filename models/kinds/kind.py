@@ -226,8 +226,8 @@ class BodyLoad(Checked):
     """Direction in which an external load acts on the body.
 
     Attributes:
-        name: of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...` [N] on a wheel.
-        joint: MJCF slide or hinge along which it pushes, in the load's direction.
+        name: name of the linear model's load: `heave_load` [N], `pitch_load` or `roll_load` [N m], or `wheel_load_...` [N].
+        joint: MJCF slide or hinge along which it acts, in the load's direction.
     """
 
     name: str
@@ -253,20 +253,20 @@ class Invariant(Checked):
 
 @dataclass(frozen=True)
 class VehicleKind(Checked):
-    """Equations of a kind of vehicle. Every function takes the parameters as a mapping from name to SI value.
+    """Equations of a vehicle type. Every function takes the parameters as a mapping from name to SI value.
 
     Attributes:
         name: `type` in a vehicle file, and the stem of the `.py`, `.xml` and `.toml` files.
         parameters: all parameters of a vehicle file.
-        signals: of every vehicle of the kind: outputs of the linear model and, by the same names, sensors of the MJCF.
-        wheels: in the order of the linear model's disturbances.
+        signals: signals of every vehicle of the kind: outputs of the linear model and, by the same names, sensors of the MJCF.
+        wheels: wheels in the order of the linear model's disturbances.
         linear_model: parameters -> LinearModel, of all signals, those on demand too; a vehicle's own is `model`.
         static_tyre_deflection: parameters -> compression of each tyre at rest [m], by tyre deflection signal. The wheel is off
-            the road if its tyre deflection exceeds this, or its equivalent one if the tyre damps (`DampedTyre`).
+            the ground if its tyre deflection, or the equivalent one of a damping tyre (`DampedTyre`), exceeds it.
         write_mjcf: writes the parameters into an `MjSpec` of the kind's `.xml`. It edits its argument: no import of MuJoCo.
         folder: folder of its `.xml`.
-        check_together: raises InputError if valid single parameters make no vehicle together.
-        combined: signals that are no sensor but a sum of others, as {name: {other signal: factor}}.
+        check_together: raises InputError if valid single parameters are not a vehicle together.
+        combined: signals without a sensor that are sums of others, as {name: {other signal: factor}}.
         suspended: its suspensions. None: one for every signal `suspension_deflection...`, with the tendon `suspension...` and,
             if there is one, the force `control_force...` of the same suffix.
         invariants: transmissibilities that no suspension force can change.
@@ -280,8 +280,8 @@ class VehicleKind(Checked):
             one forwards.
         angles: parameters -> the body's angles over level ground [rad] as sums of signals, {"pitch_angle": {signal: factor}},
             `roll_angle` likewise.
-        motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none, and physics is
-            then held against the linear model alone.
+        motion: parameters -> the exact equations of its motion, independent of the MJCF; None if there are none; physics is then
+            compared with the linear model alone.
         lacking: parameters that users may expect but the kind cannot have, as {beginning of the name: reason}.
     """
 
@@ -403,7 +403,7 @@ class VehicleKind(Checked):
         return tyres
 
     def pushed(self, force: str) -> str:
-        """Returns the suspension deflection that a force pushes along; empty if the force is no suspension's."""
+        """Returns the suspension deflection along which a force acts; empty if it does not belong to a suspension."""
         return next((part.deflection for part in self.suspensions if part.force == force), "")
 
     @property
@@ -444,7 +444,7 @@ class VehicleKind(Checked):
         """Returns all parameters, checked, in the kind's order.
 
         Raises:
-            InputError: see `check_each`; or together they are no vehicle, or squeeze a tyre flat at rest.
+            InputError: see `check_each`; or together they are not a vehicle, or fully compress a tyre at equilibrium.
         """
         checked = self.check_each(parameters)
         self.check_together(checked)

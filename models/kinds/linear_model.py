@@ -35,19 +35,19 @@ class LinearModel:
         inputs: names of the inputs, m of them [N].
         disturbances: names of the disturbances, r of them [m/s].
         outputs: names of the output signals, p of them.
-        Br: from the road's heights to x', shape (n, r).
-        Cr: from the road's heights to the output signals, shape (p, r).
+        Br: gain from the road's heights to x', shape (n, r).
+        Cr: gain from the road's heights to the output signals, shape (p, r).
         twist_rate: velocity [m/s] that counts as much as a metre of road twist in a design [rad/s].
         loads: names of the loads on the body, l of them [N, N m].
-        Bl: from the loads to x', shape (n, l); zero by default.
-        Dl: from the loads to the output signals, shape (p, l); zero by default.
+        Bl: gain from the loads to x', shape (n, l); zero by default.
+        Dl: gain from the loads to the output signals, shape (p, l); zero by default.
         Bt: part of Bw by which the damping of tyres pushes the wheels, shape (n, r); zero by default.
-        Dw: from the road's velocities to the output signals, shape (p, r); zero by default.
+        Dw: gain from the road's velocities to the output signals, shape (p, r); zero by default.
         heights: output signals that are heights over the datum of a flat road. The state has deflections alone, so they are
             read from these and, by Cr, the road's height.
 
     Raises:
-        InputError: a matrix does not fit the names or is not finite, or the names are no different texts.
+        InputError: a matrix does not fit the names or is not finite, or the names are not distinct texts.
     """
 
     A: Array
@@ -165,7 +165,7 @@ class LinearModel:
         """Returns the model with integrals of sums of output signals as further states, each an output of that name.
 
         Args:
-            integrals: by the name of each, the factors of the signals in its sum; none of them contains the road's height.
+            integrals: factors of the signals in each sum, by its name; no sum contains the road's height.
         """
         if not integrals:
             return self

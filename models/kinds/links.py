@@ -14,7 +14,7 @@ Milliken, Race Car Vehicle Dynamics, ch. 18). With a pitch centre the body pitch
 are level and keep their place over the ground: no tyre slips sideways, and a tyre yields upright alone. The links guide every
 wheel, so that a suspension's deflection is z - x theta + y phi - z_u at any angle.
 
-Links carry a horizontal force F on the body to the tyres. Of a sideways one each axle takes the share s, the other's distance
+Links carry a horizontal force F on the body to the tyres. For a lateral force each axle takes the share s, the other's distance
 over L. Its outer wheels gain s F h_axle / track by the links. A lengthways force moves the load F h / L from axle to axle. The
 share of an axle's part that links carry is its `anti_...`. The front has the share b_f of the braking force, and beta is the
 slope of a line to the instant centre of the side view. Then (Gillespie, ch. 7; Milliken, ch. 17), where the rear wheels drive,
@@ -23,7 +23,7 @@ slope of a line to the instant centre of the side view. Then (Gillespie, ch. 7; 
 
 The line begins at the tyre's contact if links hold the wheel's torque: of brakes at the wheel, and of a solid axle that drives.
 It begins at the wheel's centre if the body holds the torque: of inboard brakes, and of an independently sprung wheel that drives.
-The vehicle file has the shares themselves, so that either goes.
+The vehicle file has the shares themselves, so that both are possible.
 
 Such a link pushes the body at its axle, and the wheels there the other way. The wheels' own mass does not push the body: m_u a
 times its height is a moment on the tyres, of its axle in a curve, and of both axles under brakes.

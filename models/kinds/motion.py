@@ -21,8 +21,8 @@ class Motion(Protocol):
         """Returns the states, shape (T, n).
 
         Args:
-            signals: those of `names`, each of shape (T,).
-            heights: of the road under the wheels [m], shape (T, r).
+            signals: signals of `names`, each of shape (T,).
+            heights: road heights under the wheels [m], shape (T, r).
         """
         ...
 
@@ -39,8 +39,8 @@ class Motion(Protocol):
 
         Args:
             inputs: forces [N], shape (T, m).
-            pulls: of the suspensions, beyond their linear springs and dampers.
-            loads: on the body [N, N m], shape (T, l); if tyres damp, then the road's velocities [m/s], shape (T, l + r).
+            pulls: forces of the suspensions beyond their linear springs and dampers.
+            loads: loads on the body [N, N m], shape (T, l); if tyres damp, also the road's velocities [m/s], shape (T, l + r).
         """
         ...
 

@@ -143,7 +143,7 @@ class RigidBody:
 
     @property
     def sways(self) -> Array:
-        """How far its centre of mass sways out per heave, pitch (and roll) [m], shape (2,) or (3,)."""
+        """Lateral displacement of the centre of mass per heave, pitch (and roll) [m/m, m/rad], shape (2,) or (3,)."""
         return np.array([0.0, self.pitch_arm or 0.0, self.roll_arm or 0.0][: 2 if self.roll_inertia is None else 3])
 
     def arms(self, bar: Bar) -> Array:
@@ -201,7 +201,7 @@ def linear_model(
         states: (d, P t, q', z_u'), c + p + k + c of them.
         inputs: the control forces, c of them.
         disturbances: the road velocities, c of them.
-        outputs: in this order: the states, the tyre deflections if they are no states, q'', the body's velocity and
+        outputs: in this order: the states, the tyre deflections unless they are states, q'', the body's velocity and
             acceleration above each corner, the control forces, the wheels' accelerations, and heights: of the body, above each
             corner, and of the wheels.
     """

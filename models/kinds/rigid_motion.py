@@ -6,9 +6,8 @@ L_i, and q = (z, theta, phi),
 
     d_i = L_i - L_0,     J_i = dL_i / dq,     e_i = r_i z / L_i,     p_i = p_0i - k_i d_i - c_i d_i' - (pulls) + u_i,
 
-the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and
-k_u (static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body
-are
+the strut pushes the body with J_i' p_i and the hub down with e_i p_i. The tyre pushes the hub up with the larger of 0 and k_u
+(static - t) + c_u (w - z_u'), w the road's velocity. With I = I_y cos^2 phi + I_z sin^2 phi, Lagrange's equations of the body are
 
     m z'' = Q_z - m g,     I theta'' = Q_theta - I' phi' theta',     I_x phi'' = Q_phi + I' theta'^2 / 2.
 
@@ -59,11 +58,11 @@ class RigidMotion:
     Attributes:
         body: its masses, places and elements.
         shape: S of `RigidBody`, or its first columns, shape (c, k).
-        yaw_inertia: I_z; it counts only if a body pitches and rolls at once.
+        yaw_inertia: I_z; it matters only if a body pitches and rolls simultaneously.
         names: its signals: deflections of suspensions and tyres, then the rates of body and hubs.
         further: other signals: k accelerations of the body, velocities and then accelerations of its c points above the hubs, and
-            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. Of a body that only
-            heaves they are its acceleration and that of its hub, and both heights.
+            accelerations of the hubs; then the heights of its centre of mass, of its points and of the hubs. For a body that only
+            heaves: its acceleration and that of its hub, and both heights.
     """
 
     body: RigidBody

@@ -79,11 +79,7 @@ def load_signal(name: str) -> Signal:
 
 
 def kept_signals(names: Iterable[int | str]) -> tuple["Signal", ...]:
-    """Returns one signal for each state of a controller.
-
-    Args:
-        names: of its states, its own names or numbers from 1.
-    """
+    """Returns one signal for each state of a controller."""
     about = "state of the controller, in its own coordinates, as it was at its last sample"
     return tuple(Signal(f"{KEPT}{name}", f"x_c {name}", OWN, about) for name in names)
 

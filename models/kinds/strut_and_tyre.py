@@ -32,10 +32,9 @@ def write_strut(spec: Any, tendon: Any, stiffness: float, damping: float, load: 
     """Writes a suspension into an MjSpec.
 
     Args:
-        tendon: of the suspension.
         stiffness, damping: [N/m] and [N s/m].
-        load: of the weight at rest [N].
-        length: of the tendon at rest [m].
+        load: load of the weight at equilibrium [N].
+        length: length of the tendon at equilibrium [m].
     """
     tendon.stiffness[0], tendon.damping[0] = stiffness, damping
     if stiffness:
@@ -58,7 +57,6 @@ def write_tyre(spec: Any, tendon: str, stiffness: float, damping: float, rest: f
     MuJoCo evaluates in every stage of a step. The actuator's control is the road's velocity.
 
     Args:
-        tendon: its name.
         stiffness, damping: k [N/m] and c [N s/m].
         rest: length above which it is slack [m].
     """

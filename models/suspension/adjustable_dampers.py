@@ -121,9 +121,9 @@ def adjustable(
     """Returns the adjustable dampers of a vehicle.
 
     Args:
-        suspensions: of the vehicle, in the order of its forces.
-        parameters: of the vehicle, by name.
-        curves: by the parameter that each replaces.
+        suspensions: suspensions of the vehicle, in the order of its forces.
+        parameters: parameters of the vehicle, by name.
+        curves: curves, by the parameter that each replaces.
 
     Raises:
         InputError: a suspension has no nominal damper, or one outside the limits, or its curve feeds energy in.
@@ -135,12 +135,12 @@ def adjustable(
         damper = dampers[part.force]
         if not part.damping:
             raise InputError(
-                f"[actuators] the kind does not say which parameter is the damper at {part.force}; let its Suspension say it"
+                f"[actuators] the vehicle type does not define the damper at {part.force}; set the damping of its Suspension"
             )
         nominal = parameters[part.damping]
         if not damper.c_min <= nominal <= damper.c_max:
             raise InputError(
-                f"{part.damping} = {nominal:g} N s/m, which acts where no force is asked for, is not among the "
+                f"{part.damping} = {nominal:g} N s/m, which acts if no force is commanded, is not among the "
                 f"{damper.c_min:g} to {damper.c_max:g} N s/m of [actuators]; widen these or move that"
             )
         placed.append(Adjustable(part.force, part.ending, damper, nominal, _standing(damper, nominal, curves.get(part.damping))))

@@ -199,7 +199,7 @@ class Place:
     """Keys of the stops of a corner, an axle, or all corners.
 
     Attributes:
-        name: of the corner or axle; empty for all.
+        name: name of the corner or axle; empty for all.
         suspension_stroke: travel either way before the bump stop [m], or one for each or one side; None: that of more corners.
         stop_stiffness: stiffness of the stop [N/m], or the coefficients of a progressive one, or these for each side; likewise.
     """
@@ -232,7 +232,7 @@ def read_places(section: Mapping[str, Any], corners: Sequence[str]) -> tuple[Pla
             continue
         if name not in known:
             has = f"sections {listing(known)}" if known else "no sections, for there is one suspension"
-            raise InputError(f"[limits.{name}] is no suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
+            raise InputError(f"[limits.{name}] is not a suspension of this vehicle; it has {has}, and keys {listing(STOP_KEYS)}")
         for key in value:
             if key not in STOP_KEYS:
                 raise InputError(

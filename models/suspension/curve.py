@@ -48,9 +48,9 @@ class ForceCurve:
     """Force over velocity or deflection.
 
     Attributes:
-        x: its points [m/s or m], ascending, rest, 0, among them and neither first nor last, shape (n,).
-        force: at the points [N], 0 at rest, shape (n,).
-        slope: of its line in linear analysis [N s/m or N/m].
+        x: points [m/s or m], ascending, with 0 among the inner ones, shape (n,).
+        force: forces at the points [N], 0 at x = 0, shape (n,).
+        slope: slope of its line in linear analysis [N s/m or N/m].
         words: its description, a phrase.
     """
 

@@ -42,8 +42,8 @@ def fit_curves(spec: Any, curves: Sequence[SuspensionCurve], prefix: str, rest: 
         own = float((tendon.damping if fit.damps else tendon.stiffness)[0])
         if not abs(own - curve.slope) <= SAME * max(abs(own), abs(curve.slope)):
             raise InputError(
-                f"its tendon {fit.tendon!r} has {own:g} where {fit.parameter} is {curve.slope:g}, so no curve can stand in for "
-                "it; have write_mjcf write the parameter, or leave the curve out"
+                f"its tendon {fit.tendon!r} has {own:g} where {fit.parameter} is {curve.slope:g}, so no curve can replace "
+                "it; have write_mjcf write the parameter, or omit the curve"
             )
         length = 0.0 if fit.damps else rest[fit.tendon]
         pieces = curve.pieces
@@ -89,19 +89,19 @@ def write_dampers(spec: mujoco.MjSpec, dampers: Sequence[Adjustable], tendons: M
     (c - c_min) a (v - k), which has one sign beyond its knot k, and is clipped to zero on the other side.
 
     Args:
-        tendons: of its suspensions, by force.
+        tendons: tendons of its suspensions, by force.
         prefix: prefix of the names of ramps.
 
     Raises:
-        InputError: the actuator of a damper is no motor of gear 1 on the tendon of its suspension.
+        InputError: the actuator of a damper is not a motor of gear 1 on the tendon of its suspension.
     """
     actuators = {actuator.name: actuator for actuator in spec.actuators}
     for placed in dampers:
         actuator, tendon = actuators.get(placed.force), tendons[placed.force]
         if actuator is None or (actuator.target, float(actuator.gear[0])) != (tendon, 1.0):
             raise InputError(
-                f"MJCF {mjcf}: the actuator {placed.force!r} is no motor of gear 1 on the tendon {tendon!r}, and cannot be the "
-                "damper of [actuators]; make it one, or leave that section out"
+                f"MJCF {mjcf}: the actuator {placed.force!r} is not a motor of gear 1 on the tendon {tendon!r}, and cannot be "
+                "the damper of [actuators]; make it one, or omit that section"
             )
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_NONE
         line, ramps = (1.0, ()) if placed.damper.pair is None else (placed.damper.pair.line, placed.damper.pair.ramps)

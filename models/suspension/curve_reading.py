@@ -102,17 +102,17 @@ def read_curves(section: Mapping[str, Any], parameters: Mapping[str, Argument]) 
     """Returns the curves of a vehicle, by the parameter that each replaces.
 
     Args:
-        section: as read, tables in place of files.
+        section: the section, with tables in place of files.
         parameters: parameters that a curve can replace, each with the curve's argument.
 
     Raises:
-        InputError: an entry is no curve, or one that no suspension can have.
+        InputError: an entry is not a curve, or not one that a suspension can have.
     """
     curves = {}
     for name, entry in section.items():
         if name not in parameters:
             raise InputError(
-                f"[curves] {name!r} is no stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
+                f"[curves] {name!r} is not a stiffness or damping of a suspension; this vehicle has {listing(parameters)}"
             )
         try:
             curves[name] = curve_of(entry, parameters[name])
@@ -130,11 +130,11 @@ def curve_of(entry: Any, over: Argument) -> ForceCurve:
     """Returns a curve from its table.
 
     Raises:
-        InputError: the entry is no curve, or one that no suspension can have.
+        InputError: the entry is not a curve, or not one that a suspension can have.
     """
     what = f'{{ {over.name} = [...], force = [...] }}, or {{ file = "NAME.csv" }}'
     if not isinstance(entry, Mapping):
-        raise InputError(f"{quoted(entry)} is no curve; give {what}")
+        raise InputError(f"{quoted(entry)} is not a curve; give {what}")
     if "file" in entry:
         raise InputError("names a file, which is read for a vehicle file alone, not for text; give its table")
     for key in entry:

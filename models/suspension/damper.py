@@ -154,8 +154,8 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     """Reads `[actuators]`: the adjustable dampers, by the force that each replaces.
 
     Args:
-        section: as it was read: keys of all dampers, and sections of single ones, named by the suffix of their force.
-        corners: that suffix, with its underscore, by force.
+        section: keys of all dampers, and sections of single ones, named by the suffix of their force.
+        corners: suffix, with its underscore, by force.
         limited: keys of `[limits]` for actuators.
 
     Raises:
@@ -166,7 +166,7 @@ def read_actuators(section: Mapping[str, Any], corners: Mapping[str, str], limit
     for name in section:
         if name in single and name not in endings:
             known = f"sections {listing(endings)}" if endings else "no sections, for there is one suspension"
-            raise InputError(f"[actuators.{name}] is no suspension of this vehicle; it has {known}")
+            raise InputError(f"[actuators.{name}] is not a suspension of this vehicle; it has {known}")
         if name not in single and name not in KEYS:
             raise InputError(f"[actuators] unknown key {name!r}; known: {listing((*KEYS, *endings))}")
     common = {name: value for name, value in section.items() if name not in single}
@@ -204,8 +204,8 @@ def _damper(where: str, given: Mapping[str, Any]) -> Damper | None:
     if kind == KINDS[0]:
         if numbers:
             raise InputError(
-                f'{where} has {next(iter(numbers))} and no kind = "damper", of which alone that is; an actuator\'s largest force '
-                "and its lag stand in [limits]"
+                f'{where} has {next(iter(numbers))} without kind = "damper"; add it, or give the largest force and the lag of '
+                "actuators that push in [limits]"
             )
         return None
     if absent := [name for name in CURVED if name not in numbers]:

@@ -16,8 +16,8 @@ class Bent:
     """Deviations of the curves of N runs with m actuators each from their lines, as P pieces (`models.suspension.curve`).
 
     Attributes:
-        shape: of h, see `models.suspension.damper`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
-        soft: of the softest settings, likewise.
+        shape: shape of h, see `models.suspension.damper`: slopes, starts, lower and upper bounds, shape (4, N, m, P).
+        soft: shape of the softest settings, likewise.
     """
 
     shape: Array
@@ -46,7 +46,6 @@ class CoefficientRange:
 
         Args:
             closing: velocity [m/s], shape (..., N, m).
-            which: of the N.
         """
         return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
 
@@ -54,9 +53,8 @@ class CoefficientRange:
         """Returns the least and the largest force over velocity at a velocity, from the coefficients at rest, shapes (N, m).
 
         Args:
-            c_min, c_max: at rest [N s/m], shapes (N, m).
-            closing: how fast each suspension closes [m/s], not 0, shape (N, m).
-            which: of the N.
+            c_min, c_max: limits at rest [N s/m], shapes (N, m).
+            closing: closing velocity of each suspension [m/s], not 0, shape (N, m).
         """
         if self.bent is None:
             return c_min, c_max
@@ -71,7 +69,6 @@ class CoefficientRange:
 
         Args:
             requested_force: the requested forces, and the closing velocity of each suspension, shape (..., N, 2 m).
-            which: of the N.
         """
         m = self.low.shape[1]
         forces, closing = requested_force[..., :m], self.effective_velocity(requested_force[..., m:], which)
@@ -82,9 +79,8 @@ class CoefficientRange:
         """Returns the same for requested coefficients, as force over velocity, shape (..., N, 2 m).
 
         Args:
-            coefficients: of the dampers, beyond the nominal ones [N s/m], shape (..., N, m).
-            closing: how fast each suspension closes [m/s], shape (..., N, m).
-            which: of the N.
+            coefficients: coefficients of the dampers beyond the nominal ones [N s/m], shape (..., N, m).
+            closing: closing velocity of each suspension [m/s], shape (..., N, m).
         """
         coefficients = self.coefficient_for(coefficients, closing, which)
         beyond = np.minimum(np.maximum(coefficients, self.low[which]), self.high[which])
@@ -101,9 +97,8 @@ class CoefficientRange:
         """Returns the forces at the settings less the requested ones [N], shape (N, m): exactly 0 where nothing is clipped.
 
         Args:
-            forces: requested, shape (N, m).
+            forces: requested forces [N], shape (N, m).
             closing: velocity of each suspension, see `commands`, shape (N, m); None if all actuators push.
-            which: of the N.
         """
         turned = 1.0 if closing is None else self.effective_velocity(closing, which)
         coefficients = forces / turned
@@ -129,8 +124,8 @@ def range_of(
 
     Args:
         vehicles: the adjustable dampers of each.
-        forces: of each, m of them.
-        most: the largest force of the actuators that push, of each vehicle [N]; None for no limit.
+        forces: names of the m forces of each.
+        most: largest force of the force actuators of each vehicle [N]; None for no limit.
     """
     largest = np.array([np.inf if force is None else force for force in most or [None] * len(vehicles)])
     high = np.repeat(largest[:, None], len(forces), axis=1)

@@ -80,7 +80,7 @@ def with_slopes(parameters: Mapping[str, Any], curves: Mapping[str, ForceCurve])
     """
     for name in curves:
         if name in parameters:
-            raise InputError(f"{name} stands in [parameters] and in [curves]; leave one out: a curve has its slope at rest")
+            raise InputError(f"{name} is in [parameters] and in [curves]; omit one: a curve has its slope at rest")
     return {**parameters, **{name: curve.slope for name, curve in curves.items()}}
 
 

@@ -75,11 +75,7 @@ def controllers_of(
 
 
 def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: float) -> Callable[[str], Controller]:
-    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period.
-
-    Args:
-        timestep: of the runs [s]; the sample period if the vehicle gives none.
-    """
+    """Returns a function that designs a controller and refuses one whose law cannot be run at its sample period."""
 
     def designed(name: str) -> Controller:
         controller = design(name)
@@ -90,15 +86,15 @@ def runnable(vehicle: Vehicle, design: Callable[[str], Controller], timestep: fl
 
 
 def left_out_object(names: Iterable[str], driven: Iterable[str]) -> dict[str, list[str]]:
-    """Returns the requested controllers that are not driven as JSON has them; empty if all are."""
+    """Returns the requested controllers that are not driven as a JSON object; empty if all are."""
     left = sorted({*names} - {*driven})
     return {"left_out": left} if left else {}
 
 
 def exported_object(vehicle: Vehicle, runs: Sequence[Run], timestep: float) -> dict[str, Any]:
-    """Returns what the numbers of exported code make of its loop, as JSON has it, under `exported`; empty without such code.
+    """Returns the effect of the numbers of exported code on its loop under `exported`; empty without such code.
 
-    See `synth.vehicle.exported_numbers.numbers_object`; of a law that sets dampers there is nothing to say.
+    See `synth.vehicle.exported_numbers.numbers_object`. A law that sets dampers has no such numbers.
     """
     for run in runs:
         code, driver = code_of(run.controller), run.controller
@@ -216,10 +212,10 @@ def log_lines(logs: Mapping[str, str | None], brief: bool = False, runs: Sequenc
 
 
 def check_view(options: argparse.Namespace) -> None:
-    """Ask before the long work whether its recording can be shown afterwards, as `--open` and `--serve` want.
+    """Checks before the simulation that `--open` or `--serve` can show its recording.
 
     Raises:
-        InputError: there will be none, or no screen to show it on.
+        InputError: `--no-logs` disables the recording, or `--open` has no display.
     """
     if not (options.open or options.serve):
         return
@@ -316,7 +312,7 @@ def short_lines(runs: Sequence[Run], variants: Collection[str] = ()) -> list[str
 
 
 def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str]:
-    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` has them with each run.
+    """Returns lines on the bump stops that the runs reach; empty without, or if `-v` prints them with each run.
 
     Args:
         full: True with `-v`.
@@ -330,7 +326,7 @@ def stop_lines(runs: Sequence[Run], full: bool, later: bool = False) -> list[str
 
 
 def table_note(runs: Sequence[Run], options: argparse.Namespace, about: str) -> str:
-    """Returns the note below the table of standings; it names `-v` where no line of a controller's claims stands above."""
+    """Returns the note below the table of standings; it mentions `-v` if the claims of no controller are printed above."""
     short = len(runs) > FEW and not (options.verbose or options.brief)
     return f"{about}; -v: norms, signals" if short else about
 
@@ -346,10 +342,10 @@ def standings_of(
     """Returns the standing of every controller, the passive vehicle first, and each run without a part after that as built.
 
     Args:
-        samples: the first one that is measured, and the one after the last; None for the end of the runs.
-        measured: metrics of the runs between these samples, where they are known.
-        without: the part of the vehicle that each run leaves out; empty if all are as built.
-        title: of the vehicle, among several.
+        samples: first measured sample, and the one after the last; None for the end of the runs.
+        measured: metrics of the runs between these samples, if known.
+        without: part of the vehicle that each run omits; empty if all are as built.
+        title: title of the vehicle, among several.
     """
     from sim.studies.ride.metrics import measure
     from sim.studies.ride.standing import TRAVEL, standing, strokes_used, without_unsound

@@ -109,9 +109,9 @@ def requested_road(vehicle: "Vehicle", options: argparse.Namespace, time: "Array
     choice = choose_road(road_text(options))
     choice = replace(choice, loads=(*choice.loads, *map(choose_load, options.loads)))
     if "seed" in options.given and not choice.random:
-        raise InputError(f"--seed says which random road, and {choice.text!r} is not random; leave it out")
+        raise InputError(f"--seed chooses a random road, and {choice.text!r} is not random; omit it")
     if "speed" in options.given and choice.kind == "rig":
-        raise InputError("--speed says how fast a vehicle drives, and on a rig it stands; leave it out")
+        raise InputError("--speed does not apply to a rig, on which the vehicle stands still; omit it")
     road = _built(vehicle, options, choice)
     try:
         road.check(vehicle, time)
@@ -153,9 +153,7 @@ def road_text(options: argparse.Namespace) -> str:
     if (start := vars(options)["from"]) is not None:
         road, loads = split_off(options.road or "")
         if (named_file(road) or ("", ""))[1] != "profile":
-            raise InputError(
-                "--from says where on a road from a file a vehicle starts; name one with --road, or leave --from out"
-            )
+            raise InputError("--from is the start on a road from a file; give a file with --road, or omit --from")
         return PLUS.join([f"{road}:from={start!r}", *loads])
     if options.road_class is None:
         return options.road or ("flat" if options.loads and "seed" not in options.given else "iso8608:class=C")

@@ -34,11 +34,11 @@ class Driven:
     """The runs of one vehicle file.
 
     Attributes:
-        vehicle: of the file.
+        vehicle: vehicle of the file.
         title: its name in the answer; empty if it is the only one.
         names: requested controllers.
-        runs: of the controllers as built, then of those without a part of the vehicle.
-        without: that part for each run; empty as built.
+        runs: runs of the controllers as built, then of those without a part of the vehicle.
+        without: omitted part for each run; empty as built.
         design: designs the vehicle's linear controllers.
     """
 
@@ -71,7 +71,7 @@ class Driven:
 
     @property
     def objects(self) -> list[dict[str, Any]]:
-        """The runs as JSON has them, with vehicle and part if there are several."""
+        """The runs as JSON objects, with vehicle and part if there are several."""
         return [
             run_object(run)
             | {"half_step": half_step_object(run)}
@@ -97,9 +97,9 @@ class Measured:
     """Ride metrics of all runs, in their order.
 
     Attributes:
-        samples: the first one that is measured, and the one after the last; None for the end of the runs.
-        metrics: of every run.
-        words: when is measured.
+        samples: first measured sample, and the one after the last; None for the end of the runs.
+        metrics: metrics of every run.
+        words: the measured interval, in words.
         start, end: times of the first and last of these samples [s].
     """
 
@@ -291,7 +291,7 @@ def _steps(options: Namespace, runs: Sequence[Run], road: Road) -> "list[dict[st
 
 
 def _step_object(options: Namespace, runs: Sequence[Run], steps: "list[dict[str, SignalSteps]]") -> dict[str, Any] | None:
-    """Returns the step responses as JSON has them; None without."""
+    """Returns the step responses as a JSON object; None without."""
     from sim.studies.ride.step_response import step_object
 
     return {"band": options.band, "runs": [step_object(*pair) for pair in zip(runs, steps, strict=True)]} if steps else None

@@ -20,11 +20,11 @@ Road = Mapping[str, Any]  # as it describes itself
 
 @dataclass(frozen=True)
 class ExpectedLog:
-    """Log that a command line leads to.
+    """Log that a command line writes.
 
     Attributes:
-        controllers: of the logged runs, in their order; a single one may have several runs.
-        samples: of every run, or None if the command itself determines them.
+        controllers: controllers of the logged runs, in order; a single one may have several runs.
+        samples: number of samples of every run, or None if the command itself determines it.
         timestep: [s].
         road: returns True if the described road is possible for a run.
         run: returns True if the name and implementation are possible for a run.
@@ -74,11 +74,11 @@ USUAL = ("passive", "state", "I", "II")
 
 
 def omitted_controllers(vehicle: "Vehicle", given: Sequence[str] | None, names: Sequence[str]) -> list[str]:
-    """Controllers of a vehicle that nobody asked for, and that are not among those taken instead; none where some were asked for.
+    """Returns a vehicle's controllers that are not among the chosen ones; empty if the user chose some.
 
     Args:
-        given: as `--controller` was given.
-        names: of those that are taken.
+        given: values of `--controller`.
+        names: names of the chosen controllers.
     """
     return [] if given else [name for name in vehicle.controller_names if name not in names]
 

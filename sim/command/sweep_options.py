@@ -75,7 +75,7 @@ def worst_times(vehicle: "Vehicle", options: argparse.Namespace) -> "Array":
 
 
 def worst_road(omega: float, options: argparse.Namespace) -> "Multisine":
-    """The road of a frequency [rad/s], as high as was asked for."""
+    """Returns the road of a frequency [rad/s] with the requested height."""
     from models.roads.sinusoids import sinusoid
 
     return sinusoid(omega, options.speed).scaled(options.amplitude / 2)

@@ -106,7 +106,7 @@ def _command() -> list[str]:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Ports that nobody listens on: several commands may serve at a time."""
+    """Returns free ports, as several commands may serve at the same time."""
     sockets = [socket.create_server((LOOPBACK, 0)) for _ in range(count)]
     ports = [one.getsockname()[1] for one in sockets]
     for one in sockets:

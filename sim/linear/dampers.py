@@ -12,11 +12,10 @@ MOST_SQUARED = 1e150  # N
 
 
 def stretching(vehicle: Vehicle) -> Array:
-    """Returns V, which maps the state to the stretching rate of each force's suspension, shape (m, n); zero rows for force
-    actuators.
+    """Returns V from the state to the stretching rate of each force's suspension, shape (m, n); zero rows for force actuators.
 
     Raises:
-        ValueError: a suspension's deflection is no state of the linear model, or jumps with the road.
+        ValueError: a suspension's deflection is not a state of the linear model, or jumps with the road.
     """
     model, rows = vehicle.linear_model, []
     for force in model.inputs:
@@ -38,9 +37,7 @@ def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
-    """Returns the velocities that damper coefficients are multiplied by, from the velocities of the suspensions, shape (...,
-    m).
-    """
+    """Returns the velocities that damper coefficients are multiplied by, from the velocities of the suspensions, shape (..., m)."""
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     return velocities if of.bent is None else -of.effective_velocity(-velocities[..., None, :])[..., 0, :]
 
@@ -64,8 +61,8 @@ def linear_signals(vehicle: Vehicle, states: Array, inputs: Array) -> dict[str, 
     would omit.
 
     Args:
-        states: of the vehicle, shape (T, n).
-        inputs: the forces that act [N], shape (T, m).
+        states: states of the vehicle, shape (T, n).
+        inputs: acting forces [N], shape (T, m).
     """
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     closing = of.at_rest - states @ stretching(vehicle).T

@@ -17,7 +17,7 @@ A preview adds to the requested forces the sum of its weights times exp(j omega 
 and continuous the integral of F(s) exp(j omega s).
 
 A force in a suspension that is F exp(j omega t), held over a step at its midpoint as the road is, is one more Z, which moves no
-state at once. Responses to such forces stand beside those to the wheels' roads, per newton.
+state at once. Responses to such forces follow those to the wheels' roads, per newton.
 """
 
 from collections.abc import Callable

@@ -40,7 +40,7 @@ def summed(model: LoopModel, read: Array, power: int, samples: int) -> Array:
     """Returns sums of |response|^power to disturbances at every sample, by timestep, shape (T, p).
 
     Args:
-        read: from each disturbance of a sample, by its size, to the inputs computed there, shape (m + k, j).
+        read: gain from each disturbance of a sample, by its size, to the inputs computed there, shape (m + k, j).
     """
     loop, steps, p = model.closed_loop, model.steps, len(model.open_loop.model.outputs)
     sums = np.zeros((-(-samples // steps), steps, p))

@@ -53,10 +53,10 @@ class Elements:
 
     Attributes:
         curves: the curve of each element, or None for its line alone.
-        lines: l of each, shape (e,).
-        rows, of_road: from states and road heights to the argument y of each force, shapes (e, n) and (e, r).
-        push: from the pulling forces to the rates of the states, shape (n, e).
-        outputs: from the forces to the outputs, shape (p, e); 0 for an adjustable damper, whose force is an input.
+        lines: slope l of each element, shape (e,).
+        rows, of_road: gains from states and road heights to the argument y of each force, shapes (e, n) and (e, r).
+        push: gain from the pulling forces to the rates of the states, shape (n, e).
+        outputs: gain from the forces to the outputs, shape (p, e); 0 for an adjustable damper, whose force is an input.
     """
 
     curves: "tuple[ForceCurve | None, ...]"

@@ -12,8 +12,7 @@ is cut there, at the root of its polynomial. A y that passes a knot and returns 
 that moves a wheel's velocity by 1e-8 of itself. The weight of an adjustable damper whose valve lags is a power series, too, and
 its force the product of two.
 
-RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry. Weights that lag are further
-states.
+RK4. Stage by stage: MuJoCo's own arithmetic, to rounding, for a vehicle without geometry. Weights that lag are further states.
 """
 
 import math
@@ -101,7 +100,7 @@ class CurvedSteps:
 
         Args:
             states: x, shape (..., n).
-            heights: of the road [m], shape (..., r).
+            heights: road heights [m], shape (..., r).
         """
         return self._force(self.over(states, heights)) @ self.elements.outputs.T
 
@@ -120,11 +119,11 @@ class CurvedSteps:
         """Returns xi after a step, shape (N, n).
 
         Args:
-            xi: before it, shape (N, n).
-            inputs: held, shape (N, m).
-            heights: of the road, held [m], shape (N, r).
+            xi: xi before the step, shape (N, n).
+            inputs: held inputs, shape (N, m).
+            heights: held road heights [m], shape (N, r).
             pushed: contribution of held loads to xi', shape (N, n), or None.
-            weights: of the adjustable dampers, if they have weights.
+            weights: weights of the adjustable dampers, if any.
         """
         constant, offset = inputs @ self.of_inputs + heights @ self.of_road, heights @ self.elements.of_road.T
         if pushed is not None:
@@ -253,8 +252,8 @@ def _series(A: Array, nonlinear: Elements, steepest: Array, rate: float, timeste
     """Returns the number of parts of a step, and the order at which the series of a part ends below rounding.
 
     Args:
-        steepest: largest ratio of force to argument of each, shape (e,).
-        rate: of the fastest valve [rad/s].
+        steepest: largest ratio of force to argument of each element, shape (e,).
+        rate: rate of the fastest valve [rad/s].
         timestep: [s].
     """
     worst = np.abs(A) + np.abs(nonlinear.push) @ (steepest[:, None] * np.abs(nonlinear.rows))
@@ -280,9 +279,7 @@ def _first_leave(values: Array, out: Array, looks: Array, low: Array, high: Arra
 
 
 def _root(line: Array, start: float, end: float, bound: float, side: int) -> float:
-    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the
-    bound.
-    """
+    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the bound."""
 
     coefficients = line.tolist()
 

@@ -84,12 +84,7 @@ def roundings(vehicle: Vehicle, controller: Controller | None) -> dict[str, floa
 
 
 def grown(rounding: Mapping[str, float], model: LoopModel, samples: int) -> dict[str, float]:
-    """Returns the roundings in a run of an unstable loop, where they grow in each signal as the loop propagates them.
-
-    Args:
-        rounding: see `roundings`.
-        model: of the vehicle and its controller.
-    """
+    """Returns the rounding errors in a run of an unstable loop, which propagates them so that they grow in each signal."""
     loop, linear, shaken = model.closed_loop, model.open_loop.model, _shaken(model.vehicle)[1]
     rows = np.eye(len(linear.A), len(loop.transition))
     rows = linear.C @ rows + linear.D @ loop.parts[0].inputs
@@ -119,7 +114,7 @@ def _shaken(vehicle: Vehicle) -> tuple[float, Array]:
 def _most_asked(law: LinearLaw, fastest: float) -> Array:
     """Returns a law's largest gain on each measurement, at rates up to twice that of the vehicle [rad/s], shape (m, q).
 
-    The lowest is a wave of minutes, longer than a run: what an integrator would come to by then is no gain of a run.
+    The lowest rate is a wave of minutes, longer than a run, as the gain of an integrator below it does not matter in a run.
     """
     if not law.states:
         return np.abs(law.D)
@@ -295,8 +290,8 @@ def _continuous_ahead(preview: "RoadPreview", A: Array, B: Array, road_input: Ro
     A random road costs most where it is evaluated, so every node of the quadrature is used for all three integrals.
 
     Args:
-        A: of the closed loop, shape (n, n).
-        B: of the forces, shape (n, m).
+        A: state matrix of the closed loop, shape (n, n).
+        B: input matrix of the forces, shape (n, m).
     """
     road, vehicle, time, h, T = road_input.felt, road_input.vehicle, road_input.time, road_input.timestep, preview.seconds
     kinks = np.array([kink + delay for kink in road.kinks for delay in delays(road, vehicle)])
@@ -501,10 +496,10 @@ def response_of(
     """Returns all signals of the vehicle from the states and inputs of its model over time, shapes (T, n) and (T, m).
 
     Args:
-        model: the vehicle's own, or a larger one that has its states and inputs first.
-        states, inputs: over time.
+        model: the vehicle's model, or a larger one that begins with its states and inputs.
+        states, inputs: states and inputs over time.
         beyond: contribution of curves and loads to the outputs, shape (T, p), or 0.
-        beside: signals that are no outputs of the model, of shape (T,), or None for the damper signals of these inputs.
+        beside: additional signals, each of shape (T,), or None for the damper signals of these inputs.
     """
     vehicle, z_r, w, steady = road.vehicle, road.heights, road.velocities, road.steady_signals(road.time)
     if beside is None and vehicle.dampers:

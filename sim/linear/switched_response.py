@@ -6,8 +6,8 @@ velocities of the suspensions, u = -d V x (-d h(V x) with two curves), so that o
     xi' = (A - B diag(d) V) xi + (A Bw + Br) z_r,    x = xi + Bw z_r,
 
 with the road held midway, and loads on the body as in `sim.linear.sampled_response`: a matrix exponential. At every sample the
-controller decides d anew, from this response alone. If a valve lags, d(t) approaches the decision exponentially, and xi is
-a power series in time, taken to rounding. With curves of dampers and springs a step is as in `sim.linear.piecewise_linear_steps`.
+controller decides d again, from this response alone. If a valve lags, d(t) approaches the decision exponentially, and xi is a
+power series in time, taken to rounding. With curves of dampers and springs a step is as in `sim.linear.piecewise_linear_steps`.
 
 A decision that is a switch can differ between physics and this response by rounding. The response then follows physics, if a
 change of the compared signals within that rounding makes the controller decide so. Such samples are listed.
@@ -47,7 +47,7 @@ class DecisionMismatch:
     """Sample at which physics and the reference decide differently, by rounding.
 
     Attributes:
-        time: of the sample [s].
+        time: time of the sample [s].
         force: force of the damper.
         margin: smallest change of the compared signals, relative to their peaks, that reverses the decision.
     """
@@ -96,7 +96,7 @@ class Decisions:
 
         Args:
             y: measurements, shape (q,).
-            velocity: of the suspensions [m/s], shape (m,).
+            velocity: velocities of the suspensions [m/s], shape (m,).
         """
         self.kept = self._next
         if isinstance(self._law, LinearLaw):
@@ -157,7 +157,7 @@ class Switched:
     """Response of a vehicle with adjustable dampers.
 
     Attributes:
-        states: of the vehicle, shape (T, n).
+        states: states of the vehicle, shape (T, n).
         inputs: forces beyond those of the nominal dampers [N], shape (T, m).
         beyond: actual coefficients beyond the nominal ones [N s/m], 0 for force actuators, shape (T, m).
         missing: requested minus actual forces [N], shape (T, m).
@@ -266,7 +266,7 @@ def _followed(
         decided: the commands, shape (2 m,).
         moved: factors from coefficients to forces, shape (m,).
         other: coefficients in physics, shape (m,).
-        time: of the sample [s].
+        time: time of the sample [s].
     """
     of, m = decisions.of, len(other)
     apart = of.adjustable & ~(np.abs(decided[:m] - other) <= OTHERWISE * np.where(of.adjustable, of.high[0] - of.low[0], 1.0))

@@ -97,7 +97,7 @@ def preview_forces(
     """Returns the forces by which N linear controllers answer the road ahead [N], shape (T, N, m), or None if none does.
 
     Args:
-        heights: of the roads from the start to `steps_ahead` of the end [m], shape (.., N, r).
+        heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
         timestep: [s].
         samples: T.
     """
@@ -131,7 +131,7 @@ class PythonLaws:
             vehicles: one for each controller.
             signals: names of the signals that can be measured.
             timestep: [s].
-            heights: of the roads from the start to `steps_ahead` of the end [m], shape (.., N, r).
+            heights: road heights from the start to `steps_ahead` of the end [m], shape (.., N, r).
             failures: receives failures, whose runs go on without forces, or None to raise them.
             numbers: keys of the runs in `failures`.
 
@@ -213,7 +213,7 @@ class _Group:
         steps: timesteps between two of its samples.
         ahead: number of road heights that it previews under each wheel.
         runs: indices of the runs; a single one unless the law is vectorised.
-        parameters: of the vehicle or, for a vectorised law, of the vehicles, by name.
+        parameters: parameters of the vehicle or, for a vectorised law, of the vehicles, by name.
     """
 
     law: "OwnLaw"
@@ -240,7 +240,7 @@ class Dampers:
     Attributes:
         vehicles: N of them.
         of: range of the dampers.
-        closing: from (qpos, qvel) to the closing velocity of every suspension, shape (m, nq + nv); 0 for force actuators.
+        closing: map from (qpos, qvel) to the closing velocity of every suspension, shape (m, nq + nv); 0 for force actuators.
         lagging: index of each actuator's activation in the model, or -1 if it has none, shape (m,).
     """
 
@@ -294,7 +294,6 @@ class Dampers:
         """Writes the dampers' signals among those of some samples, shape (B, S, N).
 
         Args:
-            values: the signals.
             commands: see `CoefficientRange.commands`, shape (B, N, 2 m).
             acts: activations, shape (B, N, na), or (0, N, na) if none lags.
         """
@@ -407,8 +406,7 @@ class Clipped:
 class SemiActiveLaws:
     """N semi-active laws, which set adjustable dampers: as `Laws`, and as `sim.physics.stepping.Setting`.
 
-    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its
-    steps.
+    A single run is computed in plain numbers, which are the same to the last bit: calls of numpy would take as long as its steps.
     """
 
     flat = False
@@ -418,8 +416,8 @@ class SemiActiveLaws:
 
         Args:
             controllers: N of them.
-            dampers: those of their N vehicles.
-            names: of the signals, or None for the measurements of each law alone, in its order.
+            dampers: dampers of their N vehicles.
+            names: names of the signals, or None for the measurements of each law alone, in its order.
         """
         from models.vehicle.semi_active_coefficients import numbers_of
 

@@ -269,9 +269,9 @@ def _by_dampers(vehicle: Vehicle, response: Response, speeds: Array, middle: Arr
     """Writes the work of adjustable dampers beyond the nominal ones, shape (T - 1, m). Returns `Energy.least`.
 
     Args:
-        response: its signals, of T samples.
-        speeds: of the suspensions at the samples [m/s], shape (T, m).
-        middle: of the suspensions amid the steps, shape (T - 1, m).
+        response: signals at T samples.
+        speeds: velocities of the suspensions at the samples [m/s], shape (T, m).
+        middle: their velocities in the middle of the steps, shape (T - 1, m).
         work: receives the works [J].
     """
     h, least = float(response.time[1]), np.inf
@@ -370,7 +370,7 @@ def _acting(vehicle: Vehicle, forces: Array, requested: Array, h: float) -> Arra
     The largest force limits what lags behind a request, which may be far beyond it and change its sign within a step.
 
     Args:
-        forces: of physics at the samples [N], shape (T, m).
+        forces: forces of physics at the samples [N], shape (T, m).
         requested: see `PhysicsRuns`.
     """
     limits, z = vehicle.limits, np.full(forces.shape[1], (vehicle.limits.actuator_bandwidth or 0.0) * h)

@@ -40,9 +40,9 @@ class CodeInTheLoop:
         """Starts the code of N controllers, each of its own vehicle.
 
         Args:
-            timestep: of the runs [s].
-            dampers: of the vehicles, or None.
-            longest: most timesteps of a block, whose readings lie side by side; 0 if they do not.
+            timestep: timestep of the runs [s].
+            dampers: dampers of the vehicles, or None.
+            longest: largest number of timesteps of a block with contiguous measurements; 0 if they are not contiguous.
 
         Raises:
             InputError: the code is of another law, sample period or vehicle than a run.

@@ -48,12 +48,12 @@ class Block:
     """Consecutive samples of N runs.
 
     Attributes:
-        start: index of the first.
+        start: index of the first sample.
         values: every signal but the road's velocity, which is left 0, shape (B, S, N): runs lie side by side.
         qpos: generalized positions, shape (B, N, nq).
         qvel: generalized velocities, shape (B, N, nv).
         largest: largest magnitude of any signal but missing forces, and of any requested force that nothing clips, shape (B, N).
-        overflowed: True where a requested force or a state of the law is no finite number, shape (B, N).
+        overflowed: True where a requested force or a state of the law is not finite, shape (B, N).
         requested_force: requested forces [N], shape (B, N, m); for vehicles with adjustable dampers the commands, shape
             (B, N, 2 m), see `models.suspension.damper_range.CoefficientRange.commands`.
         kept: states of linear laws at their last sample, shape (B, N, k), with the largest k of any.
@@ -118,11 +118,11 @@ class BatchInputs:
         going: True for each run that is still wanted, shape (N,), or None for all. The caller may change it between blocks. An
             unwanted run is not stepped, and its part of later blocks is meaningless.
         beyond: road heights at the samples after the last [m], shape (E, N, r), for controllers that preview them, or None.
-        failures: by run, failures of laws in Python, for the caller to read: such a run goes on without forces. None to raise
+        failures: failures of laws in Python by run, for the caller to read: such a run continues without forces. None to raise
             the first failure.
         accelerations: True to record accelerations and forces of their sample. Otherwise, if an accelerometer is measured, they
             are those of the sample before, which saves an evaluation.
-        held: effects that MuJoCo holds over the steps beside the road's heights, see `RoadInput.held`, shape (T, N, l) or
+        held: effects other than the road's heights that MuJoCo holds over the steps, see `RoadInput.held`, shape (T, N, l) or
             (T, N, l + r); None if there are none.
     """
 
@@ -357,8 +357,8 @@ def _laws_of(
     """Returns the laws of some of the runs, on signals of these names.
 
     Args:
-        dampers: of those runs, or None; the laws then return their commands.
-        anti_windup: of those runs, or None.
+        dampers: dampers of those runs, or None; with them the laws return commands.
+        anti_windup: anti-windup of those runs, or None.
         whole: road heights at the samples, and beyond the last one [m], shape (.., N, r).
         ahead: forces of all runs from the road ahead, or None.
     """

@@ -56,12 +56,12 @@ class AntiWindup:
     of: "CoefficientRange"
 
     def __call__(self, requested_force: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns what is added to the next states, shape (d, k).
+        """Returns the addition to the next states, shape (d, k).
 
         Args:
             requested_force: the requested forces, and with adjustable dampers the closing velocities behind them, shape (d, m) or
                 (d, 2 m).
-            which: of the N.
+            which: indices among the N runs.
         """
         m = self.gain.shape[2]
         closing = requested_force[:, m:] if requested_force.shape[1] > m else None
@@ -186,7 +186,7 @@ class Readout:
     rest.
 
     Attributes:
-        names: of the S signals.
+        names: names of the S signals.
         stage: mjtStage that each signal's sensor needs, shape (S,).
         linear: True for signals linear in (qpos, qvel), shape (S,). These are read from the state before a step: evaluating
             their sensors would cost a seventh of the step.
@@ -196,7 +196,7 @@ class Readout:
         rest: values of `of_sensors` at rest, shape (S,).
         felt: True if an acceleration depends on the road directly; sensing it inside the step, road midway, is then not enough.
         mocap: mocap index of every wheel's road.
-        stretching: from qvel to the stretching rate of the inputs' actuators, shape (m, nv); as at rest.
+        stretching: map from qvel to the stretching rate of the inputs' actuators at equilibrium, shape (m, nv).
         lagging: index of each input's activation in the model, or -1 if it has none, shape (m,).
         pushed: degree of freedom along which each load pushes the body.
         damped_tyres: wheels whose tyres damp, and the actuator of each.
@@ -376,9 +376,7 @@ def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
 
 
 def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
-    """Returns the same part of the signals themselves, shape (T, N, S): of those read from the state, or of those from
-    sensors.
-    """
+    """Returns the same part of the signals themselves, shape (T, N, S): of those read from the state, or of those from sensors."""
     unseen = np.zeros((*road.shape[:2], len(readout.names)))
     for s in np.flatnonzero(readout.linear == linear):
         unseen[..., s] = 0.0 if linear else -readout.rest[s]

@@ -168,9 +168,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
 
 
 def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns, in place of each road input, the first one with equal heights under its wheels, so that these are computed
-    once.
-    """
+    """Returns, in place of each road input, the first one with equal heights under its wheels, so that these are computed once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]
@@ -190,7 +188,7 @@ class MonitoredBatch:
         ends: detector of the ends of their linear regime in the blocks so far.
         held: see `BatchInputs`.
         beyond: heights of the roads at the samples after the last, as far as controllers preview them.
-        failures: by run, the laws in Python that have failed; such a run goes on without forces.
+        failures: failures of laws in Python by run; such a run continues without forces.
         diverged: time at which each diverged in the blocks so far [s], shape (N,), or infinity.
         ran_away: True for each of these that diverged by the states of its law alone, see `Block.ran_away`, shape (N,).
     """

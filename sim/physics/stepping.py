@@ -1,6 +1,4 @@
-"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per
-step.
-"""
+"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per step."""
 
 import functools
 import itertools
@@ -87,9 +85,9 @@ class Reading:
     """Readings of N controllers of m forces and k states, and the controllers' gains on them.
 
     Attributes:
-        gain: from the reading to [forces; next states], shape (N, m + k, r). The reading is (qpos, qvel) and some of
+        gain: gain from the reading to [forces; next states], shape (N, m + k, r). The reading is (qpos, qvel) and some of
             `sensordata`.
-        memory: from their states, shape (N, m + k, k).
+        memory: gain from their states, shape (N, m + k, k).
         offset: further contribution to [forces; next states], shape (T, N, m + k).
         sensors: part of `sensordata` in the reading; empty without a stage.
         stage: mjtStage up to which sensors are evaluated before a step.
@@ -124,10 +122,10 @@ class Push:
     """Loads on the bodies of N runs, and velocities of the road under tyres that damp, held over every step.
 
     Attributes:
-        dofs: the l degrees of freedom along which they push.
+        dofs: l degrees of freedom along which the loads act.
         midway: forces [N] and moments [N m] during the steps, shape (T, N, l).
         tyres: actuators of the t tyres that damp.
-        velocities: of the road under them during the steps [m/s], shape (T, N, t).
+        velocities: road velocities under them during the steps [m/s], shape (T, N, t).
     """
 
     dofs: list[int]
@@ -166,11 +164,11 @@ def step_batch(
     Args:
         batch: N runs.
         mocap: mocap index of every wheel's road.
-        reading: of the signals before a step, with the gains of ideal controllers.
+        reading: measurements before a step, with the gains of ideal controllers.
         midway: road heights during the steps, shape (T, N, r).
         at_samples: road heights at the samples, shape (T, N, r), if sensors are to be evaluated there on top; else None.
-        law: of controllers that are not ideal, or None for ideal ones.
-        edges: of the blocks, see `in_blocks`.
+        law: law of controllers that are not ideal, or None for ideal ones.
+        edges: edges of the blocks, see `in_blocks`.
         going: True for each run that is still stepped, shape (N,), read at the beginning of every block, or None for all.
         stopped: returns True to stop.
         push: the loads, or None.

@@ -37,10 +37,10 @@ def record(
     If one of these files exists, the stem becomes `<stem>-2`, `-3`, ... An error or an interruption leaves nothing behind.
 
     Args:
-        folder: of the files; made if it does not exist.
+        folder: folder of the files; made if it does not exist.
         stem: common name of the files, without suffix.
-        runs: with distinct names.
-        metadata: of all runs.
+        runs: runs with distinct names.
+        metadata: metadata of all runs.
         attachments: (media type, content) by name; only in the MCAP file, as Rerun files have no attachments.
 
     Returns:

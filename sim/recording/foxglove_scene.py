@@ -54,8 +54,8 @@ def transforms(run: RunLog, times: list[int], stand: Array) -> Messages:
     """Yields the poses of every body, and of the car as a whole.
 
     Args:
-        run: with finite frames.
-        times: of its frames [ns].
+        run: run with finite frames.
+        times: times of its frames [ns].
         stand: position of its car in the world [m], shape (3,).
     """
     car = FrameTransform(

@@ -98,9 +98,9 @@ class McapFile:
         """Adds all messages in chunks, sorted by time: players stream a file from front to back.
 
         Args:
-            times: of the messages [ns], integers, shape (N,); equal ones keep their order.
+            times: integer times of the messages [ns], shape (N,); equal ones keep their order.
             channels: their channels, shape (N,).
-            contents: of length N.
+            contents: N contents.
         """
         order = np.argsort(times, kind="stable")
         times, channels = times[order], channels[order]
@@ -196,9 +196,9 @@ class LoggedChannel:
 
     Attributes:
         topic: its name.
-        schema: of its messages: name, encoding and data.
+        schema: schema of its messages: name, encoding and data.
         metadata: descriptions of its fields.
-        times: of its messages [ns], ascending.
+        times: ascending times of its messages [ns].
         contents: yields its messages, one for each time.
         alike: returns True if two messages are equal to the rounding of another machine.
     """
@@ -228,8 +228,8 @@ def write_mcap(
 
     Args:
         path: the file; overwritten if it exists.
-        runs: with distinct names; times [s] are not negative.
-        metadata: of all runs.
+        runs: runs with distinct names and nonnegative times [s].
+        metadata: metadata of all runs.
         attachments: (media type, content) by name.
 
     Raises:

@@ -335,8 +335,8 @@ def write_rrd(path: Path, runs: Sequence[RunLog], metadata: Mapping[str, str]) -
 
     Args:
         path: the file; overwritten if it exists.
-        runs: with distinct names. Frames that are not finite, after a run broke off, are left out: the car stops.
-        metadata: of all runs.
+        runs: runs with distinct names. Frames after a run broke off, which are not finite, are omitted: the car stops.
+        metadata: metadata of all runs.
 
     Raises:
         OSError: the file cannot be written.

@@ -74,7 +74,7 @@ class RunLog:
 
     Attributes:
         name: the controller's name.
-        responses: by topic: MuJoCo's, the exact sampled one, and that of the paper's continuous loop.
+        responses: responses by topic: MuJoCo's, the exact sampled one, and that of the paper's continuous loop.
         metadata: claims about the run, as text by key; structured values as JSON.
         events: (time [s], text): lift-off and landing, divergence.
         summary: design and verdict as Markdown.
@@ -82,7 +82,7 @@ class RunLog:
         verdict: result of the comparison, in a few words; empty if nothing was compared.
         files: attachments that its metadata names, (media type, content) by name, as the points of a measured road.
         acting: other forces by topic: loads on the body, and forces of dampers and springs.
-        diagrams: of damper and spring forces, each over its argument.
+        diagrams: diagrams of damper and spring forces, each over its argument.
         active: states of its controller by decreasing contribution to the force; viewers show the first of many.
     """
 

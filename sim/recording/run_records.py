@@ -103,8 +103,8 @@ def _tracks(vehicle: Vehicle, road: Road, places: Array, time: Array, heights: A
 
     Args:
         places: positions of the wheels, shape (r, 3) [m].
-        time: of the frames [s], shape (F,).
-        heights: of the road under the wheels at that time [m], shape (F, r).
+        time: times of the frames [s], shape (F,).
+        heights: road heights under the wheels at these times [m], shape (F, r).
     """
     if not len(time) or not road.laid:
         return ()
@@ -219,7 +219,7 @@ def record_runs(
     Args:
         command_line: see `common_metadata`.
         controllers: their names, for the name of the log.
-        runs: by name in the log.
+        runs: runs by name in the log.
         result: as `--json` prints it.
 
     Returns:
@@ -254,7 +254,7 @@ def run_log(run: Run, name: RunName) -> RunLog:
 
     Args:
         run: computed by MuJoCo, not read from a log.
-        name: of the run in the log.
+        name: name of the run in the log.
 
     Raises:
         InputError: the name has other characters than letters, digits, '_' and '-', or more than 120.

@@ -79,7 +79,7 @@ class Tyre:
         radius: undeformed radius [m].
         half_width: [m].
         middle: middle of its width along the axle, y of the body's frame [m].
-        height: of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the road.
+        height: height of the hub above the road, per frame [m], shape (F,); above `radius` the tyre is off the ground.
         rgba: colour, 0 to 1, shape (4,).
     """
 
@@ -104,8 +104,8 @@ class Track:
     Attributes:
         name: unique.
         middle: middle of its width, along y [m].
-        position: of its points along x at time 0 [m], ascending, shape (N,).
-        height: of the points [m], shape (N,).
+        position: ascending positions of its points along x at time 0 [m], shape (N,).
+        height: heights of the points [m], shape (N,).
         travelled: distance by which the points have moved back, per frame [m], shape (F,).
         bodies: pieces of road under the wheels, which replace the profile in other viewers.
     """

@@ -28,10 +28,10 @@ class Threshold:
     """Limit of a signal that ends the linear regime.
 
     Attributes:
-        signal: its name.
-        sign: of the side with the limit; 0 for both.
+        signal: name of the signal.
+        sign: sign of the side with the limit; 0 for both.
         value: limit of sign * signal, or of its magnitude [the signal's unit].
-        tyre: velocities that count beside the deflection of a tyre that damps; None for the signal alone.
+        tyre: velocities that count, in addition to the deflection, for a tyre that damps; None for the signal alone.
     """
 
     signal: str
@@ -61,8 +61,8 @@ class End:
         verdict: line of a verdict about it, with `when` [s]; empty if that is said elsewhere.
         color: in a map, on light ground.
         marker: on curves, on dark ground: its shape, as Rerun names it, and a colour that no curve has.
-        thresholds: of a vehicle; empty if it has no such limit.
-        exact: True if the exact response goes on beyond it, and only linearity ends.
+        thresholds: function that returns the thresholds of a vehicle; empty if it has no such limit.
+        exact: True if the exact response continues beyond it, and only linearity ends.
     """
 
     name: str
@@ -326,7 +326,7 @@ class EndDetector:
 
     @np.errstate(over="ignore", invalid="ignore")  # of runs that have diverged
     def _demands(self, signal: int, values: Array) -> Array:
-        """Returns what lagging actuators of laws with anti-windup are asked for [N], up to the last sample but one; else 0."""
+        """Returns the forces requested from lagging actuators of laws with anti-windup [N], without the last sample; else 0."""
         forces = values[:, signal]
         forces = np.concatenate([self.forces[signal], forces]) if signal in self.forces else forces
         self.forces[signal] = forces[-1:].copy()

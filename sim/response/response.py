@@ -80,7 +80,7 @@ class Response(Shown):
             InputError: there is no such run.
         """
         if self.values.ndim < 3 or not -len(self.values) <= index < len(self.values):
-            raise InputError(f"index = {index} is no run of values of shape {self.values.shape}; give one of its first axis")
+            raise InputError(f"index = {index} is not a run of values of shape {self.values.shape}; give one of its first axis")
         return Response(self.time, self.signals, self.values[index])
 
     def beside(self, signals: tuple[Signal, ...], values: Array) -> "Response":

@@ -1,26 +1,23 @@
-"""Comparison of physics with analysis, signal by signal, for as long as the analysis applies.
+"""Comparison of MuJoCo with linear analysis, signal by signal, while the linear analysis applies.
 
-The reference is the exact response of the sampled loop. MuJoCo's RK4 differs from it by the integrator's own error, which is
-known: on a linear system RK4 is the Taylor polynomial of degree 4, so its response can be computed without MuJoCo. Physics and
-analysis agree if they differ by no more than that.
+The reference is the exact response of the sampled loop. MuJoCo integrates with RK4, whose error on a linear system is known: RK4
+is the Taylor polynomial of degree 4 of the matrix exponential. A run agrees if its difference from the reference does not exceed
+this error.
 
-A body that pitches and rolls is not linear: its difference from the analysis grows with the amplitude. Then the same road is
-driven at a hundredth of its height. There a relative difference caused by geometry is a hundredth or less, and one caused by a
-mistake is as large as before. A vehicle without such geometry (`models.vehicle.mjcf`), such as a quarter-car, gets no such
-excuse. The integrator's relative error does not depend on the height if geometry is the only nonlinearity. With knots of curves
-near rest it may be larger at a smaller height, and is computed there, too.
+Pitch and roll make a vehicle nonlinear, so its difference from the analysis grows with the amplitude. Two further checks separate
+this geometric effect from errors of the model:
 
-A hundredth of the whole road's geometry is what is expected there. It is that of another vehicle where curves bend: on the whole
-road its springs and dampers are softer or harder. If more than that is found, half of that height tells how much it is: what
-geometry makes is halved, relative to the signal, and what a mistake makes is not.
+- Reduced height. The same road is driven at a hundredth of its height. The relative difference due to geometry falls at least by
+  the same factor; that due to an error does not. If the difference is larger than expected, a run at half that height decides.
+  Vehicles without such geometry (`models.vehicle.mjcf`), such as a quarter-car, do not get this allowance.
+- Single steps. Each step of MuJoCo is compared with the vehicle's exact equations of motion (`sim.runs.steps`), also at large
+  motions and after the linear regime ends. A vehicle type that rotates but has no such equations is driven at half and a quarter
+  of the height instead. The two runs give two terms of a power series in the height, which predict the effect of geometry.
 
-A mistake that only shows at large motions, as in a curve beyond its line or a bump stop, is absent at a hundredth of the height.
-So every step is also compared with the vehicle's exact equations (`sim.runs.steps`), on the whole road, and where the linear
-analysis does not apply. A kind of vehicle that turns and has no such equations is driven at a half and a quarter of the height
-instead. These give two terms of a power series in the height, which predict the effect of geometry on the whole road.
+The integrator's relative error does not depend on the height, unless a curve has knots near rest. It is computed at both heights.
 
-Rounding does not depend on the road: it is relative to the vehicle's weight and lengths, and at a hundredth of the road it counts
-a hundred times as much. In an unstable loop it grows, like everything.
+Rounding errors are relative to the weight and the lengths of the vehicle, not to the road. At a hundredth of the height they
+count a hundred times as much. In an unstable loop they grow with time.
 """
 
 import math
@@ -55,11 +52,11 @@ class SignalAgreement:
 
     Attributes:
         sampled: largest difference from the exact sampled response, over that response's peak.
-        continuous: the same against the continuous closed loop; it contains the effect of holding the force over a step.
+        continuous: difference from the continuous closed loop, including the effect of holding the force over a step.
         allowed: bound on `sampled` by the integrator's own error, no more than `COARSEST`, with noise and rounding.
         blur: part of `allowed` for noise and quantisation.
         rounding: part of `allowed` that does not depend on the road; see `sim.linear.sampled_response`.
-        scale: of all these differences, in the signal's unit.
+        scale: scale of all these differences, in the signal's unit.
         geometry: value of `sampled` if physics differed from the linear analysis by geometry and the integrator's error alone,
             or None if `small` was not needed.
         foretold: largest difference of physics from RK4's linear response plus the effect of geometry that smaller heights
@@ -117,14 +114,14 @@ class Agreement(Shown):
     """The verdict on one run.
 
     Attributes:
-        signals: by name.
+        signals: agreement of each signal, by name.
         lift_off: intervals [s] in which a tyre is off the road.
         ended: time of the first of each of `REGIME_ENDS` [s], by name; infinite if it does not happen.
         until: time before which the comparison applies [s]; infinite for all of the run. An event that the exact response covers
             does not end it. A state that the vehicle's exact equations do not take does.
         blurred: True if measurements are noisy or quantised, or exported code rounds: then differences up to the predicted
             spread are allowed.
-        steps: single steps against the vehicle's exact equations, also after `until`; None for a kind without them.
+        steps: comparison of single steps with the vehicle's exact equations, also after `until`; None without such equations.
     """
 
     signals: Mapping[str, SignalAgreement]

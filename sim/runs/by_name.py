@@ -30,15 +30,13 @@ def run(
     """Returns a run for each controller, over the road from rest: MuJoCo, the linear prediction, and whether they agree.
 
     Args:
-        vehicle: the vehicle.
-        controllers: as `synth.design_controllers` makes them, or names of the vehicle's, or entries of `vehicle.controllers`:
-            those are designed, and laws in Python and semi-active ones driven as they are. A function is a law, too:
-            law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the force [N], a number or shape (m,);
-            law(sample, state) returns force and next state, as in a file. It measures the signals that its attribute
-            `measured` lists, or all that can be measured. A single controller is a list of one.
+        controllers: results of `synth.design_controllers`, or names or entries of `vehicle.controllers`, which are designed if
+            necessary. A function is a law, too: law(t, y) gets the time [s] and the q measurements, shape (q,), and returns the
+            force [N], a number or shape (m,); law(sample, state) returns force and next state, as in a file. It measures the
+            signals of its attribute `measured`, or all that can be measured. A single controller gives a list of one run.
         road: the road, such as `models.Bump(height=0.1)`.
-        duration: of the run [s].
-        timestep: of MuJoCo [s], and the controllers' sample period if the vehicle file has none.
+        duration: duration of the run [s].
+        timestep: MuJoCo's timestep [s], and the controllers' sample period if the vehicle file has none.
 
     Raises:
         InputError: the road cannot be driven by this vehicle, a controller belongs to another one, a time is not allowed, or a

@@ -20,7 +20,7 @@ class Shortfall:
     """Force that an adjustable damper failed to give, at the samples of its controller.
 
     Attributes:
-        rms: of the missing force, over that of the requested one; 0 if no force was requested.
+        rms: rms of the missing force, over that of the requested one; 0 if no force was requested.
         time: share of the samples with missing force.
         softest, hardest: its smallest and largest coefficient [N s/m].
         late: as `rms`, including the lag of its valve, or None if it has no lag.
@@ -59,15 +59,13 @@ def shortfalls(vehicle: Vehicle, physics: Response) -> Mapping[str, Shortfall]:
 
 
 def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
-    """Returns the results of a run's adjustable dampers, as JSON has them."""
+    """Returns the results of a run's adjustable dampers as a JSON object."""
     short = {name: asdict(one) for name, one in shortfalls(prediction.vehicle, physics).items()}
     return {"shortfall": short, "otherwise": [asdict(one) for one in prediction.otherwise], "played": prediction.played}
 
 
 def damper_lines(prediction: Prediction, physics: Response, until: float) -> list[str]:
-    """Returns the same in sentences, with decisions before a time [s], after which there is no comparison; empty without
-    dampers.
-    """
+    """Returns the same in sentences, with decisions before a time [s], after which there is no comparison; empty without dampers."""
     vehicle, lines = prediction.vehicle, []
     otherwise = [one for one in prediction.otherwise if one.time < until]
     names = {one.force: one.coefficient for one in vehicle.adjustable}

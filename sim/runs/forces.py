@@ -19,10 +19,6 @@ def pushed(vehicle: Vehicle, road: Road, time: Array) -> Response | None:
     """Returns the loads: their sum in each direction, then each one if there are several; None for a road without loads.
 
     They are held over a step at their value midway through it, as they act.
-
-    Args:
-        road: with loads, or without.
-        time: equidistant sample times [s], shape (T,).
     """
     if not isinstance(road, RoadWithLoads):
         return None
@@ -66,7 +62,7 @@ def read_forces(content: bytes, names: Sequence[str], samples: int) -> Array:
     """
     heading, m = (",".join(names) + "\n").encode(), len(names)
     if not content.startswith(heading) or len(content) > len(heading) + LONGEST * m * samples:
-        raise InputError(f"the forces of its law are no table of {', '.join(names)} at {samples} samples")
+        raise InputError(f"the forces of its law are not a table of {', '.join(names)} at {samples} samples")
     try:
         rows = content.decode("ascii").split("\n")[1:-1]
         forces = np.array([[float(number) for number in row.split(",")] for row in rows]).reshape(samples, m)

@@ -102,7 +102,7 @@ def predict(loop: LoopModel, road: RoadInput, most_states: float = math.inf) -> 
     """Returns the prediction of one run, from rest.
 
     Args:
-        loop: of the vehicle and its controller, at the timestep of the road's samples.
+        loop: loop of the vehicle and its controller, at the timestep of the road's samples.
         most_states: largest number of states, delayed forces included, of a loop whose eigenvalues are computed.
 
     Raises:

@@ -87,7 +87,7 @@ MOST_FLIGHTS = 4  # flights of a run that are listed one by one
 
 @np.errstate(over="ignore")  # an unstable loop's squares overflow; infinite values are None
 def run_object(run: Run) -> dict[str, Any]:
-    """Returns a run as JSON has it: SI units, None for infinite or missing values."""
+    """Returns a run as a JSON object: SI units, None for infinite or missing values."""
     responses = {"mujoco": run.physics, "sampled": run.sampled, "continuous": run.continuous}
     agreement = run.agreement
     return {
@@ -117,7 +117,7 @@ def run_object(run: Run) -> dict[str, Any]:
 
 
 def rounding_object(run: Run) -> dict[str, Any]:
-    """Returns the predicted effect of the rounding of exported code as JSON has it; empty without."""
+    """Returns the predicted effect of the rounding of exported code as a JSON object; empty without."""
     effect = run.prediction.rounding
     if effect is None:
         return {}
@@ -140,14 +140,14 @@ def code_line(run: Run) -> str:
 
 
 def steps_object(steps: StepAgreement | None) -> dict[str, float | bool | None] | None:
-    """Returns the comparison of single steps as JSON has it, or None for a kind of vehicle without exact equations."""
+    """Returns the comparison of single steps as a JSON object, or None for a vehicle type without exact equations."""
     if steps is None:
         return None
     return {"agrees": steps.agrees, **{name: finite(getattr(steps, name)) for name in ("error", "allowed", "since", "until")}}
 
 
 def _margins_object(run: Run) -> dict[str, Any]:
-    """Returns the windup and the small margins of a linear law as JSON has them; empty of any other driver."""
+    """Returns the windup and the small margins of a linear law as a JSON object; empty for any other driver."""
     one = run.controller
     return {"margins": law_margins(run.vehicle, one).record} if isinstance(one, Controller) else {}
 
@@ -178,7 +178,7 @@ def _dampers_object(run: Run) -> dict[str, Any]:
 
 
 def half_step_object(run: Run) -> dict[str, Any] | None:
-    """Returns the change by half the step after a lift-off, as JSON has it, or None if it is unknown."""
+    """Returns the change by half the step after a lift-off as a JSON object, or None if it is unknown."""
     half_step = run.half_step
     return {"difference": finite(half_step.difference), "signal": half_step.signal} if half_step else None
 
@@ -438,7 +438,7 @@ def _no_geometry(agreement: Agreement) -> list[str]:
 
 
 def _step_lines(run: Run) -> list[str]:
-    """Returns a sentence on single steps, if they say more than the linear comparison."""
+    """Returns a sentence on single steps, if they add to the linear comparison."""
     steps, agreement = run.agreement.steps, run.agreement
     turned = any(signal.small is not None for signal in agreement.signals.values())
     if steps is None and turned:

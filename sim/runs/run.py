@@ -193,7 +193,7 @@ def sample_times(vehicle: Vehicle, duration: float, timestep: float) -> Array:
 
     Args:
         vehicle: the vehicle, on which RK4 has to be stable.
-        duration: of the run [s].
+        duration: duration of the run [s].
         timestep: h [s].
 
     Raises:
@@ -372,8 +372,7 @@ def _simulated(
 ) -> PhysicsRuns:
     """Simulates the runs of some predictions, with other vehicles and a share of the road on request.
 
-    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is
-    replayed.
+    Vehicles and roads that runs share remain shared. A law in Python is not run again: the same share of its forces is replayed.
     """
     vehicles = {id(each.vehicle): vehicle(each.vehicle) for each in predictions}
     roads = {id(each.road): each.road if share == 1 else each.road.scaled(share) for each in predictions}
@@ -386,7 +385,7 @@ def driver_again(prediction: Prediction, time: Array, share: float = 1.0) -> "Ru
 
     Args:
         time: sample times of the repeated run [s], whose timestep divides that of the prediction.
-        share: of the forces of a law in Python.
+        share: factor on the forces of a law in Python.
     """
     if not isinstance(prediction.controller, Programmed):
         return prediction.controller

@@ -18,8 +18,8 @@ def run_columns(name: str, responses: Mapping[str, Response]) -> Iterator[Column
     """Yields the columns of a run, headed `SIGNAL NAME SOURCE [UNIT]`, signal by signal.
 
     Args:
-        name: of the run, usually its controller's.
-        responses: by their source, as in "mujoco", over the same samples from 0.
+        name: name of the run, usually its controller's.
+        responses: responses by source, as in "mujoco", over the same samples from 0.
     """
     for signal in dict.fromkeys(signal for response in responses.values() for signal in response.signals):
         for source, response in responses.items():
@@ -38,7 +38,7 @@ def write_columns(path: Path, time: Array, columns: Sequence[Column]) -> None:
 
     Args:
         path: the file; it gets its name when it is whole.
-        time: of the longest column [s].
+        time: times of the longest column [s].
 
     Raises:
         InputError: the file cannot be written.

@@ -29,9 +29,9 @@ class StartEffect:
     """Largest effect of the start on a peak.
 
     Attributes:
-        share: of the peak.
-        controller, signal: whose peak.
-        time: of the peak [s].
+        share: effect as a share of the peak.
+        controller, signal: controller and signal of the peak.
+        time: time of the peak [s].
     """
 
     share: float

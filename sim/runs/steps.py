@@ -64,10 +64,10 @@ class LinearMotion:
     """Equations of motion of a vehicle that is linear except for the limits of its file, while no tyre leaves the road."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Takes the linear model, and how its suspensions pull.
+        """Prepares the linear model and the effect of its suspensions.
 
         Raises:
-            ValueError: a suspension that has a curve or a stop is no state of the linear model, or its effect is unknown.
+            ValueError: a suspension with a curve or a stop is not a state of the linear model, or its effect is unknown.
         """
         self.model, self.names = vehicle.linear_model, vehicle.linear_model.states
         self._jump, self._of_road = self.model.jump.T, (self.model.A @ self.model.jump + self.model.Br).T
@@ -145,7 +145,7 @@ def compare_steps(
 
     Args:
         requested_force: requested forces, or commands if there are adjustable dampers, shape (T, m) or (T, 2 m); None if unknown.
-        rounding: of every output signal in the loop, see `sim.linear.sampled_response`.
+        rounding: rounding error of every output signal in the loop, see `sim.linear.sampled_response`.
     """
     physics = from_steady(road, physics.until(until))
     starts = _starts(motion, road, physics, requested_force)
@@ -210,12 +210,12 @@ class _Starts:
     """Starts of the K steps that are compared.
 
     Attributes:
-        vehicle: with its limits.
-        timestep: of the steps [s].
+        vehicle: vehicle with its limits.
+        timestep: length of the steps [s].
         state: see `Motion`, shape (K, n).
-        heights: of the road [m], those after the last step as well, shape (K + 1, r).
-        midway: where the road is held during the steps, shape (K, r).
-        loads: held during the steps, see `RoadInput.held`.
+        heights: road heights [m], including those after the last step, shape (K + 1, r).
+        midway: heights at which the road is held during the steps, shape (K, r).
+        loads: loads held during the steps, see `RoadInput.held`.
         there: signals of `Motion.names` at their ends, shape (K, p).
         stages: forces, or coefficients of dampers beyond the nominal ones, in RK4's stages, shape (K, m) each.
         known: True for each step within which these are known, shape (K,).

@@ -18,8 +18,8 @@ class Touch:
     Attributes:
         side: one of `SIDES`.
         squeeze: travel beyond the stroke [m].
-        force: of the stop [N].
-        time: of that sample [s].
+        force: force of the stop [N].
+        time: time of that sample [s].
     """
 
     side: str
@@ -51,7 +51,7 @@ def touches(run: Run) -> dict[str, dict[str, Touch | None]]:
 
 
 def stops_object(run: Run) -> dict[str, dict[str, dict[str, float | None] | None]]:
-    """Returns the same as JSON has it: squeeze [m], force [N] and time [s] of every stop, or None of one that is not reached."""
+    """Returns the contacts as a JSON object: squeeze [m], force [N] and time [s] of every stop, or None if it is not reached."""
     return {
         name: {
             side: touch and {"squeeze": finite(touch.squeeze), "force": finite(touch.force), "time": finite(touch.time)}

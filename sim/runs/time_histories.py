@@ -27,7 +27,7 @@ class _Trace:
 
     Attributes:
         run: the run.
-        name: of the signal.
+        name: name of the signal.
         bounded: True if its motion stays a vehicle's.
         line: linear response, until the end of the linear regime where the run is not bounded.
         physics: MuJoCo's response until the run broke off.
@@ -108,13 +108,13 @@ def history_panels(
     continuous: bool,
     during: tuple[float, float] | None = None,
 ) -> list[Panel]:
-    """Returns a panel for each weighed signal that moves.
+    """Returns a panel for each weighted signal that moves.
 
     Args:
-        runs: over one road.
-        looks: of the controllers, by name.
-        bounded: returns False of a run whose motion after the linear regime is no vehicle's: an unstable loop, or one that broke
-            off. It does not widen the axis from there on, and is drawn until it leaves it, which the title says.
+        runs: runs over one road.
+        looks: styles of the controllers, by name.
+        bounded: returns False for a run that is unphysical after the linear regime: an unstable loop, or one that broke off. Such
+            a run does not widen the axis, and is drawn until it leaves the axis, which the title shows.
         continuous: True for lines of the continuous loop; else of the sampled one.
         during: stretch of time that is drawn [s]; None for all.
     """
@@ -207,7 +207,7 @@ def lines_text(panels: Sequence[Panel], line: str, bounded: bool) -> str:
 def history_figure(runs: Sequence[Run], where: str) -> Figure | None:
     """Returns the figure of runs over one road, lines of the sampled loop; None if nothing moves.
 
-    Beside the panels of a long run, whose lines swing too often to be told apart, stand those of its hardest stretch.
+    The panels of a long run, with lines too dense to distinguish, have those of its hardest stretch next to them.
 
     Args:
         where: the road in words, after "over".

@@ -5,9 +5,9 @@ levels: one that the gain reaches at a frequency of the band, and one slightly a
 check the upper level, the imaginary part of every eigenvalue of the Hamiltonian is tried as a crossing, whatever its real part.
 Between neighbouring crossings, or a crossing and an edge, the gain lies above the level everywhere or nowhere.
 
-**A norm in a band says nothing of stability**, nor of other frequencies. For a stable loop, the norm is the largest amplification
-of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it, so its norm is not an
-amplification.
+**A norm in a band does not imply stability**, nor anything at other frequencies. For a stable loop, the norm is the largest
+amplification of a sinusoid in the band. An unstable loop has a frequency response, too, but no sinusoid settles in it, so its
+norm is not an amplification.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class BandNorm:
         high: upper edge [rad/s]; may be infinite.
         gap: relative difference between the two routes.
         rounding: first-order bound on the relative rounding error of the value.
-        stability: of the loop; if it is not stable, the value is no amplification.
+        stability: stability of the loop; if it is unstable, the value is not an amplification.
     """
 
     value: float

@@ -51,7 +51,7 @@ def bounded_real_matrix(plant: GeneralizedPlant, X: Array, Y: Array, eta: float,
         X: shape (n, n), symmetric.
         Y: shape (m, n).
         eta: gamma^-2.
-        step: of differences [s]; 0 for a continuous plant.
+        step: sample period of a difference equation [s]; 0 for a continuous plant.
     """
     top = plant.A @ X + plant.B @ Y
     low = plant.C @ X + plant.D @ Y
@@ -168,7 +168,7 @@ class Certificate(Shown):
         stability: poles of the loop, and its verdict.
         own: the stability without the poles of filters in z and w, which no control moves.
         norm: the H-infinity norm by two routes, and its peak frequency.
-        proof: of the bound; None for a gain without one.
+        proof: proof of the bound; None for a gain without one.
         speed_up: magnitude of the fastest pole of `own`, over the plant's speed without control.
         moves: True if the plant's speed is that of its fastest pole. If all poles lie at 0, the speed is the rate at which motion
             and driving force have equal weight in z (`units.own_units`).

@@ -32,11 +32,11 @@ class EnergyPeaks:
     """Largest peaks of signals for a disturbance of energy 1.
 
     Attributes:
-        peaks: of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
+        peaks: peak of each signal, shape (p,) [unit of the signal / (unit of w s^1/2)].
         together: peak of the length of the vector of all signals.
         bounds: proved bounds on `peaks`, shape (p,).
         bound_together: proved bound on `together`.
-        proof: of the Lyapunov inequality.
+        proof: proof of the Lyapunov inequality.
     """
 
     peaks: Array

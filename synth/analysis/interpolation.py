@@ -54,9 +54,9 @@ class Node(NamedTuple):
 
     Attributes:
         zero: s [rad/s].
-        p: of length one, shape (d,).
+        p: direction of length one, shape (d,).
         y: shape (r,).
-        radii: of the enclosures of s, p and y.
+        radii: radii of the enclosures of s, p and y.
     """
 
     zero: complex
@@ -76,7 +76,7 @@ def zero_limit(
 
     Args:
         Cy: shape (q, n); None if all states are measured, when only the zeros from u to z count.
-        inequalities: of the plant and the transposed plant, if they are known already.
+        inequalities: inequalities of the plant and the transposed plant, if known.
         Dyw: shape (q, r); zero if it is not given.
     """
     one, other = _sides(plant, Cy, Dyw, inequalities)
@@ -136,7 +136,7 @@ class _Pencil(NamedTuple):
     Attributes:
         U, Q, b, c: every entry rounded once.
         rate: unit of s [rad/s].
-        unit: of y.
+        unit: unit of y.
     """
 
     U: Array

@@ -98,8 +98,8 @@ def without_control(plant: GeneralizedPlant, omega: float) -> float:
 def _equations(plant: GeneralizedPlant, omega: float) -> tuple[Array, Array, Array, int]:
     """Returns M = [A - j omega, B; C, D] and what [q; p]* turns into the effect of w, in integers; see `limit_at`.
 
-    Real and imaginary part of [q; p] lie below each other. Of a discrete plant z = (1 + j t) / (1 - j t), t = tan(omega dt / 2) a
-    float, lies on the unit circle exactly, and 1 - j t multiplies the rows of the states.
+    Real and imaginary part of [q; p] lie below each other. For a discrete plant z = (1 + j t) / (1 - j t), with a float t =
+    tan(omega dt / 2), is on the unit circle exactly, and 1 - j t multiplies the rows of the states.
 
     Returns:
         The real and the imaginary part of M, up to one factor, shapes (n + d, n + m). The effects of w on the real and the

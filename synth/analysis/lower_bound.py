@@ -88,7 +88,7 @@ class SampledBound:
 
     Attributes:
         level: the bound.
-        proof: that no controller brings the norm of the level's discrete plant below 1 (`synth/analysis/sampled_loop.py`).
+        proof: proof that no controller brings the norm of the level's discrete plant below 1 (`synth/analysis/sampled_loop.py`).
         inside: True if the level has no such plant: within a period, before any force answers, the gain is the level or more.
     """
 

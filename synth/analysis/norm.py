@@ -1,21 +1,18 @@
 """The H-infinity norm (18), by two routes to its peak, and the largest singular value at a frequency.
 
 - `level_set_norm`: the imaginary eigenvalues of a Hamiltonian are the frequencies at which a singular value crosses a level
-(Boyd,
-  Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The route misses no peak, up to the rounding of eigenvalues.
+  (Boyd, Balakrishnan, Kabamba 1989; Bruinsma, Steinbuch 1990). The route misses no peak, up to the rounding of eigenvalues.
 - `sweep_norm`: a frequency sweep that is dense around every pole, refined at every local maximum. The transfer function takes
-each
-  of its values, so it is never above the norm.
+  each of its values, so it is never above the norm.
 
-`hinf_norm` runs both and returns their distance. The routes themselves find the peak on the imaginary axis (the L-infinity
-norm), or on an interval of it. It exists for unstable systems too and is infinite if a pole lies on the axis.
+`hinf_norm` runs both and returns their distance. The routes find the peak on the imaginary axis (the L-infinity norm), or on an
+interval of it. That peak exists for unstable systems, too, and is infinite if a pole lies on the axis.
 
-Both share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies. The returned
-values are computed without them, from a linear system of equations.
+Both routes share the transfer function. The modes of the system, which are cheap to evaluate, only propose frequencies. The
+returned values are computed without them, from a linear system of equations.
 
 The rounding of the values is bounded, to first order. The bound is large for a huge gain, whose loop A + B G has fast and slow
-poles. Then both routes refine their results with twice the digits, on the loop before it was rounded. So no rounding error of the
-loop is common to both routes.
+poles. Then both routes refine their results with twice the digits, on the loop before it was rounded.
 """
 
 from collections.abc import Callable
@@ -81,7 +78,7 @@ class Gain:
     """The largest singular value of T(j omega) of a continuous system, in balanced coordinates, on an interval of the axis.
 
     Args:
-        system: from w to z, with u = 0.
+        system: system from w to z, with u = 0.
         low: start of the interval [rad/s], from 0.
         high: end of the interval [rad/s], above low; may be infinite.
     """

@@ -71,9 +71,9 @@ def read_proof(
 
     Args:
         record: see `to_record`.
-        Cy: of the measurements, shape (q, n); q may be 0.
+        Cy: measurement matrix, shape (q, n); q may be 0.
         kept: number of controller states, which are in X, too.
-        Dyw: from w to the measurements, shape (q, r); zero if it is not given.
+        Dyw: feedthrough from w to the measurements, shape (q, r); zero if it is not given.
 
     Raises:
         InputError: a key is unknown, or its value is null or malformed.

@@ -207,10 +207,10 @@ class SampledLoop(Checked):
     Attributes:
         plant: n states, m inputs.
         pieces: parts of the period, in order.
-        K: from p to the computed forces, shape (m, n + k).
-        A_register: from p to the next controller states, shape (k, n + k).
-        B_register: from the acting force to the next controller states, shape (k, m).
-        noise: from the noise to the computed forces and the next controller states, shape (m + k, j); None without noise.
+        K: gain from p to the computed forces, shape (m, n + k).
+        A_register: gain from p to the next controller states, shape (k, n + k).
+        B_register: gain from the acting force to the next controller states, shape (k, m).
+        noise: gain from the noise to the computed forces and the next controller states, shape (m + k, j), or None.
     """
 
     plant: GeneralizedPlant
@@ -243,7 +243,7 @@ class SampledLoop(Checked):
             K: shape (m, q).
             Cy: the measurements, y = C_y x, shape (q, n).
             sample_period: [s].
-            delay: from a measurement to its force [samples], a fraction included.
+            delay: delay from a measurement to its force [samples], which may be fractional.
 
         Raises:
             InputError: a matrix does not fit the plant.
@@ -376,8 +376,8 @@ class SampledDataProblem:
         plant: continuous, n states.
         Cy: shape (q, n).
         through: feedthrough from the force before a sample to the measurements, shape (q, m).
-        pieces: of the sample period: two if the delay has a fraction of a period.
-        rms: of the noise of each measurement, shape (q,); None without noise.
+        pieces: parts of the sample period: two if the delay has a fraction of a period.
+        rms: rms noise of each measurement, shape (q,); None without noise.
     """
 
     plant: GeneralizedPlant

@@ -15,14 +15,14 @@ SAME = 1e-9  # relative: rounding of a bound that is just satisfied
 
 @dataclass(frozen=True)
 class Specification:
-    """A quantity that a controller was designed for, or is judged by.
+    """A quantity for which a controller was designed, or by which it is evaluated.
 
     Attributes:
         what: name of the quantity.
         value: largest known value.
         proved: proved upper bound; None if the value is exact to rounding.
         at_most: largest allowed value; None if the quantity is minimised.
-        unit: of all three.
+        unit: unit of all three values.
         where: place where the value occurs, or empty.
     """
 

@@ -191,11 +191,7 @@ def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = 
 
 
 def _within_rounding(A: Array, conditions: Array, points: Array, distances: Array) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,).
-
-    Args:
-        distances: from there; infinite for an eigenvalue that is not asked about.
-    """
+    """Returns a mask of the eigenvalues of a balanced matrix that rounding may move to the given points, shape (n,)."""
     allowed = rounding(A)
     # The condition number bounds a pole's movement to first order: poles well beyond that are skipped.
     near = np.flatnonzero((distances <= FAR * allowed * conditions) & (distances < np.inf))
@@ -271,8 +267,8 @@ def beside_weights(plant: GeneralizedPlant, A: Array) -> Array:
     """Returns a closed loop's A without the states of weights, whose poles no control moves.
 
     Args:
-        plant: without control, n states.
-        A: of a loop with it, whose states come first, shape (n + k, n + k).
+        plant: plant without control, n states.
+        A: state matrix of a loop with the plant, whose states come first, shape (n + k, n + k).
     """
     n = len(plant.A)
     own = np.r_[: n - plant.weights, n : len(A)]

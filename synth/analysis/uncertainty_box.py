@@ -189,8 +189,8 @@ def proves(gain: ScaledGain, box: Box, X: Array, eta: float) -> bool:
     """Returns True if X satisfies (20) at every corner of a box, beyond rounding.
 
     Args:
-        box: with at most `MOST` uncertain factors.
-        X: shape (n, n), symmetric to the last bit.
+        box: box with at most `MOST` uncertain factors.
+        X: shape (n, n), exactly symmetric.
         eta: gamma^-2.
     """
     if len(box.uncertain) > MOST or not gain.well_posed(box) or not definiteness(X).proved:

@@ -59,7 +59,7 @@ def answer(vehicle: Vehicle, names: Sequence[str], options: Namespace) -> int:
     """Runs the command: designs, checks, saves and prints controllers. Returns the exit code.
 
     Args:
-        names: of the requested controllers; empty for `--check`, which chooses its own.
+        names: names of the requested controllers; empty for `--check`, which chooses its own.
 
     Raises:
         InputError: options that do not apply to this vehicle, or files that cannot be written.
@@ -242,7 +242,7 @@ def _row(designer: Designer, name: str, options: Namespace, stage: Stages) -> Ro
 
 
 def _built(vehicle: Vehicle, row: Row) -> Row:
-    """A row with the norm as implemented, where the vehicle file says how, or with the reason why no computer runs the law."""
+    """Returns a row with the norm as implemented, if the file defines it, or the reason why no computer can run the law."""
     if row.controller is None:
         return row
     (norm, why), certificate = norm_or_failure(vehicle, row.controller), row.controller.certificate

@@ -47,7 +47,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
     options = _parser().parse_args(arguments)
     if options.cross_check and (options.check or options.refine):
         why = "--check designs nothing" if options.check else "--refine leaves their optima"
-        raise InputError(f"--cross-check solves the LMI problems of designs anew, and {why}; leave one of them out")
+        raise InputError(f"--cross-check solves the LMI problems of designs again, and {why}; omit one of them")
     if options.check and options.given & {"zero_l", "refine", "save", "vehicle", "prove", "fragility"}:
         raise InputError("--check reads its own file and designs nothing; it goes with --controller, --picture and --json only")
     if options.rates and options.given & {"zero_l", "refine", "save", "check", "cross_check", "prove", "fragility"}:

@@ -52,16 +52,16 @@ class Row:
     """A line of the table.
 
     Attributes:
-        name: of the controller.
+        name: name of the controller.
         controller: None if its design failed.
-        notes: on the controller.
+        notes: notes on the controller.
         failures: claims that do not hold, or the reason of a failed design.
         worth: relative decrease of the norm that `--refine` reaches at least; 0 if it is negligible.
         witness: result of a second solver, if requested.
         sampled: the norm as implemented, if the vehicle file has an implementation.
-        sampled_below: its lower bound for any controller with these measurements, of one designed for the sampled loop.
+        sampled_below: lower bound on that norm for any controller with these measurements, if designed for the sampled loop.
         fragile: the tolerated errors, if requested.
-        answers: sentences on what options have asked of it; the notes have them, too.
+        answers: sentences that options requested; the notes contain them, too.
         ride: expected weighted acceleration on an average road [m/s2], or None.
         refined: True for a controller that was refined, whose gain is the answer.
         margins: the stability of its law by itself, and its small margins; None if there is no law.
@@ -90,7 +90,7 @@ class Row:
 
 
 def row_object(row: Row) -> dict[str, Any]:
-    """A row as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns a row as a JSON object: SI units, None for infinite or missing values."""
     if row.controller is None:
         return {"name": row.name, "reason": "; ".join(row.failures)}
     controller, certificate = row.controller, row.controller.certificate
@@ -132,7 +132,7 @@ def _hardware_object(controller: Controller) -> dict[str, Any]:
 
 
 def table_lines(rows: Sequence[Row]) -> list[str]:
-    """All controllers, one line each; where they have norms as implemented, in place of what stands above of each in full."""
+    """Returns one line for each controller; norms as implemented replace columns that are printed in full above."""
     built, bounded = any(row.sampled is not None for row in rows), any(row.sampled_below is not None for row in rows)
     before, after = (BOUND, NORM), (PEAK, LOWER_BOUND, *(() if built else (GAP,)), SLOWEST_POLE)
     of_sampled = ("sampled",) if built else ()
@@ -158,12 +158,12 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
 
 
 def _sampled(norm: SampledNorm | None) -> str:
-    """Returns the norm as implemented, as the table has it."""
+    """Returns the cell of the norm as implemented."""
     return "-" if norm is None else f"{norm.value:.7g}" if norm.stable else "UNSTABLE"
 
 
 def _sampled_bound(row: Row) -> tuple[str, str]:
-    """Returns the lower bound of the sampled loop, and how far the norm is above it, as the table has them."""
+    """Returns the cells of the sampled loop's lower bound and of the gap to it."""
     bound, gap = row.sampled_below, row.sampled_gap
     return f"{bound.level:.7g}" if bound is not None else "-", percent(gap) if gap is not None else "-"
 
@@ -211,10 +211,9 @@ def undamped(controller: Controller) -> bool:
 
 
 def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
-    """Returns what was asked about several controllers, those with the same answer in one sentence, and what fails.
+    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures.
 
     Args:
-        rows: of the controllers.
         checked: True for a line on what was checked.
     """
     alike = dict[str, list[str]]()
@@ -264,8 +263,7 @@ def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str
     about it, and what fails.
 
     Args:
-        row: of the controller.
-        gains: False to leave out the gains.
+        gains: False to omit the gains.
         checked: True for a line on what was checked.
     """
     if row.controller is None:
@@ -296,13 +294,13 @@ def _undamped_lines(controller: Controller) -> list[str]:
 
 
 def semi_active_lines(vehicle: Vehicle) -> list[str]:
-    """Returns a line that names the laws of which there is no linear claim; empty without any."""
+    """Returns a line that lists the laws to which linear analysis does not apply; empty without any."""
     names = [name for name in vehicle.controller_names if name not in vehicle.linear_names]
     return [f"no linear claim, so not in this table: {', '.join(names)}; sim.drive and sim.campaign run them"] if names else []
 
 
 def _witness_object(witness: "CrossCheck") -> dict[str, Any]:
-    """A witness as JSON has it."""
+    """Returns a cross-check as a JSON object."""
     return {**asdict(witness), "apart": witness.apart, "above": witness.above}
 
 
@@ -330,9 +328,8 @@ def ride_lines(rows: Sequence[Row], passive: float | None, road: str, given: str
     """Returns the expected ride of every controller, and those that ride worse than the passive suspension; empty if unknown.
 
     Args:
-        passive: of the passive suspension [m/s2], or None.
-        road: in words.
-        given: what is assumed of the forces, in words after a comma; empty for nothing.
+        passive: ride of the passive suspension [m/s2], or None.
+        given: assumption on the forces, in words after a comma, or empty.
     """
     rides = {row.name: row.ride for row in rows if row.ride is not None}
     if not rides:

@@ -37,7 +37,7 @@ def answer(vehicle: Vehicle, options: Namespace) -> int:
     outputs = {"picture": options.picture, "csv": options.csv}
     check_outputs({**outputs, "save": options.save}, vehicle.files, options.json)
     if options.point and not options.save:
-        raise InputError("--point says which designs --save writes; give a file with --save, or leave --point out")
+        raise InputError("--point chooses the designs that --save writes; give a file with --save, or omit --point")
     if options.save:
         check_save(options.save, vehicle, [f"{name}_{SAVED}_{i}" for i in options.point or (1,)])
     stage = Stages("designs", "the picture")

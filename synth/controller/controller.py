@@ -66,7 +66,7 @@ class Driver(Protocol):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as JSON has them."""
+        """Returns name, signals and law as a JSON object."""
         ...
 
     @property
@@ -82,7 +82,7 @@ class Controller(Checked, Shown):
     Attributes:
         name: section of the vehicle file.
         measured: the q measured signals y. Empty for `passive`.
-        law: from y to the m forces; a static one is u = K y.
+        law: the law from y to the m forces; a static one is u = K y.
         designed: True if it was designed here; otherwise the law was given (or is zero, for `passive`).
         state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
             central path, more if the second problem is infeasible from there.
@@ -90,15 +90,15 @@ class Controller(Checked, Shown):
             gains beyond any actuator reach the optimum.
         moved: last change of the gain along its path, relative to its largest entry; a hundredth of it is left to the limit.
         redundant: the signals among `measured` that follow from the others; their gain is zero.
-        certificate: of the closed loop.
+        certificate: certificate of the closed loop.
         degeneracy: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
         fallback_method: the fallback method and why the two steps found no gain, in words, or empty.
         remarks: for other designs than by two steps, distance from the optimum or what was optimised, in words.
         false_claims: claims of the given certificate that do not hold, in words.
         hardware: sensor noise, actuator lag and loads that its certificate takes into account.
         sampled: True if it was designed for the sampled loop; its certificate is of the ideal one.
-        specifications: specifications that it was designed for or is judged by, beside the least norm.
-        preview: its force from the road ahead, beside that of its law; None without.
+        specifications: specifications of its design or evaluation, in addition to the least norm.
+        preview: its force from the road ahead, in addition to that of its law; None without.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Controller(Checked, Shown):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Name, signals and law as JSON has them."""
+        """Returns name, signals and law as a JSON object."""
         ahead = {"preview": self.preview.record} if self.preview is not None else {}
         return {"name": self.name, "measured": list(self.measured), **self.law.record, **ahead}
 
@@ -200,7 +200,7 @@ class Controller(Checked, Shown):
         """Returns the law in continuous time on C_y x, solved for forces that are part of the measurements.
 
         Raises:
-            InputError: that loop has no solution, or a discrete law has no continuous counterpart.
+            InputError: the loop has no solution, or a discrete law has no continuous counterpart.
         """
         return self.law.continuous().fed_back(self.problem(vehicle).feedthrough[: len(self.measured)])
 
@@ -254,7 +254,7 @@ def check_feedback_alone(controller: Controller, what: str) -> None:
     """Refuses a controller that answers the road ahead where only its feedback would be held.
 
     Args:
-        what: that holds it, for the message.
+        what: holder of the controller, for the message.
 
     Raises:
         InputError: it has a preview.

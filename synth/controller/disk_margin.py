@@ -1,7 +1,7 @@
 """The symmetric disk margin of a loop that is cut at its actuators, as in `loop_transfer.py`.
 
-Of S = (I - L)^-1 it is 1 / ||S - I / 2||: each force may have a complex factor f of its own with |f - 1| / |f + 1| below half of
-it (Seiler, Packard, Gahinet 2020).
+It is 1 / ||S - I / 2|| with S = (I - L)^-1: each force may have a complex factor f of its own with |f - 1| / |f + 1| below half
+of it (Seiler, Packard, Gahinet 2020).
 """
 
 import math
@@ -16,10 +16,10 @@ from synth.plant.generalized import GeneralizedPlant
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Symmetric disk margin: what each force bears of complex factors of its own, all at once.
+    """Symmetric disk margin: the complex factors that all forces tolerate simultaneously, each its own.
 
     Attributes:
-        size: from 0 to 2. It is exact for one force; of several forces it is a bound, as theirs may be factors of each other.
+        size: margin from 0 to 2; exact for one force, a bound for several, whose factors may depend on each other.
         frequency: where the loop is next to unstable [rad/s].
     """
 

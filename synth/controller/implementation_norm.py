@@ -35,8 +35,8 @@ def norm_as_implemented(vehicle: Vehicle, controller: Controller, timestep: floa
     """Returns the L2 gain of the loop from all disturbances to z, infinite if the loop is not stable.
 
     Args:
-        vehicle: with the controller's implementation.
-        timestep: of the runs [s]; the sample period if the vehicle gives none.
+        vehicle: vehicle with the controller's implementation.
+        timestep: step of the runs [s]; the sample period if the vehicle gives none.
     """
     ideal = controller.certificate.norm.value
     near = ideal if 0 < ideal < np.inf else 1.0
@@ -74,7 +74,7 @@ def _with_mean_velocity(loop: SampledLoop, felt: Array) -> SampledLoop:
     sample: their difference is the mean.
 
     Args:
-        felt: from the velocities to the computed forces and the next controller states, shape (m + k, r).
+        felt: gain from the velocities to the computed forces and the next controller states, shape (m + k, r).
     """
     (n, m), k, r, plant = loop.plant.B.shape, len(loop.A_register), felt.shape[1], loop.plant
     more = plant.Bw.shape[1]
@@ -109,7 +109,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
     if pushed := [name for name in entry.measured if np.any(model.Dw[model.outputs.index(name)])]:
         raise InputError(
             f"controller {entry.name!r} is designed for the loop that a computer closes, and {pushed[0]!r} jumps with the road's "
-            "velocity, by the damping of the tyre, of which no energy bounds a sample; leave out the signal, or tyre_damping"
+            "velocity, by the damping of the tyre, so that no energy bounds a sample; omit the signal, or tyre_damping"
         )
     Cy, through = measurements(vehicle.without_integrals, entry.measured, vehicle.limits.actuator_bandwidth)
     rms = np.array(entry.hardware.noise) if any(entry.hardware.noise) else None
@@ -119,7 +119,7 @@ def held_problem(vehicle: Vehicle, entry: ControllerEntry) -> SampledDataProblem
 def false_sampled_bound(vehicle: Vehicle, entry: ControllerEntry) -> tuple[str, ...]:
     """Returns the false claim of a record about the lower bound of the sampled loop, in words; empty without one.
 
-    The dual solution is checked on the discrete plant of the claimed level, which is computed anew.
+    The dual solution is checked on the discrete plant of the claimed level, which is computed again.
 
     Raises:
         InputError: the proof is malformed.

@@ -3,13 +3,13 @@
 - A law is *unstable by itself* if its own states grow without measurements: a pole right of the imaginary axis, or outside the
   unit circle.
 - A law *winds up* if it is unstable by itself, the vehicle file clips its forces (`actuator_force` or adjustable dampers), and it
-  has no anti-windup. Clipped forces are bounded, and so are the measurements that they cause, but the states of the law grow. The
-  forces then stay clipped or jump between the limits, and no later measurement brings the states back. An integrator has a pole
-  at 0 and does not count: its states grow no faster than the measurements.
-- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and
-  `[implementation]`, with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to
-  1, at which the loop is unstable. Below `LEAST_GAIN`, or its inverse, and below `LEAST_DISK` a margin is small. (Skogestad,
-  Postlethwaite 2005, section 2.4.3, ask for a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
+  has no anti-windup. Its states grow, but its clipped forces and their effect on the measurements are bounded, so that no later
+  measurement brings the states back. An integrator has a pole at 0 and does not count: its states grow no faster than the
+  measurements.
+- The *margins* are those of the ideal loop, cut at all actuators together: continuous, without `[limits]` and `[implementation]`,
+  with the actuators' lag only if the design has it. The gain margin is the factor on all forces, nearest to 1, at which the loop
+  is unstable. A margin is small below `LEAST_GAIN`, or its inverse, or below `LEAST_DISK`. (Skogestad, Postlethwaite 2005,
+  section 2.4.3, require a gain margin above 2.) `sim.margins` measures the margins of each actuator, too.
 """
 
 import math
@@ -92,12 +92,7 @@ class LawMargins:
 
 
 def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
-    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop.
-
-    Args:
-        vehicle: with the limits of its file.
-        controller: its controller.
-    """
+    """Returns the stability of a law by itself, whether it winds up, and the small margins of its ideal loop."""
     law = controller.law
     where = _clipped(vehicle) if law.growth and law.anti_windup is None else ""
     gain, gain_lower, disk = math.inf, 0.0, None
@@ -112,11 +107,7 @@ def law_margins(vehicle: Vehicle, controller: Controller) -> LawMargins:
 
 
 def warning_lines(margins: Mapping[str, LawMargins]) -> list[str]:
-    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs.
-
-    Args:
-        margins: by name of the controller.
-    """
+    """Returns a line for each warning, with the names of its controllers; more than `FEW` warnings share two paragraphs."""
     alike: dict[str, list[str]] = {}
     for name, one in margins.items():
         if one.warning:

@@ -29,10 +29,10 @@ class LoopTransfer:
 
     Attributes:
         A: state matrix with the other actuators' loops closed, shape (n, n).
-        B: from the forces that act, shape (n, k).
-        G: to the forces asked for, shape (k, n).
-        H: to those from the forces that act, shape (k, k).
-        sampling: of a controller with states, the loop that it makes sampled; None for a static one.
+        B: input matrix of the forces that act, shape (n, k).
+        G: gain to the commanded forces, shape (k, n).
+        H: feedthrough from the forces that act to the commanded ones, shape (k, k).
+        sampling: the sampled loop with a controller with states; None for a static one.
     """
 
     A: Array
@@ -224,13 +224,13 @@ def sampled_loop_transfer(
     actuators: Sequence[int] | None = None,
     exponential: Callable[[Array], Array] = linalg.expm,
 ) -> tuple[Array, Array, Array]:
-    """The same from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i]: Phi, Gamma and G.
+    """Returns Phi, Gamma and G of the loop from sample to sample, x[i+1] = Phi x[i] + Gamma u[i], v[i] = G x[i].
 
     The others' forces are sampled and held, too.
 
     Args:
-        vehicle: the vehicle; what its `[implementation]` says of sampling and delay does not count.
-        period: from sample to sample [s].
+        vehicle: the vehicle; sampling and delay of its `[implementation]` do not count.
+        period: sample period [s].
         actuators: those that are cut; None for all.
         exponential: the matrix exponential; `taylor4` to predict an RK4 integrator whose step is the period.
     """

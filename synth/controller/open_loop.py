@@ -33,9 +33,9 @@ class OpenLoop:
     Attributes:
         model: its n states are those of vehicle, lag and law, and the previous forces; its inputs are the m requested forces and
             the k rates of the controller states.
-        G: from its states to all inputs, shape (m + k, n).
-        hold: from the acting forces to the rates, shape (k, m).
-        reading: from a disturbance of each measurement to all inputs, shape (m + k, q).
+        G: gain from its states to all inputs, shape (m + k, n).
+        hold: gain from the acting forces to the rates, shape (k, m).
+        reading: gain from a disturbance of each measurement to all inputs, shape (m + k, q).
         forces: number m.
     """
 
@@ -123,9 +123,9 @@ def _kept(model: LinearModel, law: LinearLaw, C: Array, D: Array, rate: float = 
     Args:
         model: n states, m forces.
         law: continuous, k states.
-        C: of the measurements, shape (q, n).
-        D: from the previous forces to the measurements, shape (q, m), or (q, 0) if they are not measured.
-        rate: at which an acting force becomes the previous one [1/s].
+        C: output matrix of the measurements, shape (q, n).
+        D: gain from the previous forces to the measurements, shape (q, m), or (q, 0) if they are not measured.
+        rate: rate at which an acting force becomes the previous one [1/s].
     """
     (n, m), k, previous = model.B.shape, law.states, D.shape[1]
     more = k + previous
@@ -169,8 +169,8 @@ class HoldSegment:
 
     Attributes:
         steps: duration in timesteps.
-        inputs: from the loop's state to all inputs of `SampledClosedLoop.open_loop`, shape (m + k, s).
-        feedthrough: from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
+        inputs: gain from the loop's state to all inputs of `SampledClosedLoop.open_loop`, shape (m + k, s).
+        feedthrough: gain from a disturbance of the inputs computed at the sample to those inputs, shape (m + k, m + k).
     """
 
     steps: int
@@ -187,8 +187,8 @@ class SampledClosedLoop:
     Attributes:
         open_loop: the open loop of vehicle and controller.
         transition: shape (s, s).
-        added: from a disturbance of the inputs computed at a sample to the next state, shape (s, m + k).
-        parts: of the period, in their order; more than one if the delay has a fraction of a sample.
+        added: gain from a disturbance of the inputs computed at a sample to the next state, shape (s, m + k).
+        parts: segments of the period in order; more than one if the delay has a fraction of a sample.
     """
 
     open_loop: OpenLoop
@@ -206,12 +206,13 @@ class SampledClosedLoop:
 class LoopModel:
     """A vehicle with its linear controller at a timestep, and the matrices of their loop, computed when first used.
 
-    Its properties raise an InputError if the sample period or the delay is no multiple of the timestep, see `steps_per_sample`.
+    Its properties raise an InputError if the sample period or the delay is not a multiple of the timestep, see
+    `steps_per_sample`.
 
     Attributes:
-        vehicle: with the controller's implementation.
+        vehicle: vehicle with the controller's implementation.
         controller: its controller.
-        timestep: of the run [s].
+        timestep: timestep of the run [s].
     """
 
     vehicle: Vehicle

@@ -31,7 +31,7 @@ class JudgedLoop:
     """Loop of a law, as a gain on a larger plant.
 
     Attributes:
-        plant: with the law's states, but for those that are states of the plant itself.
+        plant: plant with the law's states, except those that are states of the plant itself.
         G: gain on it.
         by_itself: the plant without the law's states.
         states: names of its states.
@@ -321,7 +321,6 @@ def measurements(vehicle: Vehicle, signals: Sequence[str], bandwidth: float | No
     Filter states are not measured: they belong to the weights, not to the vehicle.
 
     Args:
-        signals: the q signals.
         bandwidth: as for `generalized_plant`; behind a lag the feedthrough is zero.
 
     Raises:

@@ -163,7 +163,7 @@ def false_norm(
 
     Args:
         record: a checked certificate; None for a controller without one.
-        vehicle: with the controller's implementation.
+        vehicle: vehicle with the controller's implementation.
         norm_of_loop: computes the norm (`norm_if_implemented`); called only if a norm is claimed.
     """
     said = (record or {}).get(SAMPLED_NORM)
@@ -208,7 +208,7 @@ def law_lines(law: LinearLaw, gain: str, of_states: str) -> list[str]:
 
 
 def pid_line(controller: Controller) -> str:
-    """Returns the gains of a designed PI or PID law, a discrete one's too, as a vehicle file has them; empty of others."""
+    """Returns the gains of a designed PI or PID law, continuous or discrete, as in a vehicle file; empty for other laws."""
     from models.laws.law_structure import ITS_GAINS, pid_text
 
     remarked = (remark.partition(ITS_GAINS)[2].partition("; ")[0] for remark in controller.remarks)
@@ -303,7 +303,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
 
 
 def growth_object(controller: Controller) -> dict[str, float]:
-    """Returns the growth of a law that is unstable by itself as JSON has it [1/s]; empty of any other."""
+    """Returns the growth [1/s] of a law that is unstable by itself as a JSON object; empty for other laws."""
     return {"law_growth": controller.law.growth} if controller.law.growth else {}
 
 

@@ -32,8 +32,8 @@ class SampledMargins:
     Attributes:
         gain: smallest factor above 1 on all forces at which the loop is unstable.
         gain_lower: largest factor below 1 at which it is unstable; 0 without one.
-        delay: shortest delay of all forces, beside that of the implementation, at which it is unstable [s].
-        frequency: of the loop that is then marginal [rad/s]; NaN without one.
+        delay: shortest delay of all forces, added to that of the implementation, at which it is unstable [s].
+        frequency: oscillation of the loop that is then marginal [rad/s]; NaN without one.
         lead: smallest phase lead of all forces, at every frequency alike, at which it is unstable [rad].
     """
 
@@ -50,15 +50,10 @@ class SampledMargins:
 
 
 def sampled_margins(vehicle: Vehicle, controller: Controller, timestep: float) -> SampledMargins | None:
-    """Returns the margins of all loops at once, or None if the loop is not stable.
-
-    Args:
-        vehicle: with the controller's implementation.
-        controller: its controller.
-        timestep: of which delays are multiples [s].
+    """Returns the margins of all loops together, or None if the loop is not stable.
 
     Raises:
-        InputError: the sample period or the delay is no multiple of the timestep.
+        InputError: the sample period or the delay is not a multiple of the timestep [s].
     """
     loop = LoopModel(vehicle, controller, timestep)
     if loop.radius >= 1:

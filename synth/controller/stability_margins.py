@@ -11,8 +11,8 @@ is 1. No margin is read off a frequency grid. With M = B G, and H = 0:
 - a phase lead is the rest of a whole turn: of all crossovers the one with the largest lag has the smallest lead;
 - a sample period T puts an eigenvalue of exp(A T) + (integral of exp(A s) ds B) G on the unit circle.
 
-With H these are no problems of one matrix, and candidates come from a fine grid. What all this gives is then refined on the poles
-themselves.
+With H these problems involve more than one matrix, and candidates come from a fine grid. All candidates are then refined on the
+poles themselves.
 """
 
 import itertools

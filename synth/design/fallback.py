@@ -1,11 +1,11 @@
-"""Static gains: the two steps, and where they cannot be gone to their end, descent on the norm. The result says which, and why.
+"""Static gains: the two steps, or descent on the norm if they cannot be completed. The result has the method and reason.
 
-For any plant (`near_lower_bound`) descent also goes on from the two steps where they end above a proved lower bound.
+For any plant (`near_lower_bound`) descent also continues from the two steps if they end above a proved lower bound.
 
 A central path may break off, or have no end at a finite gain, and problems may be too large for it. Problem (25) may have no
-solution from any X tried. None of that says that there is no gain: the strategy of `static.py` needs no path. What does say so is
-known first, and named: a mode that no force reaches or no measurement shows, or poles that no gain moves. And where there is a
-solution that filters or noise leave far from what could be had, the descent goes on from it.
+solution from any X tried. A gain may exist nevertheless: the strategy of `static.py` needs no path. Proofs that no gain exists
+are checked and reported first: a mode that no force reaches or no measurement shows, or poles that no gain moves. If filters or
+noise leave a solution far above the lower bound, the descent continues from it.
 """
 
 import contextlib
@@ -92,15 +92,15 @@ def two_steps_or_descent(
     Args:
         plant, Cy, lower_bound, states: as for `two_step_design`.
         path: returns the central path of (22) if it is known already, or raises.
-        Dyw: shape (q, r), where noise is measured: the two steps know none, and are one of the starts of a descent.
+        Dyw: shape (q, r), if noise is measured: the two steps ignore it, and are one of the starts of a descent.
         largest_gain: bound on the entries of the gain, as for `static_output_feedback`.
         work: counts the norms of the descent, as for `descended`.
 
     Raises:
         InputError: the plant has no input, or a matrix does not fit it.
         InfeasibleError: no static gain stabilises the plant; the message names the mode.
-        DesignError: neither finds a gain whose certificate holds; the message gives the reason. A certificate may lack a bound
-            if rounding leaves no proof, as for the large gains of 60 states; then the result says so.
+        DesignError: neither finds a gain whose certificate holds; the message gives the reason. A certificate may lack a bound if
+            rounding leaves no proof, as for the large gains of 60 states.
     """
     check_inputs(plant)
     rows, kept = as_measurement_matrix(plant, Cy)

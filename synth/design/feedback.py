@@ -1,8 +1,8 @@
-"""One door to synthesis for any plant: the words of a controller's section as arguments, and the method found for them.
+"""Design of any controller for any plant, with the keys of a controller's section as arguments.
 
-What is asked is checked first, against the table of `models/laws/combinations.py` too. Without further words the two steps design
-a static gain, and descent on the norm where they lead to none, or far above the lower bound (`fallback.py`). Of the other ways
-each has its file, and each can be called by itself.
+The arguments are checked first, also against the table of `models/laws/combinations.py`. By default the two steps design a static
+gain. If they find none, or end far above the lower bound, descent on the norm does (`fallback.py`). Every other method has its
+own file and can be called directly.
 """
 
 import contextlib
@@ -42,14 +42,14 @@ class FeedbackDesign(Shown):
     """A controller of a plant, with its certificate, and the method that led to it.
 
     Attributes:
-        law: from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, with u added as it
-            is, no minus sign; a static one is u = K y. With a sample period the next x_c is in place of x_c'.
-        certificate: of its loop in continuous time, or of the discrete plant. With noise, that is a part of w.
-        method: what the law was designed by.
-        why: why by that method, in words.
+        law: law from the q measurements to the m forces, with A, B, C, D: x_c' = A x_c + B y, u = C x_c + D y, without a minus
+            sign; a static one is u = K y. With a sample period the next x_c replaces x_c'.
+        certificate: certificate of its loop, in continuous time or of the discrete plant. Noise is a part of w.
+        method: method of the design.
+        why: reason for that method, in words.
         remark: distance from the optimum, assumptions and left-out measurements, in words; empty without any.
-        value: what the design makes small.
-        criterion: name of that: "norm", "sampled norm", "H2 norm", or a goal.
+        value: minimised value.
+        criterion: name of that value: "norm", "sampled norm", "H2 norm", or a goal.
         sampled_lower_bound: bound on the sampled norm that no controller of any order beats at this sample period and delay; None
             without a sample period, or if none is proved.
     """
@@ -123,25 +123,25 @@ def design_feedback(
     lower_bound: LowerBound | None = None,
     states: Sequence[str] = (),
 ) -> FeedbackDesign:
-    """Returns a controller of any plant, with what is proved of it, the method that found it, and why that one.
+    """Returns a controller of any plant, with its proofs, the method that found it, and the reason for that method.
 
-    Without more words it is a static gain for the least norm: by the two steps, by descent from there where they end more than
-    0.1 % above the lower bound, or by descent where they lead to none. The words are those of a controller's section in a
-    vehicle file, and go together as there. A plant by itself has no names: its measurements are y1, y2, ..., its forces u1,
-    u2, ..., the rows of z are z1, z2, ...
+    By default it is a static gain for the least norm: by the two steps, followed by descent if they end more than 0.1 % above the
+    lower bound, or by descent alone if they find none. The arguments are the keys of a controller's section in a vehicle file,
+    and can be combined as there. A plant by itself has no names: its measurements are y1, y2, ..., its forces u1, u2, ..., the
+    rows of z are z1, z2, ...
 
     Args:
         plant: n states, m inputs; continuous, or discrete by its dt.
-        Cy: what is measured, y = C_y x + Dyw w, shape (q, n); every state where it is not given.
+        Cy: measurements y = C_y x + Dyw w, shape (q, n); every state if it is not given.
         Dyw: shape (q, r); zero where it is not given.
         order: "static", the default, "full" for a law of as many states as the plant, or a number of states between these.
-        design: "lqr", "lqg" or "h2", the best in the mean in place of the least norm.
+        design: "lqr", "lqg" or "h2", with the least mean square instead of the least norm.
         stable: True for a law with an order that is stable by itself.
         fastest_pole: largest magnitude of the loop's poles [rad/s], for order = "full" of a continuous plant; None for no limit.
         noise: rms of each measurement's noise, shape (q,), which counts as much as 1 of w; for LQG of white noise, see
             `lqg_design`.
-        sample_period: of the computer that closes the loop of a continuous plant and holds the forces [s].
-        delay: from a measurement to its force [samples].
+        sample_period: period of the computer that closes the loop of a continuous plant and holds the forces [s].
+        delay: delay from a measurement to its force [samples].
         minimise: the norm that is minimised, as in {"band": [4.0, 8.0]} [Hz] or {"signals": {"z1": 1.0}}.
         bounds: as in [{"norm": 8.6}, {"decay": 1.2}, {"gain": 2e4}].
         tolerance: largest relative errors, as in {"y1": 0.1, "force": 0.05}.
@@ -150,7 +150,7 @@ def design_feedback(
             a law of its own with so many. Or "pi" or "pid", a law of that kind from each measurement to a force.
         pid: for "pid" the time constant of the derivative's low-pass [s], as in {"filter": 0.01}.
         largest_gain: bound on |K_ij| of a static gain of the least norm; 1e5 where it is not given.
-        lower_bound: what no controller from these measurements beats, if known, for the certificate.
+        lower_bound: lower bound for any controller from these measurements, if known, for the certificate.
         states: names of the states, for messages.
 
     Returns:
@@ -158,9 +158,9 @@ def design_feedback(
         sampled norm and its lower bound.
 
     Raises:
-        InputError: a matrix does not fit the plant, it has no input, or two words do not go together; the message says why.
+        InputError: a matrix does not fit the plant, it has no input, or two arguments exclude each other.
         InfeasibleError: no such controller stabilises the plant; the message names the mode.
-        DesignError: no method found one; the message says why.
+        DesignError: no method found one; the message gives the reason.
 
     Example:
         >>> from synth import GeneralizedPlant, design_feedback
@@ -220,7 +220,7 @@ def _parts(
     family: Sequence[GeneralizedPlant],
     fastest_pole: float | None,
 ) -> dict[str, str]:
-    """Returns the parts of the table that are asked for, each as it is written."""
+    """Returns the requested parts of the table, each as it is written."""
     flags = {"stable": stable, "noise": bool(heard), "sampled": sample_period is not None}
     named = {"order": order, "design": design, "fastest_pole": fastest_pole}
     section = {name: value for name, value in named.items() if value is not None} | flags | dict(goals)
@@ -230,7 +230,7 @@ def _parts(
 
 
 def _plain(value: Any) -> Any:
-    """Returns tables, lists and numbers as a vehicle file has them."""
+    """Returns tables, lists and numbers as in a vehicle file."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):

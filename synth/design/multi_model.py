@@ -1,16 +1,15 @@
 """A common static gain for a family of plants, in the two steps of the paper with a slack variable (`lmi/sdp.py`).
 
 1. State feedback for all of them: W of the LMIs with C_y = I.
-2. L (14) with W' in the place of X, so that the W of the first step has the form that the second asks for; then the LMIs with
-   W = Q W_Q + R W_R R' and Y = Y_R R'.
+2. L (14) with W' in place of X, so that the W of the first step has the form that the second requires; then the LMIs with W = Q
+   W_Q + R W_R R' and Y = Y_R R'.
 
-**The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above
-that plant's norm. The scalar f of the LMIs is the one whose gain has the least worst norm.
+**The solver proposes, the certificate decides.** The result is proved for every plant without the solver, by an X just above that
+plant's norm. The scalar f of the LMIs is the one whose gain has the smallest worst norm.
 
-The problem is solved in units in which its numbers have size one. These are states as the inputs and disturbances of the first
-plant reach them, forces and disturbances as large as its A, and time so that f is always the same number. Plants may measure in
-different ways, as with a sensor that is 10 % off. Each is put into coordinates of its own in which all measure the same. X_i is
-each plant's own, and needs no common ones.
+The problem is solved in units in which its numbers have size one, by the inputs, the disturbances and A of the first plant; f is
+independent of the time unit. Plants may measure in different ways, as with a sensor that is 10 % off. Each is transformed to its
+own coordinates, in which all measure the same; X_i needs no common ones.
 """
 
 from collections.abc import Sequence
@@ -44,13 +43,13 @@ SOLVED_AT = 3.0  # what f is in the unit of time in which the problem is solved
 
 @dataclass(frozen=True, eq=False)
 class SlackDesign:
-    """A gain for a family, with what is proved of each loop.
+    """A gain for a family, with the proofs of each loop.
 
     Attributes:
-        gain: K, shape (m, q); exactly zero where its structure says so.
-        bound: what the solver says that the LMIs prove for all plants; no more than a claim.
-        f: of the LMIs, in units of one over the rate of the first plant (`units.own_units`).
-        certificates: of the plants, in their order.
+        gain: K, shape (m, q); exactly zero where its structure is zero.
+        bound: bound of the LMIs for all plants by the solver; not proved.
+        f: f of the LMIs, in units of one over the rate of the first plant (`units.own_units`).
+        certificates: certificates of the plants, in order.
         redundant: rows of C_y that follow from others, by index; their gain is zero.
     """
 
@@ -157,7 +156,7 @@ def _checked(
             )
     (tried,) = real_matrix([f], "the row of f", "(1, k), numbers above 0 as 0.1, 0.3 and 1")
     if not len(tried) or not np.all(tried > 0):
-        raise InputError(f"f = {quoted(f)} are no values to try; give numbers above 0, as 0.1, 0.3 and 1")
+        raise InputError(f"f = {quoted(f)} is not a list of positive numbers; give numbers above 0, as 0.1, 0.3 and 1")
     shape = plants[0].B.shape[1], len(checked[0])
     pattern = np.ones(shape) if structure is None else real_matrix(structure, "the structure", str(shape))
     if pattern.shape != shape or not np.all((pattern == 0) | (pattern == 1)):
@@ -186,7 +185,7 @@ class _Problem:
         return np.eye(C_i.shape[1]) - np.linalg.pinv(C_i) @ (C_i - self.Cy)
 
     def two_steps(self, f: float) -> tuple[Array, float]:
-        """The gain in the given units, and its bound as Clarabel has it."""
+        """Returns the gain in the given units, and Clarabel's bound."""
         rate, n = SOLVED_AT * self.rate / f, len(self.Cy.T)
         blocks = together(self.pattern)
         eye = np.eye(n)

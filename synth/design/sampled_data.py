@@ -1,21 +1,21 @@
-"""The two steps for the loop that a computer closes, and descent on its exact norm from there.
+"""The two steps for the sampled-data loop, followed by descent on its exact norm.
 
-For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). The level that a step reaches
-is the one for whose plant its optimum is a norm of 1: found by secants over the logarithms, in a handful of problems. State
-feedback (22) has one such level, and the X of its optimum there makes L (14); the second step, with its slack variable
-(`lmi/slack_variable.py`), has another. Every optimum is the limit of a central path, and so is the gain: it is unique, and
-depends on no solver and no unit. What it gains is then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
+For every level of the loop's L2 gain there is a discrete plant (`synth/analysis/sampled_loop.py`). A step reaches the level for
+whose plant its optimum is a norm of 1, found by secants over the logarithms in a few problems. State feedback (22) has one such
+level, and the X of its optimum makes L (14). The second step, with its slack variable (`lmi/slack_variable.py`), has another.
+Every optimum is the limit of a central path, and so is the gain: it is unique, and depends on no solver and no unit. Its norm is
+then computed exactly, without any of this (`synth/analysis/sampled_norm.py`).
 
-Forces on their way are states that nothing measures, and that follow what was measured at once. An L that makes them follow the
-state feedback may leave the second step without a solution; one that makes them follow a gain as good as that looked for need
-not. From what they find, and from the continuous design, descent on the exact norm goes on, and the lowest end is taken. The
-gain of the two steps stays where descent gains next to nothing. If they find no gain, or if no control does better, descent
-starts from whatever is known. The result says so. The two steps know no noise of the readings; descent does.
+Delayed forces are states that no measurement contains. An L that makes them follow the state feedback may leave the second step
+without a solution; an L that makes them follow an equally good gain may not. Descent on the exact norm then starts from the
+results and from the continuous design, and the lowest end is taken. The gain of the two steps stays if descent gains next to
+nothing. If they find no gain, or if no control does better, descent starts from whatever is known, with a remark. The two steps
+ignore noise of the measurements; descent includes it.
 
-That norm has several valleys over the gain where a period turns a mode of the plant by more than a fraction of a turn, and a loop
-of a good gain at a fast rate may be unstable at a slow one. So the descent starts where the norm is least along the line through
-what is known, to either side of no control at all, and from what else is known. Where it ends more than 1 % above a lower bound,
-or nowhere, the search of static gains (`static.py`) goes on for the plant of one level.
+The norm has several valleys if a mode of the plant turns by more than a fraction of a turn in a period, and a good gain for a
+fast rate may be unstable at a slow one. So descent starts where the norm is smallest along the line through the known gains, on
+either side of no control. If it ends more than 1 % above a lower bound, or finds nothing, the search for static gains
+(`static.py`) continues for the plant of one level.
 """
 
 import contextlib
@@ -186,17 +186,17 @@ class SampledDataDesign:
 def held_design(
     problem: SampledDataProblem, near: float, known: Sequence[Array] = (), work: Work | None = None
 ) -> SampledDataDesign:
-    """The two steps, or the first alone where all states are measured.
+    """Runs the two steps, or the first alone if all states are measured.
 
     Args:
-        near: a level to start from, as the norm of the continuous design.
-        known: gains from the same measurements, as the continuous design's, shapes (m, q): what is designed is not worse.
+        near: level to start from, for example the norm of the continuous design.
+        known: gains from the same measurements, shapes (m, q), for example the continuous design's; the result is not worse.
         work: counts the norms of the search; `bounded_work` if it is not given.
 
     Raises:
         InfeasibleError: no static gain from what is measured stabilises the loop; the message names the mode.
         TooLargeError: too many forces are on their way.
-        DesignError: none was found; the message says what was tried.
+        DesignError: no gain was found; the message lists what was tried.
     """
     check_size(problem)
     far, slow = near, None
@@ -431,7 +431,7 @@ def _level(
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:
     """The level where the norm is 1: that of the polynomial in log norm which is log level where it was seen; NaN of no slope.
 
-    Of one pair the norm falls as the level rises.
+    For a single pair the norm is assumed to fall as the level rises.
     """
     at, level = (np.array(each) for each in zip(*seen, strict=True))
     if len(seen) == 1:

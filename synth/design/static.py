@@ -1,18 +1,19 @@
-"""Static output feedback for any plant: the smallest norm that a fixed amount of search finds, at most a largest gain.
+"""Static output-feedback design by multi-start descent on the H-infinity norm.
 
-No quick method finds the best static gain for sure. Three things make a poor one, and each has its remedy:
+The search returns the best gain that it finds with a fixed amount of work, with every entry at most `largest_gain`. It cannot
+guarantee a global optimum, because the problem is not convex. Three measures reduce the risk of a poor local minimum:
 
-- *Where a descent starts.* Samples of every size (`descent/starts.py`), stabilising gains where samples are too few
-  (`descent/starts.py`), and the paper's two steps, refined. Of many starts few are followed long. After each heat of short
-  descents, those that are behind and hardly fall any more are dropped, and those that ended where another did.
-- *Narrow valleys.* Descents begin in the landscape's coordinates and go on in those where all directions of the gain count alike
-  (`descent/coordinates.py`), and one kind (`descent/minimax.py`) knows edges and curvature.
-- *The bound on the gain.* It counts at the smallest of all gains that make the same loop (`descent/symmetry.py`). Where a search
-  ends at the bound, others begin within narrower ones.
+- Many starts (`descent/starts.py`): samples of every size, stabilising gains if few samples are stable, and the refined result of
+  the paper's two steps. After each heat of short descents, the search drops those that lag behind without progress, and
+  duplicates of a minimum.
+- Good coordinates (`descent/coordinates.py`): descents begin in those of the landscape and continue in those in which all
+  directions have similar effect. The last one (`descent/minimax.py`) uses edges and curvature.
+- A fair bound on the gain (`descent/symmetry.py`): among all gains with the same loop, the bound applies to the smallest. If a
+  search ends at the bound, others begin within narrower ones.
 
-The winner is followed as long as it falls, and from its surroundings further descents start. Nothing found is ever given up for
-something worse, so the result is not worse than the two steps refined. Of gains with the same norm, as where a gain at rest
-decides it, the smallest on the way to no control is taken. The same plant gives the same gain: all samples have fixed seeds.
+Finally, the search follows the best candidate to convergence and starts further descents near it. A result is never replaced by a
+worse one, so the norm is at most that of the refined two steps. If several gains have the same norm, the search returns the
+smallest multiple. All samples have fixed seeds, so the same plant always gives the same gain.
 """
 
 from collections.abc import Callable, Sequence
@@ -73,12 +74,12 @@ class StaticDesign:
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: with the gap to the lower bound if that is known.
+        certificate: certificate, with the gap to the lower bound if that is known.
         two_steps: the paper's two steps; None if they find no gain.
-        without: why they find no gain, or empty.
+        without: reason why they find no gain, or empty.
         origin: the start that led to the gain, in words.
         starts: number of stable starts.
-        stopped: what stopped the search, in words; empty where it came to its end.
+        stopped: reason why the search stopped, in words; empty if it was completed.
     """
 
     gain: Array
@@ -385,7 +386,7 @@ class GainSearch:
         return left
 
     def step(self, candidate: Candidate, descent: Descent, rounds: int) -> Candidate:
-        """A candidate after a descent; as it was where that led no lower."""
+        """Returns a candidate after a descent, or the candidate itself if the norm did not decrease."""
         if self.reached(candidate) or self.landscape.work.over:
             return candidate
         moved: list[Candidate] = []

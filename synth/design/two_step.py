@@ -104,7 +104,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Why (22) has no optimum where z does not see a mode that neither decays nor grows, in words; empty where it sees all.
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one.
 
     Args:
         states: names of the states; x1, x2, ... without them.
@@ -159,7 +159,7 @@ def _leaves(inputs: Array, inside: Array, what: Array | None = None) -> bool:
 
 
 def _disturbed(plant: GeneralizedPlant, where: Array) -> GeneralizedPlant:
-    """With disturbances that act on the states as the columns of `where` say."""
+    """Returns the plant with an additional disturbance for each column of `where`, acting on the states."""
     Bw, Dw = np.hstack([plant.Bw, where]), np.hstack([plant.Dw, np.zeros((len(plant.C), where.shape[1]))])
     return replace(plant, Bw=Bw, Dw=Dw)
 
@@ -191,7 +191,7 @@ class Design(Shown):
 
     Attributes:
         gain: K, shape (m, q).
-        certificate: of its loop.
+        certificate: certificate of its loop.
         state_step_gap: relative distance in gamma from the optimum of (22) at which X for L (14) was taken: 0 at the limit of the
             central path, more if the second problem is infeasible from there.
         optimum_gap: relative distance in gamma of the gain from the optimum of its own problem: 0 at the limit, more if only
@@ -199,10 +199,10 @@ class Design(Shown):
         redundant: rows of C_y that follow from others, by index; their gain is zero.
         case: degeneracy of (22) (no optimum, or every gain optimal), in words, or empty.
         instead: the fallback method and why the two steps found no gain, in words, or empty.
-        moved: how far the gain still moved from the point of its path before, relative to its largest entry: about a hundred
-            times what is left to the limit. It is at most 4e-5 for the cars that ship, and as much for the two steps of a chain
-            of 40 states. But the state feedback of chains of 26 and 40 still grows a hundredfold as mu falls as much. Of such a
-            gain the norm is proved, and no digit is that of the optimum.
+        moved: last change of the gain along its path, relative to its largest entry: about a hundred times the distance to the
+            limit. It is at most 4e-5 for the built-in cars, and for the two steps of a chain of 40 states. But the state feedback
+            of chains of 26 and 40 states still grows a hundredfold as mu falls as much. The norm of such a gain is proved, but
+            none of its digits is that of the optimum.
     """
 
     gain: Array
@@ -224,13 +224,12 @@ class Design(Shown):
 
 @numerics()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own
-    units.
+    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own units.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.
-        DesignError: there is no path, as where z does not see an integrator or a force costs nothing, and the message says why,
-            or it could not be followed.
+        DesignError: there is no path, for example because z does not see an integrator or a force costs nothing, or it could not
+            be followed; the message gives the reason.
     """
     problem, own = well_posed(plant).plant, own_units(plant)
     modes = unobservable_marginal_modes(problem, states)
@@ -254,11 +253,11 @@ def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[Cent
 
 @numerics()
 def state_design(plant: GeneralizedPlant, path: Sequence[CentralPoint] = (), lower_bound: LowerBound | None = None) -> Design:
-    """State feedback, the optimum of (22).
+    """Returns the state feedback, the optimum of (22).
 
     Args:
-        path: of `state_path`, if it is there already.
-        lower_bound: what no controller of this kind can beat, for the certificate.
+        path: path of `state_path`, if known.
+        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
 
     Raises:
         InfeasibleError, DesignError: as `state_path`, or no certificate holds.
@@ -324,9 +323,9 @@ def two_step_design(
 
     Args:
         plant: n states, m inputs.
-        Cy: what is measured, y = C_y x, shape (q, n). Rows that depend on others are left out, and the result names them.
+        Cy: measurements y = C_y x, shape (q, n). Rows that depend on others are omitted and listed in the result.
         path: the central path of (22); computed if empty.
-        lower_bound: of the norm, over all controllers of this kind, for the certificate.
+        lower_bound: lower bound of the norm over all controllers of this kind, for the certificate.
         states: names of the states, for messages.
 
     Raises:

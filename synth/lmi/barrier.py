@@ -183,7 +183,7 @@ class RaisedLocal(Factored):
 
     Attributes:
         alone: derivatives without the logarithm.
-        weight: of the logarithm.
+        weight: weight of the logarithm.
         slope: 1 / p_N.
         ratio: last diagonal entry of R without the logarithm, over that with it.
     """

@@ -48,7 +48,7 @@ def find_lower_bound(
         plant: n states, m inputs.
         Cy: shape (q, n): the bound is for output feedback from y = C_y x + Dyw w, of any order. Without it, the bound is for
             state feedback; it also holds for output feedback, whose bound is never lower.
-        path: of `state_feedback` of the plant, if it is known already.
+        path: path of `state_feedback` of the plant, if known.
         beyond_control: the bound of `bound_beyond_control`, if it is known already.
         Dyw: shape (q, r); zero if it is not given.
 
@@ -131,7 +131,7 @@ def bound_beyond_control(plant: GeneralizedPlant) -> LowerBound:
 def _unfelt(plant: GeneralizedPlant, dual: GeneralizedPlant, q: int, Dyw: Array | None) -> LowerBound:
     """Returns the bound from disturbances that q measurements do not feel at rest, or at infinity; 0 if the plant is discrete.
 
-    Other zeros on the axis are no floats, and next to the axis they bound nothing.
+    Floats cannot represent other zeros on the axis, and zeros next to the axis bound nothing.
     """
     if plant.dt is not None:
         return LowerBound(0.0)

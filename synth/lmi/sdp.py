@@ -35,7 +35,7 @@ class LmiSolution:
         X: shape (n, n).
         Y: shape (m, n).
         eta: gamma^-2.
-        status: of the solver, "optimal" or "optimal_inaccurate".
+        status: status of the solver, "optimal" or "optimal_inaccurate".
     """
 
     X: Array
@@ -101,8 +101,8 @@ def answered(problem: Any, **settings: float) -> None:
     """Solves a `cvxpy.Problem` by Clarabel. The caller checks the values of its unknowns.
 
     Args:
-        problem: with an objective.
-        settings: of Clarabel, other than its defaults.
+        problem: problem with an objective.
+        settings: settings of Clarabel other than its defaults.
 
     Raises:
         NoSolutionError: the solver reports it.

@@ -35,7 +35,7 @@ class Basis:
     Args:
         system: [A B Bw; C D Dw], shape (..., k, n + m + r).
         n, m, free: number of states, of inputs, and of columns of Q.
-        step: of a plant in differences; 0 for a continuous one.
+        step: sample period of a discrete plant [s]; 0 for a continuous one.
 
     Attributes:
         places: rows and columns in [X; Y] of all unknowns but the last, those of X above its diagonal, shapes (N - 1,).

@@ -32,13 +32,13 @@ class UnobservableReduction:
 
     Attributes:
         rest: the plant of the k remaining states.
-        Q: of the rest, shape (k, a').
-        R: of the rest, shape (k, q').
+        Q: Q of the remaining plant, shape (k, a').
+        R: R of the remaining plant, shape (k, q').
         Z: coordinates of the whole plant, the remaining states first, shape (n, n).
         whole: the whole plant in these coordinates, with F in the loop.
-        narrow: from the coordinates that R spans to those that the R of the rest spans, shape (q', q).
+        narrow: map from the coordinates that R spans to those that the remaining R spans, shape (q', q).
         F: the gain on the coordinates that R spans, shape (m, q).
-        step: of a plant in differences [s]; 0 for a continuous one.
+        step: sample period of a discrete plant [s]; 0 for a continuous one.
     """
 
     rest: GeneralizedPlant
@@ -96,7 +96,7 @@ def remove_unobservable(plant: GeneralizedPlant, Q: Array, R: Array, step: float
     Args:
         Q: shape (n, n - q).
         R: shape (n, q); [Q R] is regular.
-        step: of a plant in differences [s]; 0 for a continuous one.
+        step: sample period of a discrete plant [s]; 0 for a continuous one.
     """
     a = Q.shape[1]
     T = np.hstack([Q, R])

@@ -4,17 +4,17 @@ The law's states x_c become integrators with inputs of their own (El Ghaoui, Ous
 
     [u; v] = [D_c, C_c; B_c, A_c] [C_y x; x_c].
 
-For a discrete plant the law is discrete, too, x_c[k+1] = v[k], and all else is the same.
+For a discrete plant the law is discrete, too, x_c[k+1] = v[k]. A measured disturbance passes through the law directly and is part
+of Bw and Dw of the larger plant.
 
-A measured disturbance passes through the law directly and is part of Bw and Dw of the larger plant.
+A design handles weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's. In series
+with an output it weights the output, in series with a disturbance it shapes its spectrum, in series with an input it is the
+actuator.
 
-A design knows weights as numbers only. A weight that depends on frequency is a filter whose states join the plant's: in series
-with an output it weighs that, in series with a disturbance it shapes its spectrum, in series with an input it is the actuator.
-
-    System            x' = A x + B v, e = C x + D v, whatever v and e are
-    transfer_function one of a ratio of polynomials in s
-    series, append    one after the other, one beside the other
-    generalized       a system from [w; u] to [z; y] as a plant and what it measures
+    System            x' = A x + B v, e = C x + D v, for any v and e
+    transfer_function system of a ratio of polynomials in s
+    series, append    systems in series, systems in parallel with separate signals
+    generalized       a system from [w; u] to [z; y] as a plant and its measurements
     with_weights      a plant between the filter of its w and that of its z
 
 (Zhou, Doyle, Glover 1996, Robust and Optimal Control, section 3.6.)
@@ -132,14 +132,14 @@ def gain(D: object) -> System:
 
 
 def transfer_function(numerator: Sequence[float], denominator: Sequence[float]) -> System:
-    """A filter of one signal, of a ratio of polynomials in s.
+    """Returns the filter of one signal with a ratio of polynomials in s.
 
     Args:
-        numerator: coefficients, of the highest power of s first.
-        denominator: likewise; of at least the numerator's degree.
+        numerator: coefficients, highest power of s first.
+        denominator: coefficients, of at least the numerator's degree.
 
     Raises:
-        InputError: they are no numbers, the denominator is zero, or its degree is too low.
+        InputError: a coefficient is not a number, the denominator is zero, or its degree is too low.
     """
     above, below = (
         np.trim_zeros(real_matrix([list(part)], "a polynomial", "(1, k)")[0], "f") for part in (numerator, denominator)
@@ -201,15 +201,15 @@ def generalized(system: System, disturbances: int, controlled: int) -> tuple[Gen
 
 
 def with_weights(plant: GeneralizedPlant, outputs: System, disturbances: System, beside: Array | None = None) -> GeneralizedPlant:
-    """The plant whose z goes through one system, and whose w comes out of another.
+    """Returns the plant with one system behind its z and another before its w.
 
-    Its states come first, then those of z, then those of w: what it measures the whole measures with columns of zeros.
+    Its states come first, then those of z, then those of w. Measurement matrices get columns of zeros for the others.
 
     Args:
         plant: n states, r disturbances, d outputs.
-        outputs: of d inputs.
-        disturbances: of r outputs.
-        beside: from their j states to z before its own system, shape (d, j), beside what w does; None for nothing.
+        outputs: system with d inputs.
+        disturbances: system with r outputs.
+        beside: additional gain from the j states of `disturbances` to the input of `outputs`, shape (d, j); None for zero.
     """
     z, w = outputs, disturbances
     n, k, j = len(plant.A), len(z.A), len(w.A)

@@ -203,9 +203,9 @@ def _sample_period(dt: object) -> float:
             raise TypeError
         period = float(dt)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"dt = {quoted(dt)} is no number; {allowed}") from None
+        raise InputError(f"dt = {quoted(dt)} is not a number; {allowed}") from None
     if not SMALLEST <= period <= LARGEST:
-        raise InputError(f"dt = {period:g} is no sample period; {allowed}")
+        raise InputError(f"dt = {period:g} is not a sample period; {allowed}")
     return period
 
 

@@ -29,8 +29,8 @@ class NormalisedPlant:
         norm: value in these units of a norm of one in the given units.
         kept: indices of the given measurements that do not follow from earlier ones.
         q: number of given measurements.
-        units: of states and inputs.
-        rate: of time [rad/s].
+        units: units of states and inputs.
+        rate: rate of the time scale [rad/s].
         inputs: W, shape (m', m): u = W v of the given inputs, each in its own unit.
         rows: S, shape (k, k): the kept measurements are S times those of this plant.
     """

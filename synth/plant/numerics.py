@@ -10,7 +10,7 @@ from models.common.threads import one_thread
 
 
 class DesignError(InputError):
-    """Failure of a design. The message says what happened, what usually causes it, what to do."""
+    """Failure of a design. The message contains the problem, its usual cause and what to do."""
 
 
 class InfeasibleError(DesignError):

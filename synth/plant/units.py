@@ -50,7 +50,7 @@ class OwnUnits:
         states: own units of the states in given ones, shape (n,).
         inputs: own units of the inputs in given ones, shape (m,).
         exact: both before rounding to powers of two, shapes (n,) and (m,): independent of the given units.
-        rate: of the plant [rad/s]; time keeps its unit.
+        rate: rate of the plant [rad/s]; time keeps its unit.
     """
 
     states: Array

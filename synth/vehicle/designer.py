@@ -73,10 +73,6 @@ class SharedDesignData:
     """
 
     def __init__(self, vehicle: Vehicle, hardware: DesignConditions = NOMINAL) -> None:
-        """Args:
-        vehicle: the vehicle.
-        hardware: its actuators' lag, and its loads.
-        """
         self.vehicle, self.hardware, bandwidth = vehicle, hardware, hardware.bandwidth
         self.plant, self.states = generalized_plant(vehicle, bandwidth, loads=hardware.loads), plant_states(vehicle, bandwidth)
         self._bounds: dict[tuple[tuple[str, ...], tuple[float, ...]], LowerBound] = {}
@@ -188,14 +184,13 @@ class Designer:
         """The controller of that name: `passive`, `state`, or one of the vehicle file, designed unless the file gives its gain.
 
         Args:
-            name: of the controller.
             zero_l: L = 0 instead of (14), as in remark 4; for a controller that is designed from measurements.
             on_progress: called with what a design for goals has reached, as it goes on.
 
         Raises:
             InputError: no controller has that name.
-            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported as it is. Where the
-                two steps cannot be gone to their end, descent on the norm goes on instead, and the result says so.
+            DesignError: it could not be designed, or its certificate fails. A gain from the file is reported unchanged. If the
+                two steps cannot be completed, descent on the norm continues instead; see `Controller.fallback_method`.
         """
         if (own := self.vehicle.driven_by(name)) is not self.vehicle:
             self._pushing = self._pushing or Designer(own, self.search)
@@ -451,12 +446,12 @@ def design_controllers(vehicle: Vehicle, names: str | Annotated[Sequence[str], A
     """Returns controllers of a vehicle by name, each with its certificate. They share the state-feedback step (22).
 
     Args:
-        vehicle: whose file asks for them.
-        names: of the file's controllers, `passive` or `state`. A single one is a list of one.
+        vehicle: vehicle whose file defines the controllers.
+        names: names of controllers of the file, `passive` or `state`; a single name gives a list of one.
 
     Raises:
         InputError: a name is unknown, or none is given.
-        DesignError: there is no such controller, or none could be proved; the message says why.
+        DesignError: no such controller exists, or none could be proved; the message gives the reason.
 
     Example:
         >>> from models import read_vehicle

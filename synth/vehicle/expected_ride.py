@@ -1,13 +1,13 @@
-"""Expected ride of a loop on a random road: the rms acceleration of the body, weighted as ISO 2631-1 has it.
+"""Expected ride of a loop on a random road: the rms acceleration of the body, weighted as in ISO 2631-1.
 
 A norm is the worst gain from the road to z, with the weights of `[performance]`. A design may lower it and make the ride worse.
-So the ride is said beside it, by the road's spectrum through the ideal loop: the road's vertical velocity is white within its
-band, rear wheels meet it later, and the right track shares of it what the coherency says. With the response H of an acceleration
+So the ride is computed, too, from the road's spectrum through the ideal loop: the road's vertical velocity is white within its
+band, rear wheels meet it later, and the coherency gives the right track's share of it. With the response H of an acceleration
 to the road under every wheel, e of the road to two independent white sources, and the weighting W_k,
 
     mean square = G_v integral of |W_k H e|^2 df.
 
-The loop is continuous, without limits, and gives every force: `sim.drive` has the same as a computer runs it.
+The loop is continuous, without limits, and gives every force; `sim.drive` computes the ride of the sampled-data loop.
 """
 
 import math

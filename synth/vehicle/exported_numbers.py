@@ -22,9 +22,7 @@ def with_numbers(vehicle: Vehicle, controller: Controller, law: ExportedLaw) -> 
     """Returns a controller with the coefficients of its code, judged as it is, by the goals of its section.
 
     Args:
-        vehicle: of the controller.
-        controller: without adjustable dampers.
-        law: as exported.
+        controller: a controller without adjustable dampers.
     """
     _, held = rounded_law(law)
     own = replace(_law(law, held), anti_windup=controller.law.anti_windup)
@@ -40,10 +38,8 @@ def numbers_object(vehicle: Vehicle, controller: Controller, law: ExportedLaw, t
     """Returns norm, margins and promises of the loop, ideal and with the code's coefficients, and what rounding does to forces.
 
     Args:
-        vehicle: of the controller.
-        controller: without adjustable dampers.
-        law: as exported.
-        timestep: sample period of a vehicle without one, and that of which delays are multiples [s].
+        controller: a controller without adjustable dampers.
+        timestep: sample period of a vehicle without one; delays are multiples of it [s].
     """
     loops = {}
     for name, judged in (("ideal", controller), (law.numbers, with_numbers(vehicle, controller, law))):
@@ -59,7 +55,7 @@ def numbers_object(vehicle: Vehicle, controller: Controller, law: ExportedLaw, t
 
 
 def _margins_object(margins: SampledMargins | None) -> dict[str, float | None] | None:
-    """Returns margins as JSON has them, None for any amount; None for a loop that is not stable."""
+    """Returns margins as a JSON object, None for any amount; None for a loop that is not stable."""
     if margins is None:
         return None
     return {

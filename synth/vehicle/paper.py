@@ -156,11 +156,11 @@ class Way:
 
     Attributes:
         controller: I or II.
-        how: in words.
+        how: method, in words.
         gain: K, shape (1, q).
-        norm: that it reaches.
-        work: in words: problems solved, or norms computed.
-        seconds: of processor time.
+        norm: norm of the gain.
+        work: number of problems solved or norms computed, in words.
+        seconds: processor time [s].
     """
 
     controller: str

@@ -66,7 +66,6 @@ def preview_optimum(vehicle: Vehicle, entry: ControllerEntry, posed: Problem) ->
 
     Args:
         entry: its `design` is "preview".
-        posed: its problem.
 
     Raises:
         InputError: the states of filters in [performance] are not measured; or as `preview_design`.

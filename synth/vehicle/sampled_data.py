@@ -27,8 +27,8 @@ def sampled_design(
     """Designs a gain for the sampled loop. Returns it with the certificate of its ideal loop and a remark on the sampled one.
 
     Args:
-        vehicle: with sample period and delay.
-        posed: the problem that its ideal loop is judged with.
+        vehicle: vehicle with sample period and delay.
+        posed: the problem by which its ideal loop is evaluated.
         ideal: returns the design for the ideal loop, which is a start of this one, or raises a DesignError.
 
     Raises:

@@ -25,7 +25,7 @@ NUMBERED = re.compile(r"[uy]\[\d+\]")  # what python-control calls a signal that
 def from_state_space(
     system: Any, disturbances: Sequence[str], performance: Mapping[str, float], measured: Sequence[str]
 ) -> tuple[GeneralizedPlant, Array]:
-    """The plant (15) and C_y of a system whose signals have names, continuous or discrete as it is.
+    """Returns the plant (15) and C_y of a system with named signals, continuous or discrete like the system.
 
     Args:
         system: `control.StateSpace`: A, B, C, D, input_labels, output_labels, and dt if it is sampled: seconds.
@@ -37,8 +37,8 @@ def from_state_space(
         The plant, and C_y of shape (q, n).
 
     Raises:
-        InputError: an unknown signal, no disturbance, no weight above zero, nothing measured, a system that is sampled and does
-            not say how often, or a measurement that contains u or w.
+        InputError: a signal is unknown; disturbances, positive weights or measurements are missing; a sampled system has no
+            sample period; or a measurement contains u or w.
 
     Example:
         >>> import control
@@ -88,22 +88,21 @@ def _sample_period(system: Any) -> float | None:
     """The seconds between samples of a system; None of a continuous one."""
     period = getattr(system, "dt", None)
     if period is True:
-        raise InputError("the system is sampled, and does not say how often (dt = True); give dt in seconds")
+        raise InputError("the system is sampled without a sample period (dt = True); give dt in seconds")
     return period or None
 
 
 def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system: Any) -> Controller:
-    """A controller that is a system from what is measured to the forces, certified as it is.
+    """Returns a system from the measurements to the forces as a controller, certified unchanged.
 
     Args:
-        vehicle: whose controller it is to be.
         name: what to call it.
-        measured: the signals that are its inputs. Where the system names its inputs or outputs, by whatever order it has them, it
-            is the names that count, of signals here and of the vehicle's forces there.
+        measured: signals at its inputs. If the system names its inputs or outputs, the names of signals and forces count, not
+            their order.
         system: `control.StateSpace`, or anything that has A, B, C, D, and dt if it is sampled: seconds.
 
     Raises:
-        InputError: it is no controller of this vehicle: a signal, a shape, an entry or the sample period does not fit.
+        InputError: a signal, a shape, an entry or the sample period does not fit the vehicle.
 
     Example:
         >>> import control
@@ -127,11 +126,7 @@ def controller_from(vehicle: Vehicle, name: str, measured: Sequence[str], system
 
 
 def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace":
-    """A controller as a system from what it measures to the forces, all by name: continuous, or sampled as its law is.
-
-    Args:
-        vehicle: that the controller is of.
-        controller: designed or given; its law is linear.
+    """Returns a controller as a system from measurements to forces, with names; continuous or sampled like its law.
 
     Raises:
         InputError: it measures nothing, or is another vehicle's.
@@ -151,7 +146,7 @@ def law_system(vehicle: Vehicle, controller: Controller) -> "control.StateSpace"
 
     law = controller.law
     if not controller.measured:
-        raise InputError(f"controller {controller.name!r} measures nothing, and is no system")
+        raise InputError(f"controller {controller.name!r} measures nothing; choose a controller with measurements")
     system = ss(
         law.A,
         law.B,

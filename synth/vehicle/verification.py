@@ -41,7 +41,7 @@ class WorstCase:
     Attributes:
         lower: the largest norm found.
         upper: proved upper bound; infinite if none is known.
-        errors: with which `lower` occurs.
+        errors: errors at which `lower` occurs.
     """
 
     lower: float

@@ -76,7 +76,7 @@ def robust_controller(
     A law of fewer states begins with the scales of a law of full order.
 
     Args:
-        nominal: the one for the norm; it is returned if no other is better.
+        nominal: the controller designed for the norm; returned if no other is better.
         on_progress: called with the robust performance so far, and True.
 
     Raises:

@@ -64,8 +64,8 @@ class DescribingFunction:
         measured: the fundamental, complex, shape (F, p).
         outside: share of an output's energy outside the fundamental, shape (F, p); NaN if the output does not move.
         gains: L2 gains from w to z, shape (F,).
-        drift: by how much a fundamental still changed from one period of the lowest frequency to the next, relative, at most.
-        without: noise and quantisation of the vehicle file, which these runs leave out, in words; empty if there are none.
+        drift: largest relative change of a fundamental from one period of the lowest frequency to the next.
+        without: noise and quantisation of the vehicle file that these runs omit, in words, or empty.
         ended: ends of the linear regime in any of the runs.
     """
 
@@ -212,7 +212,8 @@ def describing_verdict(one: DescribingFunction) -> str:
 
 
 def describing_object(one: DescribingFunction) -> dict[str, Any]:
-    """Returns the describing function as JSON has it: SI units, complex numbers as [real, imaginary], None for missing values."""
+    """Returns the describing function as a JSON object: SI units, complex numbers as [real, imaginary], None for missing
+    values."""
     return {
         "controller": one.controller.name,
         **one.controller.law.record,

@@ -83,10 +83,10 @@ IN_JSON = (
 
 
 def minimum_loads(vehicle: Vehicle, controllers: Sequence[Controller], timestep: float) -> list[tuple[MinimumLoad, ...]]:
-    """The minimum load of every wheel under every controller.
+    """Returns the minimum load of every wheel under every controller.
 
     Args:
-        controllers: of which each has a loop that decays.
+        controllers: controllers with stable loops.
         timestep: [s].
     """
     vehicle, wheels = ideal_measurements(vehicle), vehicle.kind.wheels
@@ -182,7 +182,7 @@ def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
 
 
 def load_object(loads: Sequence[MinimumLoad]) -> dict[str, Any]:
-    """The same as JSON has it."""
+    """Returns the minimum loads as a JSON object."""
     return {
         "disputed": DISPUTED.removeprefix("disputed: "),
         "tyres": {one.tyre: json_object(IN_JSON, one) for one in loads},

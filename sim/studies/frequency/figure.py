@@ -34,15 +34,15 @@ def sweep_figure(
     style: Mapping[str, Style],
     own: Sequence[DescribingFunction] = (),
 ) -> Figure:
-    """Magnitudes of all weighted signals that answer over frequency, one panel each.
+    """Returns the figure of magnitudes over frequency, one panel for each weighted signal that responds.
 
     Args:
-        vehicle: the vehicle; the signals it weighs are drawn.
+        vehicle: the vehicle, whose weighted signals are drawn.
         amplitude: largest height of the roads [m], for the caption.
         timestep: [s], for the caption.
         speed: forward velocity [m/s].
         style: colour and line style of every controller.
-        own: of laws in Python, which have points and no line.
+        own: describing functions of laws in Python, which have points and no line.
     """
     how = vehicle.implementation
     signals = [name for name, weight in vehicle.performance.items() if weight > 0]

@@ -194,13 +194,11 @@ def ideal_measurements(vehicle: Vehicle) -> Vehicle:
 
 
 def identify(vehicle: Vehicle, controllers: Controllers, amplitude: float, timestep: float, speed: Positive) -> list[Lines]:
-    """Returns the frequency responses of controllers as MuJoCo has them, each from the last period of a repeated chirp.
+    """Returns the frequency responses of controllers in MuJoCo, each from the last period of a repeated chirp.
 
     Args:
-        vehicle: the vehicle.
-        controllers: its controllers.
         amplitude: largest height of the road [m].
-        timestep: of the integration [s].
+        timestep: step of the integration [s].
         speed: forward velocity [m/s]; it matters only to vehicles with several axles.
 
     Raises:
@@ -325,10 +323,9 @@ def without_slow_motion(loop: LoopModel, response: Response, poles: Array, turns
     alike. No such decay looks like turning over many samples.
 
     Args:
-        loop: that runs.
-        response: its end, long enough to tell the two.
-        poles: of the slow modes, from sample to sample.
-        turns: of the road's lines, from sample to sample [rad], shape (L,).
+        response: end of the run, long enough to separate the two.
+        poles: poles of the slow modes, from sample to sample.
+        turns: phase angles of the road's lines from sample to sample [rad], shape (L,).
     """
     if not len(poles) or not np.all(np.isfinite(response.values)):
         return response

@@ -1,4 +1,4 @@
-"""Results of a sweep against the claims of a controller: in words, and as `--json` has them."""
+"""Results of a sweep compared with the claims of a controller: text and JSON."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -83,7 +83,7 @@ def sweep(
     speed: float,
     progress: Callable[[str], None] = lambda text: None,
 ) -> list[Sweep]:
-    """Everything, of every controller, in two stages that `progress` is told of, `LINES` and `EXTREMES`.
+    """Returns the sweep of every controller. `progress` is called with each of two stages, `LINES` and `EXTREMES`.
 
     Other arguments and errors as for `sim.studies.frequency.identification.identify`.
     """
@@ -284,7 +284,7 @@ def _verdict(one: Sweep | DescribingFunction) -> str:
 
 
 def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
-    """A sweep as JSON has it: SI units, complex numbers as [real, imaginary], None for what does not exist."""
+    """Returns a sweep as a JSON object: SI units, complex numbers as [real, imaginary], None for missing values."""
     if isinstance(one, DescribingFunction):
         return describing_object(one)
     lines, norm = one.lines, one.extremes.worst

@@ -1,15 +1,15 @@
-"""The largest L2 gain that MuJoCo can be driven to, by a sinusoid, or by a periodic road of a loop that a computer closes.
+"""The largest L2 gain in MuJoCo, by a sinusoid, or by a periodic road for a sampled-data loop.
 
 With the largest gain of a sinusoid come the transmissibilities that no suspension force can change, of kinds of vehicle that have
 such.
 
-A loop that a computer closes has a worst road that is periodic. What a disturbance of the frequency omega makes in a loop that is
-sampled every T seconds has the frequencies omega + 2 pi m / T, and so has the disturbance that gains most: from sample to sample
-it turns by one angle, omega T. So it is a sum of sinusoids of these frequencies under every wheel, of which a few are enough:
-what the others add falls with the square of their share. Of as many of them as are driven the best is a singular vector.
+The worst road of a sampled-data loop is periodic. In a loop that is sampled every T seconds, the response to a disturbance of
+frequency omega has the frequencies omega + 2 pi m / T. So has the worst disturbance, whose phase turns by omega T from sample to
+sample. It is a sum of sinusoids of these frequencies under every wheel. A few are enough, as the contribution of the others falls
+with the square of their share. For a given number of sinusoids the worst road is a singular vector.
 
-All is computed and measured at a step that is small against the sample, with z on either side of the leap that it makes where a
-force is replaced by the next: its mean square is then exact to the square of the step.
+Everything is computed and measured at a step that is small compared with the sample period, with z on either side of the jump at
+each new force. Its mean square is then exact to the square of the step.
 """
 
 import math
@@ -80,13 +80,13 @@ class PerWheelRoad(Road):
 
     @classmethod
     def under(cls, vehicle: Vehicle, omega: Array, waves: Array, duration: float) -> "PerWheelRoad":
-        """A road for a vehicle.
+        """Returns a road for a vehicle.
 
         Args:
             vehicle: r wheels.
             omega: shape (L,).
-            waves: c, shape (L, r).
-            duration: of the run [s].
+            waves: amplitudes c, shape (L, r).
+            duration: duration of the run [s].
         """
         wheels = vehicle.kind.wheels
         behind = sorted({wheel.behind(vehicle.parameters) for wheel in wheels})
@@ -149,11 +149,11 @@ class MeasuredInvariant:
     """A transmissibility from the road's displacement that no suspension force can change, see `models.kinds.kind.Invariant`.
 
     Attributes:
-        name: of which quantity.
-        omega: at which frequency [rad/s].
-        expected: its magnitude.
-        measured: in MuJoCo.
-        allowed: relative difference that the road makes by being held over a step, (omega h)^2 / 24, twice over.
+        name: name of the quantity.
+        omega: frequency [rad/s].
+        expected: expected magnitude.
+        measured: magnitude in MuJoCo.
+        allowed: twice the relative difference due to holding the road over a step, (omega h)^2 / 24.
     """
 
     name: str
@@ -247,7 +247,7 @@ def extremes(
 def _responses(
     vehicle: Vehicle, controllers: Sequence[Controller], roads: Mapping[str, Road], time: Array
 ) -> dict[str, list[Response]]:
-    """The responses of all controllers over each road, as many roads in a batch as memory is asked for."""
+    """Returns the responses of all controllers over each road, with as many roads in a batch as the memory allows."""
     count = len(controllers)
     together = max(1, int(ENTRIES / (count * len(time) * len(vehicle.kind.signals))))
     names, responses = list(roads), {}
@@ -339,13 +339,13 @@ class WorstRoad:
     """The worst road of a sampled loop.
 
     Attributes:
-        angle: by which the road turns from sample to sample [rad].
-        predicted: its gain, by analysis, held at its height midway through each step as MuJoCo holds it.
+        angle: phase angle of the road from sample to sample [rad].
+        predicted: predicted gain of the road as MuJoCo holds it, at its height midway through each step.
         finer: the largest gain of the same sinusoids at half the step.
-        gain: in MuJoCo.
-        timestep: of its run [s].
-        twisted: whether the vehicle's norm is over twists of the road that come beside its velocity, as none does that is driven.
-        ended: what ended the linear regime.
+        gain: gain in MuJoCo.
+        timestep: timestep of its run [s].
+        twisted: True if the norm also covers the warp of the road, which this road does not contain.
+        ended: events that ended the linear regime.
     """
 
     angle: float
@@ -366,9 +366,9 @@ def worst_road(
     Args:
         vehicle: the vehicle, without noise and quantisation.
         controller: its controller, whose loop is stable.
-        norm: of that loop as it is implemented.
+        norm: norm of that loop as implemented.
         amplitude: largest height of the road [m].
-        timestep: longest of the run [s]; the sample period, where the vehicle gives none.
+        timestep: longest timestep of the run [s]; the sample period if the vehicle gives none.
     """
     if norm.inside:
         return None

@@ -1,4 +1,4 @@
-"""Entries of the gallery: what a source prints of its vehicles, as `models/gallery/NAME/entry.toml` has it."""
+"""Entries of the gallery: published numbers of a source, read from `models/gallery/NAME/entry.toml`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -21,10 +21,10 @@ class PrintedNumber:
     """Number that a source prints.
 
     Attributes:
-        what: its kind, a key of `sim.studies.gallery.numbers.KINDS`.
+        what: type of the number, a key of `sim.studies.gallery.numbers.KINDS`.
         value: as printed, in `unit`.
         digits: decimals of the printed value.
-        where: where it stands in the source, or its formula.
+        where: place in the source, or formula.
         vehicle: vehicle file in the entry's folder.
         controller: name in the vehicle file.
         signal: output signal.
@@ -32,14 +32,14 @@ class PrintedNumber:
         hertz: frequency [Hz].
         road: a road's numbers by name, and its `type` out of `models.roads.obstacles.OBSTACLES`; without one it is a
             bump, or with an `edge` a step.
-        duration, timestep: of the run [s].
-        band: half the width of the band of a settling time, as `sim.drive` has it [%].
-        half_band: size that a signal does not exceed any more after a recovery time, in its SI unit.
-        grid: step of the samples at which the source looks at its response [s]; 0 if that is not known.
+        duration, timestep: duration and timestep of the run [s].
+        band: half the width of the band of a settling time, as in `sim.drive` [%].
+        half_band: magnitude that a signal no longer exceeds after a recovery time, in its SI unit.
+        grid: step of the samples of the source's response [s]; 0 if unknown.
         unit: unit of the value.
         scale: factor from SI units to `unit`.
         symbol: quantity of the paper.
-        reason: why it differs here; empty if it does not.
+        reason: reason of a difference; empty without one.
         within: the largest difference that the reason explains, relative.
         derived: True if the source prints data or a formula alone, from which the value follows as `where` says.
     """
@@ -93,7 +93,7 @@ class MissingNumber:
     Attributes:
         what: the number, in words.
         why: what it needs, in a line.
-        source: that of `SOURCES` which has no number here for this reason; empty if others of it have.
+        source: entry of `SOURCES` without any number for this reason; empty if it has others.
     """
 
     what: str
@@ -106,15 +106,15 @@ class Entry:
     """Source and its numbers.
 
     Attributes:
-        name: of its folder.
-        title: of the publication.
-        source: where it is found.
-        licence: what of it stands here.
+        name: name of its folder.
+        title: title of the publication.
+        source: reference or address.
+        licence: licence, and the parts that are copied here.
         printed: the numbers that can be compared.
-        missing: those that cannot.
-        folder: of its vehicle files.
-        about: what it is, in a sentence.
-        sources: those of `SOURCES` whose numbers it has.
+        missing: numbers that cannot be compared.
+        folder: folder of its vehicle files.
+        about: description in a sentence.
+        sources: entries of `SOURCES` with numbers in it.
     """
 
     name: str

@@ -33,13 +33,13 @@ REAL = 1e-6  # relative to its size: a zero with less of a real part lies on the
 
 @dataclass(frozen=True)
 class ComparedNumber:
-    """Number of a source beside ours.
+    """Published number next to ours.
 
     Attributes:
         printed: the number of the source.
-        exact: of linear analysis, in the unit of the source.
-        mujoco: in a run of MuJoCo, likewise; None if no run shows it.
-        grid: of linear analysis at the samples of the source's own grid, likewise; None if the entry says none.
+        exact: value of linear analysis, in the unit of the source.
+        mujoco: value in a run of MuJoCo, in that unit; None if no run shows it.
+        grid: value of linear analysis at the samples of the source's grid, in that unit; None without a grid.
     """
 
     printed: PrintedNumber
@@ -151,7 +151,7 @@ def _pole(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     poles = poles[poles.imag >= 0]
     if len(one.at) != 2 or not 0 <= one.at[0] < len(poles):
         raise InputError(
-            f"at = {list(one.at)} is no pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
+            f"at = {list(one.at)} is not a pole; give [0 to {len(poles) - 1}, 0 for its real or 1 for its imaginary part]"
         )
     k, part = one.at
     level = np.round(poles.real / np.abs(poles).max(), 9)  # of marginal poles rounding decides no order
@@ -193,7 +193,7 @@ def _recovery(designer: Designer, one: PrintedNumber) -> tuple[float, None]:
     begins = float(one.road.get("start", 0.0))
     last = pieces_of(designer, one).counted_from(begins).last_above(one.half_band)
     if last is None or math.isinf(last):
-        raise InputError(f"{one.text}: it is never outside, or not settled; say so as what is missing")
+        raise InputError(f"{one.text}: the signal never leaves the band, or never settles; move it to `missing`")
     return last, None
 
 
@@ -208,7 +208,7 @@ def _of_step(key: str) -> Callable[[Designer, PrintedNumber], tuple[float, float
         physics = metrics.mujoco if math.isinf(run.agreement.until) else None
         exact, mujoco = (None if each is None else getattr(each, key) for each in (metrics.continuous, physics))
         if exact is None:
-            raise InputError(f"{one.text}: it is {metrics.continuous and metrics.continuous.settled}; say so as what is missing")
+            raise InputError(f"{one.text}: it is {metrics.continuous and metrics.continuous.settled}; move it to `missing`")
         return exact, mujoco
 
     return found

@@ -33,12 +33,12 @@ ROUNDING = 1e-13  # of the largest value: less is no change of sign
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Signal as one polynomial per step, or part of one.
+    """Signal as one polynomial for each step or part of a step.
 
     Attributes:
-        start: of every step [s], shape (K,).
-        length: of every step [s], shape (K,).
-        values: at equidistant points of every step, both ends included, shape (K, d + 1).
+        start: start of every step [s], shape (K,).
+        length: length of every step [s], shape (K,).
+        values: values at equidistant points of every step, both ends included, shape (K, d + 1).
     """
 
     start: Array

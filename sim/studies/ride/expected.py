@@ -69,7 +69,7 @@ class Settled:
     """The variance of a signal when measuring begins.
 
     Attributes:
-        share: of its final value; may exceed 1.
+        share: share of its final value; may exceed 1.
         signal: the measured signal whose share is furthest from 1.
     """
 
@@ -84,7 +84,7 @@ def settled(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: 
 
     Args:
         road: the spectrum of the road; its roughness has no effect.
-        timestep: of the sampled loop [s].
+        timestep: timestep of the sampled loop [s].
         start: when measuring begins [s]; rounded to a sample of the controller, as are the delays of rear wheels.
     """
     shares = settled_shares(vehicle, controller, road, timestep, start)
@@ -158,8 +158,9 @@ class Expected:
     """Expected metrics of one run over roads of a kind.
 
     Attributes:
-        mean: by metric; for an rms the root of the expected mean square, for the VDV the fourth root of the expected integral.
-            The mean of an rms over roads is lower by half its relative variance, that of a VDV by 1.5 times its.
+        mean: expected value by metric; for an rms the root of the expected mean square, for the VDV the fourth root of the
+            expected integral. The mean of an rms over roads is lower by half its relative variance, that of a VDV by 1.5 times
+            its.
         spread: standard deviation of each rms metric from road to road, by metric.
         error: upper estimate of the relative error of the integrals; report it if above `EXACT`.
         line: the linear vehicle, with equivalent lines in place of curves (`statistical_linearisation.py`).
@@ -191,8 +192,7 @@ def expect(vehicle: Vehicle, controller: Controller, road: Spectrum, timestep: f
     """Returns the expected metrics, or None if the loop is unstable or not linear, or no equivalent line exists.
 
     Args:
-        road: the spectrum of the road.
-        timestep: of the sampled loop [s].
+        timestep: timestep of the sampled loop [s].
         window: duration of the measurement [s].
     """
     if not is_linear(vehicle, controller) or LoopModel(vehicle.linearised, controller, timestep).radius >= 1:
@@ -295,7 +295,7 @@ def weigh_images(at_steps: Array, omega: Array, timestep: float, weigh: SampledW
     Args:
         at_steps: amplitudes by source at every step of a period, shape (steps, F, a, 2).
         omega: frequencies of the road [rad/s], shape (F,).
-        timestep: from step to step [s].
+        timestep: length of a step [s].
     """
     steps = np.arange(len(at_steps))[:, None]
     turn = np.exp(1j * omega * timestep * steps)[..., None, None]
@@ -309,7 +309,7 @@ def work_spectra(force: Array, travel: Array, lags: bool) -> Array:
 
     Args:
         force: amplitudes by source at every step and at the next period's first, shape (steps + 1, F, 2) [N].
-        travel: of its suspension, same shape [m].
+        travel: travel of its suspension, same shape [m].
         lags: True if the force changes within a step, False if it is held.
 
     Returns:
@@ -324,9 +324,9 @@ def work_rate(covariance: Array, force: Array, change: Array, *, mean: float) ->
     """Returns the expected work of a step and its positive part [J], see `metrics.py`, averaged over the steps of a period.
 
     Args:
-        covariance: of the force and the change of travel in each step [J], shape (steps,).
-        force, change: their variances [N^2, m^2], shape (steps,).
-        mean: of the force [N].
+        covariance: covariance of the force and the change of travel in each step [J], shape (steps,).
+        force, change: variances of both [N^2, m^2], shape (steps,).
+        mean: mean of the force [N].
     """
     steps = zip(covariance.tolist(), np.sqrt(force).tolist(), np.sqrt(change).tolist(), strict=True)
     return float(covariance.mean()), float(np.mean([positive_part(*step, mean) for step in steps]))

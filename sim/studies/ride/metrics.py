@@ -11,9 +11,8 @@ forces cancel most of the spring's and the damper's would then look better by pe
 
 Travel, for every suspension: rms, peak, and the share of time at the bump stops.
 
-Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient
-rms(F - F_static) / F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces
-that rms.
+Road holding, for every tyre, whose load F = k_u (static - t) is never negative: the dynamic load coefficient rms(F - F_static) /
+F_static, and the share of time off the ground. If loads act on the body, the standard deviation of F replaces that rms.
 
 Effort, for every actuator: force, mean power into the suspension, and the energy put in, without recovery of what is taken out.
 Power and energy follow from the work of each step. It is exactly u[k] (s[k+1] - s[k]) for a force u that is held while the travel
@@ -136,8 +135,8 @@ def static_angles(vehicle: Vehicle, controller: Controller, road: Road, time: fl
     """Returns the angles [deg] of the linear loop in equilibrium under the loads of a time [s]; empty if the loop is unstable.
 
     Args:
-        road: with the loads.
-        time: of the loads [s].
+        road: road with the loads.
+        time: time of the loads [s].
     """
     cut = continuous(vehicle, controller)
     # Tyres that damp feel the road's velocity beside the loads, and on level ground there is none.
@@ -177,9 +176,9 @@ class Points:
     """Names of the signals at which a vehicle is measured.
 
     Attributes:
-        accelerations: of the body.
-        suspensions: deflections.
-        tyres: deflections.
+        accelerations: accelerations of the body.
+        suspensions: deflections of the suspensions.
+        tyres: deflections of the tyres.
         actuators: (force, deflection of its suspension), or (force,) if it acts in no suspension.
     """
 
@@ -263,8 +262,8 @@ class Meter:
         """Prepares the meter.
 
         Args:
-            vehicles: N of one kind.
-            timestep: of the signals [s].
+            vehicles: N vehicles of one type.
+            timestep: timestep of the signals [s].
             first: index of the first sample measured.
             loaded: True if loads act on any body, so that angles are measured.
             pushed: mask of the runs with loads, N entries. Default: all or none, as `loaded`.

@@ -38,8 +38,8 @@ def driven_roughness(vehicle: Vehicle, road: Road, time: Array) -> tuple[Roughne
     """Returns every IRI of the road that a vehicle passes in a run.
 
     Args:
-        road: of a distance, or of time.
-        time: of the samples, from 0 [s], shape (T,).
+        road: a road over distance or over time.
+        time: times of the samples from 0 [s], shape (T,).
     """
     return roughness_of(road, vehicle, road.speed * float(time[-1]))
 
@@ -67,9 +67,10 @@ class MetricComparison:
 
     Attributes:
         unit: SI.
-        mujoco: of the physics, or None if the run broke off.
-        sampled: of the exact sampled response over the same road, or None if the run broke off.
-        expected: over all roads of this kind, from their spectrum, or None without a spectrum, a stable linear loop or a formula.
+        mujoco: value in physics, or None if the run broke off.
+        sampled: value in the exact sampled response over the same road, or None if the run broke off.
+        expected: expectation over all roads of this kind, from their spectrum, or None without a spectrum, stable linear loop or
+            formula.
         spread: standard deviation from road to road, or None if it is unknown.
         approximate: True if the expectation is approximate.
     """
@@ -96,7 +97,7 @@ class RunMetrics(Shown):
     """All metrics of one run, with the basis of their expectations.
 
     Attributes:
-        metrics: by name.
+        metrics: metrics by name.
         settled: remaining transient of the variances when measuring begins, or None for roads without a spectrum, unstable loops,
             and laws in Python.
         error: largest relative error of the expectations' integrals, or None without expectations.
@@ -138,9 +139,8 @@ def measured_samples(
 
     Args:
         driven: every vehicle with each of its controllers.
-        road: the road.
-        duration: of the run [s].
-        timestep: of the run [s].
+        duration: duration of the run [s].
+        timestep: timestep of the run [s].
     """
     if road.spectrum is not None:
         times = [settling_time(vehicle, one) if isinstance(one, Controller) else math.inf for vehicle, one in driven]
@@ -163,7 +163,6 @@ def measure_run(run: Run, first: Index, end: int | None = None) -> RunMetrics:
     """Returns the metrics of a run in MuJoCo and of the exact sampled response, and their expectations over such random roads.
 
     Args:
-        run: the run.
         first: index of the first sample measured; 0 for the whole run.
         end: index of the sample after the last one measured; None for the end of the run.
 
@@ -318,7 +317,7 @@ def angle_lines(runs: Sequence[Run], measured: Sequence[RunMetrics]) -> list[str
 
 
 def _row(name: str, one: MetricComparison, columns: Sequence[Column[MetricComparison]]) -> tuple[str, ...]:
-    """Returns a row of the table of metrics; ~ stands before approximate values, and an unknown spread is left out."""
+    """Returns a row of the table of metrics; ~ marks approximate values, and an unknown spread is omitted."""
     shown = dict(zip(titles(columns), cells(columns, [one])[0], strict=True))
     if one.approximate and one.expected:
         shown["expected"] = f"~{shown['expected']}"

@@ -59,11 +59,11 @@ class Standing:
     """A row of the comparison: a controller's metrics on a road, in MuJoCo.
 
     Attributes:
-        controller: its name.
-        values: by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
+        controller: name of the controller.
+        values: values by key of `MEASURES`, in SI units; None if the vehicle lacks it or the run broke off.
         sound: False for a law that is unstable by itself or winds up; it is never called the best.
         vehicle: the name of its vehicle, for rows of several; empty if there is one.
-        without: the part of the vehicle that this run leaves out, see `Vehicle.without`; empty as built.
+        without: part of the vehicle that this run omits, see `Vehicle.without`; empty as built.
         strokes: travel used and stroke [m] in bump and in rebound, of the suspension that uses the largest share of the stroke.
             A side without a stop is left out; empty without strokes or a run.
     """

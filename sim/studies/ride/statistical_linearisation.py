@@ -77,8 +77,8 @@ class Remainder:
 
     Attributes:
         pulls: the curves as elements.
-        index: of each curve's argument among the vehicle's outputs, shape (e,).
-        omega: ascending from 0 [rad/s], shape (F,).
+        index: index of each curve's argument among the vehicle's outputs, shape (e,).
+        omega: frequencies, ascending from 0 [rad/s], shape (F,).
         memory: transfer matrix from the arguments to the forces, without the lines, shape (F, e, e).
         noise: matrix of one-sided spectra of the forces [N^2/Hz], shape (F, e, e).
         mean_force: mean forces without those of the lines [N], shape (e,).
@@ -95,10 +95,9 @@ class Remainder:
         """Returns the excitation of wheels and curves, over the amplitude of the road.
 
         Args:
-            vehicle: linear, with the lines of the curves, r wheels.
-            road: the spectrum of the road.
+            vehicle: linear vehicle with the lines of the curves, r wheels.
             omega: frequencies [rad/s], shape (F,).
-            timestep: of the sampled loop [s].
+            timestep: timestep of the sampled loop [s].
             at_steps: the `stepwise_frequency_response` of the loop with `pulls`.
 
         Returns:
@@ -134,11 +133,10 @@ def remainder(
     """Returns the self-consistent remainders of curves over a road, or None if the iteration does not converge.
 
     Args:
-        vehicle: linear, with the lines of e curves.
-        road: the spectrum of the road.
-        timestep: of the sampled loop [s].
+        vehicle: linear vehicle with the lines of e curves.
+        timestep: timestep of the sampled loop [s].
         fastest: rate of the fastest oscillation of the loop [rad/s].
-        index: of each curve's argument among the vehicle's outputs, shape (e,).
+        index: index of each curve's argument among the vehicle's outputs, shape (e,).
         means: initial means of the arguments, shape (e,).
         lines: slopes of the lines, shape (e,).
         resting: maps mean forces of the remainders to means of the arguments, shapes (e,).
@@ -250,10 +248,10 @@ class Equivalent:
     """Linear equivalent of a vehicle with curves over a random road.
 
     Attributes:
-        vehicle: without curves.
+        vehicle: vehicle without curves.
         mean: nonzero means of output signals, by name [the signal's unit].
         rounds: number of iterations; 0 without curves.
-        remainder: of the curves beyond their lines, or None if its iteration does not converge.
+        remainder: remainders of the curves beyond their lines, or None if the iteration does not converge.
     """
 
     vehicle: Vehicle
@@ -266,8 +264,7 @@ def equivalent(vehicle: Vehicle, controller: Controller, road: Spectrum, timeste
     """Returns the linear equivalent of a vehicle, or None if its loop is unstable or the iteration does not converge.
 
     Args:
-        road: the spectrum of the road.
-        timestep: of the sampled loop [s].
+        timestep: timestep of the sampled loop [s].
     """
     if not vehicle.is_curved:
         return Equivalent(vehicle)

@@ -32,8 +32,8 @@ class StepMetrics:
 
     Attributes:
         peak: the largest value in the direction of the step if the signal is a height, else the value of largest size.
-        peak_time: its time [s].
-        overshoot: of a height, by how much the peak exceeds the step, over the step's height; of others the largest value of
+        peak_time: time of the peak [s].
+        overshoot: for a height, excess of the peak over the step, relative to the step; for other signals the largest value of
             the opposite sign after the peak, over the peak.
         settling_time: time [s] from which the error stays within the band to the end of the run, or None if it never does.
         settled: "settled"; "not settled" if the run ends outside the band; "never outside" if the error is never beyond it.
@@ -65,12 +65,12 @@ class SignalSteps:
     """Step metrics of one signal by each route.
 
     Attributes:
-        unit: SI.
+        unit: SI unit.
         final: value that the signal returns to.
         half_band: largest error within the band, in the signal's unit.
-        mujoco: of the physics, joined between samples; None if the run broke off.
-        sampled: of the exact sampled response, joined likewise.
-        continuous: of the continuous linear response, exact between samples; None for adjustable dampers.
+        mujoco: metrics of the physics, interpolated between samples; None if the run broke off.
+        sampled: metrics of the exact sampled response, interpolated likewise.
+        continuous: metrics of the continuous linear response, exact between samples; None for adjustable dampers.
     """
 
     unit: str
@@ -90,7 +90,7 @@ def check_band(road: Road, percent: float, given: bool) -> None:
     """Checks the band of settling times [%].
 
     Raises:
-        InputError: it is out of range, or was asked for on a road that is no step.
+        InputError: it is out of range, or was given for a road other than a step.
     """
     low, high = BANDS
     if not low <= percent <= high:
@@ -103,7 +103,6 @@ def step_metrics(pieces: "Pieces", final: float, height: bool, half_band: float)
     """Returns the metrics of a signal.
 
     Args:
-        pieces: the signal.
         final: value at the end.
         height: True if it is a height, which rises to `final`.
         half_band: largest error within the band.
@@ -130,13 +129,13 @@ def measure_step(run: Run, percent: float = BAND, continuous: "Mapping[str, Piec
     """Returns the metrics of every output signal that a step of the road moves.
 
     Args:
-        run: over a `Step`.
+        run: run over a `Step`.
         percent: half the width of the band: of the step's height for heights, of the peak in the continuous response for
             others (without one, in the sampled response).
         continuous: signals of the continuous response between samples, if they are known.
 
     Raises:
-        InputError: the road is no step, or the band is out of range.
+        InputError: the road is not a step, or the band is out of range.
     """
     step = step_of(run.road)
     check_band(run.road, percent, True)

@@ -52,10 +52,10 @@ class ExportedMargins:
     """Margins of one loop with exported code.
 
     Attributes:
-        about: norm, margins and promises with ideal numbers and with those of the code, see `numbers_object`.
-        predicted: with the numbers of the code.
+        about: norm, margins and specifications with ideal numbers and with those of the code, see `numbers_object`.
+        predicted: margins with the numbers of the code.
         gain, lower, delay: the searches; `lower` is for the inverse of a factor below 1.
-        timestep: of the physics [s].
+        timestep: timestep of the physics [s].
         hidden: True if rounding hides motion that grows or decays: then nothing is searched.
     """
 
@@ -96,7 +96,7 @@ class ExportedMargins:
 
     @property
     def record(self) -> dict[str, Any]:
-        """Returns them as JSON has them: what `numbers_object` has, and what MuJoCo found."""
+        """Returns the margins as a JSON object: the content of `numbers_object`, and MuJoCo's results."""
         mujoco = None
         if not self.hidden:
             mujoco = {
@@ -144,12 +144,12 @@ def _close(predicted: float, found: float, within: float) -> bool:
 def find_exported_margins(
     vehicle: Vehicle, controller: CompiledController, timestep: float, progress: Callable[[str], None] = no_progress
 ) -> ExportedMargins:
-    """Returns the margins of the loop of all forces at once that exported code closes.
+    """Returns the margins of the loop that exported code closes, for all forces together.
 
     Args:
-        vehicle: with its implementation, of force actuators.
-        controller: driven by its code.
-        timestep: of MuJoCo [s], of which sample period and delay are multiples.
+        vehicle: vehicle with force actuators and its implementation.
+        controller: controller driven by its code.
+        timestep: MuJoCo's timestep [s]; sample period and delay are multiples of it.
 
     Raises:
         InputError: the code sets adjustable dampers, or the loop with these numbers is not stable.
@@ -195,7 +195,7 @@ class _Blur:
     """Bump, and how much of its motion rounding hides.
 
     Attributes:
-        height: of the bump [m].
+        height: height of the bump [m].
         share: rms of the error of a signal over that of the signal, the largest of any.
         coarse: True if readings have steps that a run shows.
     """

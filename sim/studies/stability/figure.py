@@ -41,9 +41,9 @@ def margins_figure(
 
     Args:
         vehicle: the vehicle, its controller ideal.
-        loop: all its loops at once.
+        loop: margins of all its loops together.
         box: the controller on other vehicles, or None if the kind has no variations.
-        timestep: of the physics [s].
+        timestep: timestep of the physics [s].
     """
 
     def rate(vehicle: Vehicle, controller: Controller) -> float:

@@ -26,7 +26,7 @@ EXACT = 1e-6  # relative; how closely its own edge is found
 class FragilityEdge(GainMargin):
     """The error at which a loop is lost, which is a gain margin but for how it tends to the loop's own as the timestep shrinks.
 
-    Of a factor of 1.1 a tenth of the way is little; of an error of 10 % it is as much as the error.
+    A difference of 0.1 is small for a factor of 1.1, but as large as an error of 10 %.
     """
 
     @property
@@ -40,14 +40,14 @@ class FragilityEdge(GainMargin):
 
 @dataclass(frozen=True, eq=False)
 class FragilityFound:
-    """The errors that a loop bears.
+    """The errors that a loop tolerates.
 
     Attributes:
-        gain: the loop itself, with factors on what it reads and asks for.
-        predicted: of that.
-        edge: how large the worst errors may be until it is unstable, predicted and found.
-        rounding: what is true of the law with its numbers as computers hold them, by format.
-        timestep: of the physics [s].
+        gain: the loop with factors on its measurements and requested forces.
+        predicted: predicted tolerance of that loop.
+        edge: size of the worst errors at which it becomes unstable, predicted and found.
+        rounding: certificate of the law with rounded numbers, by format.
+        timestep: timestep of the physics [s].
     """
 
     gain: ScaledGain

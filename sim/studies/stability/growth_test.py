@@ -1,9 +1,9 @@
-"""Growth or decay: what becomes of a loop in MuJoCo after a tiny bump.
+"""Growth or decay of a loop in MuJoCo after a tiny bump.
 
-A run that grows is unstable, one that decays is not. What its sampled loop does is known exactly. A run ends as soon as the
-slowest mode that is found in it is that loop's, or it goes on as the loop does from the run's own past. Else it has to settle by
-itself. One that has settled into neither by the end of a first, short run is run anew, and looked at each time that it has
-doubled. One that takes long from the outset goes on instead.
+A run that grows is unstable, one that decays is not. What its sampled loop does is known exactly. A run ends as soon as its
+slowest mode is that of the loop, or if it continues as the loop does from the run's own past. Otherwise it has to settle by
+itself. A run that has not settled after a first, short duration is repeated, and checked each time that its length has doubled. A
+run that takes long from the outset continues instead.
 """
 
 import functools
@@ -52,11 +52,11 @@ class Trial:
     """Run that grows or decays.
 
     Attributes:
-        vehicle: with its implementation of the controller.
+        vehicle: vehicle with its implementation of the controller.
         controller: the controller.
         undelayed: second controller, whose forces act at every timestep without delay, or None.
-        height: of the bump [m].
-        gone: share of the energy that the bump has left, below which nothing of it is seen.
+        height: height of the bump [m].
+        gone: share of the bump's energy below which it cannot be detected.
     """
 
     vehicle: Vehicle
@@ -72,7 +72,7 @@ class Growth:
 
     Attributes:
         grows: True if the run grows, False if it decays.
-        rate: of its slowest mode [1/s], or NaN if too little of the run was free and linear.
+        rate: rate of its slowest mode [1/s], or NaN if too little of the run was free and linear.
         decided: False if the loop's slowest mode creeps so that the run does not show it; `grows` is then the loop's own.
     """
 
@@ -86,7 +86,7 @@ def no_progress(message: str) -> None:
 
 
 def grows(trials: Sequence[Trial], timestep: float, progress: Callable[[str], None] = no_progress) -> list[Growth]:
-    """Tests runs for growth, and finds their rates. Unsettled runs start anew, and run until they settle."""
+    """Tests runs for growth, and finds their rates. Unsettled runs start again, and run until they settle."""
     growths_by_trial: dict[int, Growth] = {}
     for least in (SHORTEST, LONGEST):
         going = [i for i in range(len(trials)) if i not in growths_by_trial]
@@ -196,10 +196,10 @@ def _confirmed(
     """Returns the growth of a run's loop if the run confirms it, or None.
 
     Args:
-        states: of the vehicle, each over its peak, shape (n, T).
-        peaks: those, shape (n,).
+        states: states of the vehicle, each over its peak, shape (n, T).
+        peaks: peaks of the states, shape (n,).
         kept: states of the law, and the forces that have acted just before, shape (k + m, T); none of a static law.
-        duration: of the run [s].
+        duration: duration of the run [s].
     """
     if loop is None or not np.all(np.isfinite(states)) or not np.all(np.isfinite(kept)):
         return None

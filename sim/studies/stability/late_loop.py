@@ -22,10 +22,10 @@ class LateLoop:
     """Loop with delayed forces: x[k+1] = Phi x[k] + Gamma G x[i], where i is the last sample that is at least `delay` steps old.
 
     Attributes:
-        Phi: with the undelayed forces closed, shape (n, n).
-        Gamma: from the delayed forces, shape (n, m).
-        G: to the requested forces, shape (m, n).
-        delay: in steps; 0 if the controller samples less often than every step.
+        Phi: transition with the undelayed forces closed, shape (n, n).
+        Gamma: input matrix of the delayed forces, shape (n, m).
+        G: gain to the requested forces, shape (m, n).
+        delay: delay in steps; 0 if the controller samples less often than every step.
         held: steps from sample to sample.
         timestep: [s].
     """
@@ -54,14 +54,15 @@ class LateLoop:
         return moved, pushed
 
     def slowest_mode(self, states: Array, first: int) -> tuple[float, float]:
-        """Returns the rate of the slowest mode as a run has it [1/s], and how far that mode is from the loop's own at its end.
+        """Returns the rate of a run's slowest mode [1/s], and the distance of that mode from the loop's own at the end of the
+        run.
 
         With z and w of `slowest_from_sample_to_sample` the mode is a[k] = w' (x[k] + Gamma G sum over j = 1 .. delay of
         z^(j - 1 - delay) x[k-j]), and a[k+1] = z a[k] however loud the others are.
 
         Args:
-            states: of the run, shape (n, T).
-            first: step from which on it is free, a sample.
+            states: states of the run, shape (n, T).
+            first: sample after which the run is free.
 
         Returns:
             The second is relative to the change of the mode's size, infinite for a mode that is not in the run.
@@ -92,7 +93,7 @@ class LateLoop:
         """Predicts all later states from a run's states up to a step, which must be a sample, shape (n, T).
 
         Args:
-            states: of the run, shape (n, T).
+            states: states of the run, shape (n, T).
             first: the last step that is taken from the run.
         """
         expected = np.array(states)
@@ -112,7 +113,7 @@ class LateLoop:
 def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | None, timestep: float) -> LateLoop | None:
     """Returns the loop of a vehicle, as MuJoCo integrates it, with an undelayed second controller.
 
-    Of a controller with states that samples seldom, whose states change at samples alone, a step of the loop is a sample.
+    For a controller whose states change only at samples several steps apart, a step of the loop is a sample.
     Returns None if the first controller is late by part of a sample, or has no states, samples seldom and is late. Also returns
     None if there is a second controller, unless neither has states, or both are parts of one that samples every step.
     """
@@ -147,7 +148,7 @@ def late_loop(vehicle: Vehicle, controller: Controller, undelayed: Controller | 
 
 
 def _parts(law: LinearLaw, beside: LinearLaw) -> tuple[LinearLaw, Array] | None:
-    """Returns the law with states whose forces two laws share, and the first's; None if they are no parts of one.
+    """Returns the law with states of which two laws are parts, and the first's; None if they are not parts of one law.
 
     Their states are the same, as both read the same.
     """

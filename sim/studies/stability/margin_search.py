@@ -82,12 +82,12 @@ class LoopMargins:
     """The margins of one loop, predicted and found.
 
     Attributes:
-        predicted: from the loop transfer function.
-        gain: how much more it bears.
-        gain_lower: how much less, as the factor's inverse.
+        predicted: margins from the loop transfer function.
+        gain: search for the largest gain factor.
+        gain_lower: search for the smallest factor, as its inverse.
         delay, sample_period: the searches.
-        timestep: of the physics [s].
-        unseen: sample period from which the first sample after a bump sees nothing of it [s]; MuJoCo confirms none so long.
+        timestep: timestep of the physics [s].
+        unseen: sample period from which the first sample after a bump misses it [s]; MuJoCo cannot confirm longer ones.
     """
 
     predicted: Margins
@@ -155,13 +155,13 @@ def find_margins(
     """Returns gain and delay margins and the largest sample period, as predicted and as found in MuJoCo.
 
     Args:
-        vehicle: the vehicle; what its `[implementation]` says does not count.
+        vehicle: the vehicle; its `[implementation]` is ignored.
         controller: its controller, whose loop is stable.
-        timestep: of MuJoCo [s].
-        progress: called with a line on how far the search has come.
+        timestep: MuJoCo's timestep [s].
+        progress: called with a line on the progress.
 
     Returns:
-        The margins of all loops at once under ""; where there are several, also of each, with the others closed, by its force.
+        The margins of all loops together under ""; if there are several, also of each loop by its force, with the others closed.
 
     Raises:
         InputError: the controller is another vehicle's, or the timestep is not allowed.

@@ -1,4 +1,4 @@
-"""Margins in words, and as JSON has them."""
+"""Output of margins: text and JSON."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ COUNTERPART = "the law is discrete: all numbers are of the continuous law whose 
 def margins_object(
     vehicle: Vehicle, controller: Controller, margins: dict[str, LoopMargins], fragile: FragilityFound, box: Robustness | None
 ) -> dict[str, Any]:
-    """The result as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns the result as a JSON object: SI units, None for infinite or missing values."""
     loops = {name: _loop_object(one) for name, one in margins.items() if name}
     result = {"controller": controller.name, **_loop_object(margins[""]), "loops": loops}
     names = controller.measured, vehicle.linear_model.inputs
@@ -253,9 +253,7 @@ def _noted(gain: GainMargin, note: str = "") -> str:
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
-    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power
-    -1.
-    """
+    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power -1."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")

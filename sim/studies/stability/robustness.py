@@ -56,13 +56,13 @@ class Robustness:
     """A controller on a box of other vehicles.
 
     Attributes:
-        varied: what varies, d of them.
+        varied: the d variations.
         computed: number of vehicles whose norm was computed.
-        norm: the largest H-infinity norm of those.
-        at: where it is, the parameters that are others [SI].
-        corners: of the box.
-        factors: of the vehicles whose norms were taken first, evenly over the box, along each of its d axes.
-        norms: of those; infinite where unstable.
+        norm: largest of these H-infinity norms.
+        at: changed parameters at that norm [SI].
+        corners: physics at the corners of the box.
+        factors: factors of the first grid of vehicles, evenly over the box, along each of its d axes.
+        norms: norms on that grid; infinite for unstable loops.
     """
 
     varied: tuple[Variation, ...]
@@ -106,7 +106,7 @@ def read_variations(vehicle: Vehicle, texts: Sequence[str]) -> dict[Variation, t
         names = tuple(one for one in known if one == name) or tuple(one for one in known if one.startswith(f"{name}_"))
         if not names:
             raise InputError(
-                f"--vary {text}: {quoted(name)} is no parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
+                f"--vary {text}: {quoted(name)} is not a parameter with a factor; vary one of {listing(known)}, {EXAMPLE}"
             )
         if again := [one for one in names if any(one in others for others in variations.values())]:
             raise InputError(f"--vary {text}: {again[0]} is varied twice; leave one of them out")
@@ -139,11 +139,9 @@ def robustness(
     Returns None for each controller if nothing varies.
 
     Args:
-        vehicle: the vehicle of the controllers.
-        controllers: its controllers.
-        timestep: of MuJoCo [s].
-        progress: called with a line on how far it has come.
-        variations: what varies, as `read_variations` returns it; None for the kind's own.
+        timestep: MuJoCo's timestep [s].
+        progress: called with a line on the progress.
+        variations: result of `read_variations`; None for the variations of the vehicle type.
     """
     variations = vehicle.kind.variations if variations is None else variations
     varied = tuple(variations)

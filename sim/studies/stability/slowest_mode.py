@@ -1,8 +1,8 @@
-"""The slowest mode of a run, found in its samples: the rate at which the last of it grows or decays.
+"""The slowest mode of a run, found in its samples: the rate at which the end of the run grows or decays.
 
-After the bump a linear loop runs free. Whatever it is made of, a stretch of it is a linear map of the stretch before, and the
-map's eigenvalues are the loop's, over the length of a stretch (dynamic mode decomposition: Schmid, J. Fluid Mech. 656, 2010).
-So a mode is told from the others however little the bump has excited it, as long as that is more than rounding and geometry make.
+After the bump a linear loop runs free. Each stretch of its motion is a linear map of the stretch before, and the map's
+eigenvalues are the loop's, over the length of a stretch (dynamic mode decomposition: Schmid, J. Fluid Mech. 656, 2010). So a mode
+is identified even if the bump hardly excites it, as long as it exceeds the effects of rounding and geometry.
 """
 
 import math
@@ -18,10 +18,10 @@ EXPLAINED = 1e-4  # of the samples may be left over, else the run is not free an
 
 
 def slowest_rate(states: Array, timestep: float, hold: int) -> float:
-    """Rate of the slowest mode [1/s], above 0 where it grows; NaN where the samples are no free linear motion.
+    """Returns the rate of the slowest mode [1/s], positive if it grows; NaN if the motion is not free and linear.
 
     Args:
-        states: of a run after its bump, shape (n, T).
+        states: states of a run after its bump, shape (n, T).
         timestep: [s].
         hold: samples over which the controller holds or delays what it has measured: no stretch is shorter, or a part of one.
     """

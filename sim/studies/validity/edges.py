@@ -20,13 +20,13 @@ PARTS = 3  # of a line
 
 @dataclass(frozen=True)
 class Edge:
-    """First breaks along an axis in MuJoCo, and the least height of one by linear analysis.
+    """First ends of the linear regime along an axis in MuJoCo, and the smallest height of one by linear analysis.
 
     Attributes:
-        at: value of the other axis, by its name; empty of a map with one axis.
-        parts: what breaks first, empty for nothing, and the first and last value of that on the axis, in their order.
-        end: what breaks at the least height by linear analysis; empty if that is not asked, or nothing.
-        height: that height [m]; infinite without one.
+        at: value of the other axis by name; empty for a map with one axis.
+        parts: first end, or empty for none, with its first and last value on the axis, in order.
+        end: end at the smallest height by linear analysis; empty if not requested, or none.
+        height: smallest height [m]; infinite without one.
     """
 
     at: Mapping[str, float]
@@ -36,12 +36,11 @@ class Edge:
 
 
 def edges(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> tuple[str, list[Edge]]:
-    """Returns the axis along which there are edges, the height if it is one, and the edges of the cells that were run.
+    """Returns the axis along which there are edges, preferably the height, and the edges of the cells that were run.
 
     Args:
-        cells: the map.
         axes: its axes, one or two.
-        proportional: True if responses are proportional to the height, so that one of them says where an end is reached.
+        proportional: True if responses are proportional to the height, so that one response predicts the end.
     """
     along, *others = sorted(axes, key=lambda axis: axis.name != "height")
     lines: dict[float, list[int]] = {}
@@ -67,7 +66,7 @@ def edges(cells: Cells, axes: Sequence[GridAxis], proportional: bool) -> tuple[s
 
 
 def edges_object(along: str, found: Sequence[Edge]) -> dict[str, Any]:
-    """Returns edges as JSON has them, in SI units."""
+    """Returns edges as JSON objects, in SI units."""
     return {
         "along": along,
         "lines": [
@@ -86,7 +85,6 @@ def edge_lines(along: str, found: Sequence[Edge], fixed: Mapping[str, float]) ->
     """Returns a few edges in lines for a terminal.
 
     Args:
-        along: the axis.
         found: the edges along it.
         fixed: what is not varied.
     """

@@ -63,7 +63,7 @@ def regime_end(vehicle: Vehicle, controller: Controller, bump: Bump, time: Array
 
     Args:
         controller: its controller, whose loop is stable.
-        bump: of any height.
+        bump: a bump of any height.
         time: equidistant sample times from 0 [s].
     """
     metre, short = replace(bump, height=1.0), not is_linear(vehicle, controller)

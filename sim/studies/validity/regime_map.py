@@ -47,15 +47,15 @@ class Cells:
         bumps: one per cell.
         done: whether it was run, shape (N,).
         error: largest difference of physics from the linear prediction over the whole run, of any signal's peak, shape (N,).
-        first: what broke first in physics, as an index into `REGIME_ENDS`, -1 for nothing, shape (N,).
-        time: when [s], infinite for never, shape (N,).
-        predicted: the same from the linear response, shape (N,).
-        predicted_time: the same [s], shape (N,).
-        used: how much of the way to each of `REGIME_ENDS` the linear response goes, shape (N, E).
-        edge: whether the prediction is another one at a height 1 % lower or higher, shape (N,).
-        ran_away: True where the run broke off as the states of its law ran away, shape (N,).
-        missing: rms of the forces that adjustable dampers did not give in physics, over that of all that were asked of them at
-            the samples, 0 where none was, NaN of a vehicle without any, shape (N,).
+        first: first end in physics, as an index into `REGIME_ENDS`, -1 for none, shape (N,).
+        time: time of that end [s], infinite for none, shape (N,).
+        predicted: first end in the linear response, shape (N,).
+        predicted_time: time of that end [s], shape (N,).
+        used: share of the way to each of `REGIME_ENDS` in the linear response, shape (N, E).
+        edge: True if the prediction differs at a height 1 % lower or higher, shape (N,).
+        ran_away: True if the run broke off because the states of its law diverged, shape (N,).
+        missing: rms of the forces that adjustable dampers did not give in physics, over that of the requested ones at the
+            samples; 0 if none was requested, NaN without such dampers, shape (N,).
         travel: largest deflection of any suspension in physics, either way [m], shape (N,).
     """
 
@@ -132,10 +132,9 @@ def validity(
     """Runs every bump in MuJoCo, in a few large batches, and compares with the linear prediction.
 
     Args:
-        bumps: N of them.
         time: equidistant sample times from 0 [s].
-        progress: is told how many cells are done.
-        loads: on the body over every one of them.
+        progress: called with the number of finished cells.
+        loads: loads on the body over every bump.
         foretold: whether anybody asks what is predicted of each, which with curves or loads is dear; else nothing is.
 
     Raises:
@@ -254,9 +253,9 @@ def _in_proportion(vehicle: Vehicle, unit: Response, heights: Array, column: Arr
     The times are for every bump as it is, and 1 % lower and higher, shape (N, 3, E).
 
     Args:
-        heights: of the bumps [m], shape (N,).
-        column: index of their runs, shape (N,).
-        anti_windup: True if the law has it.
+        heights: heights of the bumps [m], shape (N,).
+        column: indices of their runs, shape (N,).
+        anti_windup: True if the law has anti-windup.
     """
     hole, times = replace(unit, values=-unit.values), np.empty((len(heights), 3, len(END_NAMES)))
     used = np.abs(heights)[:, None] * np.where(

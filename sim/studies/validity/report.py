@@ -132,14 +132,14 @@ def envelope_figure(
     threshold: float,
     loads: Sequence[Load] = (),
 ) -> Figure:
-    """Colours say what broke first in MuJoCo; the solid line is what linear analysis predicts; dashed, where its error passes.
+    """Returns the map: colours show the first end in MuJoCo, the solid line its prediction, the dashed line the error threshold.
 
     Args:
-        cells: of the grid, the last axis running fastest.
-        axes: one or two; of one the shares of the way to each end are drawn.
-        fixed: what is not varied.
-        threshold: error at which linear analysis is said to hold.
-        loads: on the body over every bump.
+        cells: cells of the grid, the last axis running fastest.
+        axes: one or two axes; with one, the shares of the way to each end are drawn.
+        fixed: values that are not varied.
+        threshold: error up to which linear analysis holds.
+        loads: loads on the body over every bump.
     """
     rest = ", ".join(
         f"{LABELS[name].split(' [')[0]} {value:g} {LABELS[name].split('[')[1][:-1]}" for name, value in fixed.items()

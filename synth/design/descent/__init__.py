@@ -1,1 +1,1 @@
-"""Descent on a norm over gains, which several methods stand on."""
+"""Descent on a norm over gains, shared by several methods."""

@@ -53,10 +53,9 @@ def _root(variance: Array) -> Array:
 
 
 def directions(landscape: Landscape, x: Array, free: Array) -> Array:
-    """Shape (N, free).
+    """Returns the directions as columns, shape (N, free).
 
     Args:
-        landscape: whose points they are of.
         free: which entries of a point may be other than zero, by index.
     """
     try:

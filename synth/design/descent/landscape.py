@@ -6,9 +6,8 @@ edge wherever two frequencies or two singular values peak alike, and minima lie
 on edges. For all unit vectors u, v the largest singular value is at least Re u' T(j omega) v, with equality at the peak: so every
 (omega, u, v) is a smooth function that supports the norm from below, a cut (Apkarian, Noll 2006).
 
-Of a discrete plant it is the landscape of the continuous one that it is mapped to, over the same gains: frequencies are those of
-the map. What is measured there contains the force, as what an accelerometer reads does, and the gain that acts is
-(I - K Dyu)^-1 K.
+A discrete plant has the landscape of its continuous image over the same gains, with the frequencies of that image. Its
+measurements contain the force, like those of an accelerometer, and the gain that acts is (I - K Dyu)^-1 K.
 """
 
 import contextlib
@@ -68,7 +67,7 @@ class Loop:
 
     @cached_property
     def far(self) -> Array:
-        """A frequency at which the gain is next to that at infinity, for cuts stand at finite ones [rad/s], shape (1,)."""
+        """Frequency at which the gain is close to that at infinity, as cuts need finite ones [rad/s], shape (1,)."""
         return FAR * np.abs(self.poles).max(keepdims=True)
 
     @cached_property
@@ -101,12 +100,12 @@ class Cuts:
 
 
 def climbed(gains: Callable[[Array], Array], left: Array, middle: Array, right: Array, height: Array) -> Array:
-    """Nearer to maxima that lie between frequencies: three points to a parabola, its top the next middle.
+    """Returns points nearer to maxima between frequencies: the top of a parabola through three points is the next middle.
 
     Args:
-        gains: of frequencies, one for each; even.
-        left, middle, right: around each maximum, shape (P,) each.
-        height: in the middle, shape (P,).
+        gains: function of frequencies that returns a gain for each; even.
+        left, middle, right: frequencies around each maximum, shape (P,) each.
+        height: gain in the middle, shape (P,).
     """
     for _ in range(3):
         sides = gains(np.abs(np.concatenate([left, right]))).reshape(2, -1)
@@ -369,10 +368,9 @@ class Landscape:
     def curvature(self, x: Array, cuts: Cuts, weights: Array) -> Array:
         """Weighted sum of the second derivatives of the peaks that cuts belong to, shape (N, N).
 
-        A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the
-        eigenvalue of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega.
-        omega follows its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for
-        them.
+        A peak is the largest Re u' T v over unit u, v and over frequencies near by. With q = (u, v) / sqrt 2 it is the eigenvalue
+        of J = [0 T; T' 0] that belongs to q, and perturbation theory has its second derivatives over x and omega. omega follows
+        its maximum, which takes out one rank. Eigenvalues nearly alike are not divided by: mixed cuts stand for them.
         """
         (A, C), (Bw, Dw), ports = self.loop(x), self.disturbed(x), self.ports(x)
         n, size, (d, r) = len(A), x.size, self.Dw.shape

@@ -3,8 +3,8 @@
 - `quasi_newton`: BFGS with a weak Wolfe line search, which is known to work on functions with edges (Lewis, Overton 2013). It is
   quick from far away, and stalls on an edge.
 - `along_edges`: the norm is modelled as the largest of its cuts, linearised, plus one curvature; the model's minimum is the step.
-  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.) How
-  far a step may go where the curvature says nothing, or has the wrong sign, is measured in the coordinates of `coordinates.py`.
+  (Sequential quadratic programming for a minimax problem; the cuts of a failed step join the model, as in bundle methods.) If the
+  curvature is unknown or has the wrong sign, the step length is measured in the coordinates of `coordinates.py`.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -188,11 +188,11 @@ def _corrected(
 
 
 def lowest_point(values: Array, slopes: Array, hessian: Array, M: Array, x: Array, limit: Array) -> tuple[Array, Array]:
-    """The t that minimises max_i (values_i + slopes_i t) + t' hessian t / 2, |x + M t| <= limit; and the weights of the cuts.
+    """Returns the t that minimises max_i (values_i + slopes_i t) + t' hessian t / 2, |x + M t| <= limit, and the cuts' weights.
 
-    As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum,
-    h + |y|^2 / 2 is the distance from a point far down the axis of h, up to a term that is too small to count. Of the limits
-    those near by count, and those that a solution without them breaks.
+    As a least-distance problem for non-negative least squares (Lawson, Hanson 1974, chapter 23): with h for the maximum, h +
+    |y|^2 / 2 is the distance from a point far down the axis of h, up to a term that is too small to count. Only nearby limits
+    count, and those that a solution without them violates.
 
     Raises:
         LinAlgError: there is no cut, or rounding leaves no solution.

@@ -2,11 +2,11 @@
 
 Poles of small matrices cost microseconds, descents cost tenths of a second. So random gains are drawn from every decade of size
 up to the largest allowed, each with a size of its own for every input and measurement. Half of them have rank one, as gains that
-tend to infinity often have in the limit. Of each decade those that stabilise are looked at more closely.
+tend to infinity often have in the limit. The stabilising gains of each decade are examined more closely.
 
-The state feedback u = G x that is best for z under white noise needs all of x. Of what is measured, K C_y comes closest to it on
-average with K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the loop that G closes. Whether K stabilises is asked
-afterwards: nothing here promises it.
+The state feedback u = G x that is best for z under white noise needs all of x. With the available measurements, K C_y comes
+closest to it on average for K = G X C_y' (C_y X C_y')^-1, where X is the covariance of the loop that G closes. Nothing guarantees
+that K stabilises; this is checked afterwards.
 
 Two descents, tried from one start after another, for neither is sure: finding such a gain is a problem for which no sure and
 quick method is known (Blondel, Gevers, Lindquist 1995).
@@ -160,11 +160,11 @@ def stabilising_starts(landscape: Landscape, limit: Array, starts: range) -> Ite
 
 
 def stabilise(landscape: Landscape, x: Array, limit: Array, patient: bool) -> Array | None:
-    """A stable point from one start, or None: another start may lead to one.
+    """Returns a stable point from one start, or None if this start leads to none.
 
     Args:
         limit: largest entries, shape (N,).
-        patient: by the second descent alone; otherwise it only takes over where the first ends.
+        patient: True for the second descent alone; otherwise the second begins where the first ends.
     """
     rate = float(np.abs(np.linalg.eigvals(landscape.A)).max()) or 1.0
 

@@ -29,9 +29,6 @@ class Symmetry:
     """The gains that are alike to any gain of one plant."""
 
     def __init__(self, landscape: Landscape) -> None:
-        """Args:
-        landscape: of the plant.
-        """
         self.landscape = landscape
         A, B, Cy, C, Bw = (
             matrix / size(matrix) for matrix in (landscape.A, landscape.B, landscape.Cy, landscape.C, landscape.Bw)

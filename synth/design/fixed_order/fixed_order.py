@@ -65,10 +65,10 @@ class FixedOrderDesign:
     """A law of a given order or structure.
 
     Attributes:
-        law: on y = C_y x + Dyw w + `through` u.
-        certificate: of its loop.
+        law: law on y = C_y x + Dyw w + `through` u.
+        certificate: certificate of its loop.
         origin: the start that led to it, in words.
-        remark: its gains, or why it has fewer states than it may; empty without either.
+        remark: its gains, or the reason for fewer states than allowed; empty without either.
     """
 
     law: LinearLaw
@@ -103,13 +103,13 @@ def fixed_order_design(
         plant: n states, m inputs, continuous or discrete.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
-        structure: of the law.
-        lower_bound: what no controller from these measurements beats, if known.
+        structure: structure of the law.
+        lower_bound: lower bound for any controller from these measurements, if known.
         states: names of the states, for messages.
         through: feedthrough from forces to measurements, of a continuous plant, shape (q, m); zero where it is not given.
         stable: True for a law that is stable by itself.
         as_run: returns a law as it is run, as for `full_order_design`.
-        known: laws of this structure to start from alone, in place of all other starts; of fewer states, too.
+        known: laws of this structure, also of fewer states, as the only starts.
         on_found: called with the best law of fewer states, each time that there is one of more.
         work: counts the norms of the search; where it is over, the best so far is returned. About 14 s of processor time for a
             plant of 8 states if it is not given.
@@ -160,7 +160,7 @@ def _remark(structure: LawStructure, law: LinearLaw, m: int, stopped: str) -> st
 
 
 def gains_text(structure: LawStructure, law: LinearLaw) -> str:
-    """Returns the gains of a law of PI or PID as `pid` of a vehicle file has them, a table for each force."""
+    """Returns the gains of a PI or PID law as in `pid` of a vehicle file, a table for each force."""
     gain, texts = gains_on_filters(structure, law), []
     filter = f", filter = {structure.filter:g}" if structure.kind == PID else ""
     for each in gain:

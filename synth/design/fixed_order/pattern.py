@@ -28,8 +28,8 @@ class StructuredGain:
         plant: n + k states.
         Cy, Dyw, through: its measurements, y = C_y x + Dyw w + `through` u.
         free: True for entries of the gain that may be other than zero, shape (m + k, q + k), or (m, q') of filters.
-        filters: of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
-        shape: of the law's D, (m, q).
+        filters: filters of the measurements, if the gain is on their outputs; None if the gain is [D, C; B, A].
+        shape: shape of the law's D, (m, q).
     """
 
     plant: GeneralizedPlant
@@ -62,7 +62,7 @@ def structured_gain(
     """Returns the plant on which laws of a structure are static gains.
 
     Args:
-        structure: of the law; an order of 0 is a static gain.
+        structure: structure of the law; an order of 0 is a static gain.
         plant: n states, m inputs, continuous or discrete.
         Cy: shape (q, n).
         Dyw: shape (q, r); None for zero.
@@ -137,10 +137,6 @@ class LawUnits:
     """Laws that differ by the units of their states, and make the same loop: those whose gains have the smallest entries."""
 
     def __init__(self, landscape: Landscape, states: int) -> None:
-        """Args:
-        landscape: of the plant with the law's states.
-        states: of the law.
-        """
         self.landscape, self.states = landscape, states
 
     def smallest(self, x: Array) -> Array:

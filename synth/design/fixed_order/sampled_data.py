@@ -38,7 +38,6 @@ def sampled_fixed_order(
     """Designs a law of a structure for the sampled loop; arguments as for `sampled_full_order`.
 
     Args:
-        structure: of the law.
         work: counts the norms of all descents; `bounded_work` if it is not given.
 
     Raises:

@@ -49,10 +49,10 @@ def named_design(
 
     Args:
         name: "full", "lqr", "lqg" or "h2"; "order" with a structure.
-        structure: of the law, for "order".
+        structure: structure of the law, for "order".
         Cy: shape (q, n); for "lqr" as many rows as states.
         lower_bound: for controllers from these measurements.
-        noise: of each measurement, for "lqg", see `lqg_design`; None without noise.
+        noise: noise of each measurement, for "lqg", see `lqg_design`; None without noise.
         Dyw: shape (q, r), for "full", "order" and "h2"; None for zero.
         stable: True for a law that is stable by itself, for "full" and "order".
         as_run: returns a law as it is run, see `full_order_design`.

@@ -85,15 +85,12 @@ def numbers(search: RiccatiSearch) -> int:
 
 
 def refined_law(search: RiccatiSearch, start: TradeOffPoint, fastest: float) -> list[TradeOffPoint]:
-    """Returns the stages of a descent from a law among those of its order, which ends next to the bound; empty of none.
+    """Returns the laws at the ends of the stages of a descent from a law, among those of its order; empty without any.
 
     Args:
-        search: of the plant, whose own units are used.
+        search: search on the plant, whose own units are used.
         start: the law to descend from.
         fastest: largest pole, times the plant's own speed, or times that of the start where it is faster.
-
-    Returns:
-        The laws that its stages ended at.
     """
     if not start.own.states:
         return []
@@ -125,9 +122,9 @@ def static_gains(search: RiccatiSearch, fastest: float, rival: float) -> list[Tr
     """Returns a static gain, and the best share of it that is not too fast; empty if no gain stabilises.
 
     Args:
-        search: of the plant, whose own units are used.
+        search: search on the plant, whose own units are used.
         fastest: largest pole of the share, times the plant's own speed.
-        rival: norm that a law has, in the units given; a gain that stays far above it is not looked for to its last digit.
+        rival: norm of a law, in the given units; the search for a gain far above it stops early.
     """
     own, points = search.own, list[TradeOffPoint | None]()
     if static_feedback_obstructions(own.plant, own.Cy):
@@ -151,8 +148,8 @@ class FullOrderDesign:
     """A full-order controller, and its alternatives.
 
     Attributes:
-        law: on y = C_y x + Dyw w; as many states as the plant, without negligible ones.
-        certificate: of its loop; its matrices are those of the plant with the law's states (`on_larger_plant`).
+        law: law on y = C_y x + Dyw w with as many states as the plant, without negligible ones.
+        certificate: certificate of its loop, with matrices of the plant with the law's states (`on_larger_plant`).
         trade: the Pareto front of norm and speed, the slowest first; empty if the controller is within the requested distance of
             the bound and not fast. For a discrete plant they belong to its continuous image.
         remark: distance from the bound and its reason, and a fast pole and its price, in words; empty if it is within the

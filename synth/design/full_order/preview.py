@@ -1,12 +1,11 @@
-"""Preview LQ: the best law in the mean for a plant whose disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
+"""Preview LQ: the law with the least mean square of z if the disturbance is known for a while ahead (Tomizuka 1975; Hac 1992).
 
-z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR,
-R = D'D and A_K = A + B K,
+z = C x + D u, and w is white noise that is known from now to T seconds ahead. With X and K of the Riccati equation of LQR, R =
+D'D and A_K = A + B K,
 
     u(t) = K x(t) + integral from 0 to T of F(s) w(t + s) ds,    F(s) = -R^-1 B' exp(A_K' s) X Bw.
 
-The feedback is that of LQR, and what is known ahead changes no pole. It takes from the mean square of z what it would cost to
-wait for it:
+The feedback is that of LQR, and the preview changes no pole. It reduces the mean square of z to
 
     mean square = trace Bw' X Bw - integral from 0 to T of trace F(s)' R F(s) ds,
 
@@ -32,14 +31,14 @@ from synth.plant.units import own_units
 
 @dataclass(frozen=True, eq=False)
 class PreviewDesign:
-    """A controller that is the best in the mean for a disturbance that is known ahead.
+    """A controller with the least mean square for a disturbance that is known ahead.
 
     Attributes:
         law: its feedback, that of LQR.
-        preview: F(s) from w as from the road's velocity, and with no part from its height; None if nothing is known ahead.
+        preview: F(s) on w, the road's velocity, without a part from its height; None if nothing is known ahead.
         h2_norm: rms of z under white noise w.
-        without: the same where nothing is known ahead.
-        certificate: of the feedback for the worst case of w, without what is known ahead.
+        without: rms of z if nothing is known ahead.
+        certificate: certificate of the feedback for the worst case of w, without the preview.
     """
 
     law: LinearLaw

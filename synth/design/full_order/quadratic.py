@@ -1,17 +1,15 @@
-"""LQR, LQG and H2: the same weights with the mean square in the place of the worst case, which is what a reader compares with.
+"""LQR, LQG and H2: controllers with the least mean square of z for the same weights, for comparison with the worst case.
 
-w is white noise of intensity one, and z is as small as it can be in the mean: the root of its mean square is the H2 norm of the
-loop. From the state that is a gain (LQR). From measurements with noise it is the gain on the state that a Kalman filter
-estimates; no linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and
-8).
+The disturbance w is white noise of intensity one, and the root of the mean square of z is the H2 norm of the loop. With the whole
+state the controller is a gain (LQR). With noisy measurements it is that gain on the state that a Kalman filter estimates. No
+linear controller does better (the separation theorem; Anderson, Moore 1990, Optimal Control, chapters 2, 7 and 8).
 
-LQG and H2 are one problem: with the noise of each measurement by itself it is called the first, with z and y of a generalized
-plant the second. If a measurement has no noise, or a force no cost, the problem is singular, and a small share of either is
-assumed, in the plant's own units, and said. Any noise or cost that is given is used as given, however small: inputs and
-measurements are scaled until theirs is one, so that no small number is in the Riccati equations. An integral that is measured
-without noise is known, and not estimated: it acts on nothing but z, so that the estimate of the other states does without it.
+LQG and H2 are one problem: LQG with separate noise of each measurement, H2 with z and y of a generalized plant. If a measurement
+has no noise, or a force no cost, the problem is singular. Then a small share of either is assumed, in the plant's own units, with
+a remark. Given noise and cost are used unchanged, however small: inputs and measurements are scaled to one, so that the Riccati
+equations contain no small numbers. An integral that is measured without noise is not estimated: it acts on z alone.
 
-White noise through Dw has no mean square; it is what no control changes, and left out.
+White noise through Dw has no mean square. No control changes it, and it is omitted.
 """
 
 from collections.abc import Sequence
@@ -43,9 +41,9 @@ class QuadraticDesign:
     """A quadratically optimal controller.
 
     Attributes:
-        law: static on the state for LQR; else as many states as the plant, a Kalman filter's estimate.
+        law: static law on the state for LQR; otherwise as many states as the plant, a Kalman filter's estimate.
         h2_norm: rms of z under white noise w and LQG's noise, of the given plant without regularisation; Dw left out.
-        certificate: of its loop for the worst case of w, without LQG's noise, which has no rms in the worst case.
+        certificate: certificate of its loop for the worst case of w, without LQG's noise, which has no rms there.
         remark: assumptions in words, or empty.
     """
 
@@ -83,14 +81,14 @@ def lqr_design(plant: GeneralizedPlant, states: Sequence[str] = ()) -> Quadratic
 def lqg_design(
     plant: GeneralizedPlant, Cy: Array, noise: Sequence[float] | None = None, states: Sequence[str] = ()
 ) -> QuadraticDesign:
-    """The controller of y = C_y x + v with the smallest mean square of z, v white noise of each measurement by itself.
+    """Returns the controller of y = C_y x + v with the least mean square of z; v is independent white noise.
 
     Args:
         plant: n states, m inputs.
         Cy: shape (q, n).
-        noise: of each measurement, shape (q,) [its unit times root of s]: a noise of rms sigma that is drawn every T seconds is
-            one of sigma sqrt(T). (As w has intensity one, B_w and D_w are to hold the root of its true one.) Without it a small
-            one is assumed, and said.
+        noise: noise of each measurement, shape (q,) [its unit times root of s]: rms sigma, drawn every T seconds, is sigma
+            sqrt(T). (As w has intensity one, B_w and D_w must hold the root of its true one.) Without it a small noise is
+            assumed, with a remark.
         states: names of the states, for messages.
 
     Raises:
@@ -154,7 +152,7 @@ def quadratic_design(
     Args:
         name: "lqr", "lqg" or "h2".
         Cy: shape (q, n); for "lqr" as many rows as states.
-        noise: of each measurement, for "lqg"; None without noise.
+        noise: noise of each measurement, for "lqg"; None without noise.
         Dyw: shape (q, r), for "h2"; None for zero.
 
     Raises:
@@ -296,10 +294,10 @@ def with_extra_disturbances(plant: GeneralizedPlant, r: int) -> GeneralizedPlant
 
 
 def _stabilising(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array:
-    """Returns X of the Riccati equation of a regulator. Of slow modes next to the axis SciPy's balancing may lose it.
+    """Returns X of a regulator's Riccati equation. With slow modes next to the axis SciPy's balancing may lose it.
 
     Raises:
-        LinAlgError, ValueError: neither with its balancing nor without it there is one.
+        LinAlgError, ValueError: there is no X with or without balancing.
     """
     try:
         return linalg.solve_continuous_are(A, B, Q, R, s=S)

@@ -1,32 +1,31 @@
-"""The search for a full-order controller by Riccati equations: near what no controller beats, or on the way there.
+"""The search for a full-order controller by Riccati equations, close to the lower bound or on the way to it.
 
-Every force costs something in z, and every measurement has noise of its own (D and Dyw have full rank); no zero from u to z or
-from w to y lies on the imaginary axis. Glover, Doyle 1988; Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1, in
-its names: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats.
+The equations are those of Glover, Doyle 1988 and Zhou, Doyle, Glover 1996, Robust and Optimal Control, theorem 17.1, in its
+names: D11 = Dw, D12 = D, D21 = Dyw; X and Y, F and H, and the hats. They require D and Dyw of full rank, and no zero from u to z
+or from w to y on the imaginary axis. With any D11 they require D12 = [0; I] and D21 = [0 I]: z and w are rotated, u and y scaled,
+and both are transformed back. Near the gamma below which no solution exists the solvers return wrong solutions, so each solution
+is checked.
 
-With any D11 the formulas want D12 = [0; I] and D21 = [0 I]: z and w are turned, u and y scaled, and both are taken back. The
-solvers of the equations are not believed: near the gamma below which no solution exists they return what solves nothing.
+The order of a law is reduced in two ways. Neither guarantees a good loop, so the loop of a reduced law is checked again.
 
-- *Fast modes* follow their input at once: they are left at rest, and what they feed through joins D_c (residualised; Kokotovic,
-  Khalil, O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
-- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values. They
-  are cut off if they decay (balanced truncation; Moore 1981), and kept otherwise.
-
-Neither promises anything of the loop: whoever reduces a law looks at its loop again.
+- *Fast modes* follow their input immediately: they are replaced by their static gain in D_c (residualised; Kokotovic, Khalil,
+  O'Reilly 1986, Singular Perturbation Methods in Control, section 1.3).
+- *Modes that cancel*, which the measurements hardly reach or the forces hardly show, have small Hankel singular values. They are
+  removed if they decay (balanced truncation; Moore 1981), and kept otherwise.
 
 Without noise on the measurements, or with a force that costs nothing, the problem is singular: the best observer, or the best
-gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added where there is
-none, in the plant's own units, in which a share means the same for all signals. All states are disturbed and weighed a little.
-The norm that the regularised problem promises holds for the true loop, which has fewer disturbances and outputs:
+gain, is infinitely fast, and the Riccati equations have no solution. So a share of noise and of cost is added, in the plant's own
+units, in which a share means the same for all signals. All states are disturbed and weighted a little. The norm of the
+regularised problem also bounds the true loop, which has fewer disturbances and outputs:
 
     norm of the true loop  <=  norm of the regularised loop  <  gamma,
 
-and the larger the share, the slower the controller. So shares fall until the wanted gamma is reached, and the slowest
-controller that reaches it is taken. Where none does, or none that an actuator could follow, the trade between norm and speed is
-walked: for each share the smallest gamma that its problem allows.
+and the larger the share, the slower the controller. So shares fall until the wanted gamma is reached, which gives the slowest
+controller that reaches it. If none does, or none that an actuator could follow, the search covers the trade-off between norm and
+speed: the smallest gamma for each share.
 
-Next to the best gamma the central law has poles that run away to the left, and what is left of it without them is as good: so of
-each law that is too fast, one without its fast poles is tried, too.
+Near the best gamma some poles of the central law go to infinity, and the law without them is as good. So each law that is too
+fast is also tried without its fast poles.
 """
 
 import contextlib
@@ -237,12 +236,12 @@ class TradeOffPoint:
     """A controller on the way to the best norm.
 
     Attributes:
-        share: of noise and cost that it was designed with; zero where it was found by descent.
-        law: in the units given.
-        own: the same in the plant's own units.
-        search: that it is a result of.
-        least: what the norm is at least: the gain where poles are. It costs a tenth of the norm, and rules most points out.
-        speed_up: of the loop's fastest pole, over the plant's speed without control.
+        share: share of noise and cost in its design; zero if it was found by descent.
+        law: law in the given units.
+        own: law in the plant's own units.
+        search: search that found it.
+        least: lower estimate of the norm: the gain at poles. It costs a tenth of a norm, and rules most points out.
+        speed_up: fastest pole of the loop, over the plant's speed without control.
     """
 
     share: float
@@ -280,9 +279,9 @@ class TradeOffPoint:
 
     @property
     def trouble(self) -> tuple[float, float]:
-        """Sort key of laws with similar norms: by speed beyond what is much, in which an unstable law counts as ten times faster.
+        """Sort key of laws with similar norms: excessive speed, in which an unstable law counts as ten times faster.
 
-        A force may be cut off, which an unstable law does not bear. Of laws that are slower the stable ones come first.
+        A force may be cut off, which an unstable law does not tolerate. Among slower laws the stable ones come first.
         """
         return self.excess * (1.0 if self.stable else 10.0), self.speed_up
 

@@ -28,12 +28,12 @@ LARGER = 10.0  # times a start's largest entry: so large may entries become
 
 
 def stable_laws(search: RiccatiSearch, fits: Callable[[TradeOffPoint], bool], most: int) -> list[TradeOffPoint]:
-    """Returns laws that fit, of which all loops are stable.
+    """Returns laws that fit and have stable loops.
 
     Args:
-        search: of the plant, whose own units are used.
+        search: search on the plant, whose own units are used.
         fits: returns True for a law that is stable by itself, with a loop that is not too fast.
-        most: numbers of a law up to which a descent goes on from the best.
+        most: largest number of entries of a law for which a descent continues from the best.
     """
     tried = [search.traded(share, search.bound * gamma) for share, gamma in product(SHARES, GAMMAS)]
     # From a fast law no way leads down to a slow one.
@@ -73,11 +73,11 @@ def descend_stable(
     """Returns the gain [D, C; B, A] at the end of the descent from that of a stable law; it may be unstable by rounding.
 
     Args:
-        plant: with the law's states.
-        Cy, Dyw, through: of the gain, see `MeasuredPlant`.
+        plant: plant with the law's states.
+        Cy, Dyw, through: measurements of the gain, see `MeasuredPlant`.
         start: its gain, whose loop is stable, too.
-        states: k, of the law.
-        light: how much the law's own states weigh.
+        states: number k of the law's states.
+        light: weight of the law's own states.
         structure: True for the entries that may be other than zero; None for all.
 
     Raises:

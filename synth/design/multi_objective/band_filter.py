@@ -24,7 +24,7 @@ def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
     """Returns a plant whose norm is at least the norm in the band; for a band of all frequencies, the plant itself.
 
     Args:
-        band: from and to [rad/s].
+        band: lower and upper frequency [rad/s].
     """
     if band == EVERYWHERE:
         return posed

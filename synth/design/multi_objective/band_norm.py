@@ -23,7 +23,7 @@ class BandLandscape(Landscape):
     """The landscape of one plant in one band.
 
     Attributes:
-        band: from and to [rad/s]; for a discrete plant, of the continuous plant that it is mapped to.
+        band: lower and upper frequency [rad/s]; for a discrete plant, of its continuous image.
         own: number of its states without those of filters.
     """
 
@@ -40,8 +40,8 @@ class BandLandscape(Landscape):
         plant: n states, m inputs, r disturbances.
         Cy: shape (q, n).
         Dyw: shape (q, r); zero where it is not given.
-        band: from and to [rad/s].
-        like: one whose points are the same gains; None for its own scales.
+        band: lower and upper frequency [rad/s].
+        like: landscape whose points are the same gains; None for its own scales.
         through: feedthrough from forces to measurements, shape (q, m); zero where it is not given.
         """
         super().__init__(plant, Cy, Dyw, through)

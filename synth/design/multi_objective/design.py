@@ -89,14 +89,14 @@ def multi_objective_design(
 
     Args:
         problem: goals, bounds and plants.
-        starts: gains to start from, shape (m, q) each, beside those that the search finds itself.
+        starts: gains to start from, shape (m, q) each, in addition to the search's own.
         on_progress: called with the goal, and True if all bounds are kept, at every new point.
         otherwise: returns further starts, which may be slow to compute, if no other leads to stable loops.
 
     Raises:
         InputError: a decay is required for a discrete plant.
         DesignError: no gain makes all loops stable, or keeps all bounds; the message names the violated bounds.
-        Interrupted: by Ctrl-C, once a design is feasible.
+        Interrupted: Ctrl-C was pressed after a feasible design.
 
     Example:
         >>> import numpy as np

@@ -39,7 +39,7 @@ class Objective(ABC):
 
     Attributes:
         unit: the value that counts as one: a bound, or the best known value.
-        name: of the bounded quantity, in words.
+        name: description of the bounded quantity.
     """
 
     unit: float
@@ -61,8 +61,8 @@ class Objective(ABC):
         """Returns the weighted sum of second derivatives of the touching functions, shape (N, N); unknown ones count as zero.
 
         Args:
-            x: where the support was made.
-            weights: of all functions of the support, shape (F,).
+            x: point of the support.
+            weights: weights of all functions of the support, shape (F,).
         """
         return np.zeros((len(x), len(x)))
 
@@ -126,14 +126,14 @@ class Decay(Objective):
 
 @dataclass(frozen=True, eq=False)
 class BoundedSignal:
-    """A signal c x + g u of a plant that w does not reach at once.
+    """A signal c x + g u of a plant without feedthrough from w.
 
     Attributes:
         c: shape (n,).
         g: shape (m,).
         at_most: its largest allowed magnitude for the given energy.
         root: square root of that energy, the integral of |w|^2.
-        name: of the bound, in words.
+        name: description of the bound.
     """
 
     given_as = "a bounded signal"
@@ -149,11 +149,6 @@ class EnergyPeak(Objective):
     """Energy-to-peak norm `root` (c P c')^1/2 with A P + P A' + Bw Bw' = 0, relative to its bound."""
 
     def __init__(self, landscape: BandLandscape, signal: BoundedSignal, unit: float) -> None:
-        """Args:
-        landscape: of the plant.
-        signal: the bounded signal.
-        unit: the bound.
-        """
         self.landscape, self.signal, self.unit, self.name = landscape, signal, unit, signal.name
         self.c = signal.c * landscape.balancing  # in the coordinates of the landscape
 

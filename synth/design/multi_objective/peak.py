@@ -33,7 +33,7 @@ class RoadPeak(Objective):
     def __init__(self, driven: RoadLoop, scale: Array, unit: float) -> None:
         """Args:
         driven: the plant on its road, and the signal.
-        scale: of a gain's entries, as a landscape has them, shape (m, q).
+        scale: scale of a gain's entries, as in a landscape, shape (m, q).
         unit: the bound.
         """
         self.driven, self.scale, self.name = driven, scale, driven.name
@@ -120,9 +120,9 @@ class Peak:
     """The largest magnitude of a signal over a road.
 
     Attributes:
-        value: the largest magnitude that it reaches.
-        time: of that value, after the road's start [s].
-        proved: a magnitude that it never exceeds; infinite if none is known.
+        value: largest magnitude.
+        time: time of that value after the road's start [s].
+        proved: proved bound on the magnitude; infinite if none is known.
     """
 
     value: float

@@ -69,11 +69,11 @@ def _strictest(values: Sequence[float], of: Callable[[Sequence[float]], float]) 
 def goals_of_plants(
     where: str, section: Mapping[str, Any], plants: Sequence[GeneralizedPlant], Cy: Array, Dyw: Array | None
 ) -> tuple[Goals, MultiObjectiveProblem]:
-    """Returns the goals, and the problem that they are, of plants with as many states, inputs and outputs that measure alike.
+    """Returns the goals and their problem, for plants of the same size with the same measurements.
 
     Args:
         where: prefix of messages.
-        section: `minimise`, `bounds`, `tolerance` and `structure` as a vehicle file has them.
+        section: `minimise`, `bounds`, `tolerance` and `structure` as in a vehicle file.
         plants: the first is the nominal one.
         Cy: shape (q, n).
         Dyw: shape (q, r); None for zero.

@@ -26,9 +26,9 @@ class NormSpecification(Checked):
 
     Attributes:
         which: index of the plant among a member's `posed`.
-        band: from and to [rad/s].
+        band: lower and upper frequency [rad/s].
         at_most: the bound; infinite for what is minimised.
-        name: in words.
+        name: description.
 
     Raises:
         InputError: the band is empty, or a field is not allowed.
@@ -72,10 +72,10 @@ class MeasuredPlant(Checked):
             check_shape("through", self.through, (len(self.Cy), self.plant.B.shape[1]), "as Cy and the plant's inputs say")
 
     def acting(self, K: Array) -> Array:
-        """Returns the gain on C_y x + Dyw w that acts as K acts on readings, (I - K through)^-1 K, shape (m, q).
+        """Returns the gain on C_y x + Dyw w that acts as K on the measurements, (I - K through)^-1 K, shape (m, q).
 
         Raises:
-            InputError: that loop has no solution.
+            InputError: the loop has no solution.
         """
         return K if self.through is None else static_law(K).fed_back(self.through).D
 
@@ -138,7 +138,7 @@ class MultiObjectiveProblem(Checked):
     """The problem of minimising over K the largest norm over members and errors, within bounds.
 
     Attributes:
-        members: of the family; one without a family.
+        members: members of the family; one without a family.
         minimise: the minimised norm.
         norms: bounds on norms.
         decay: all poles lie left of minus this [rad/s]; None for the open left half plane.

@@ -48,9 +48,9 @@ class RoadLoop:
 
     Attributes:
         A, B, Cy, Dyu, Bw, Br: shapes (n, n), (n, m), (q, n), (q, m), (n, r), (n, r).
-        c, g, f: of the signal, shapes (n,), (m,), (r,).
+        c, g, f: coefficients of the signal, shapes (n,), (m,), (r,).
         drive: the road.
-        name: of the signal and the road, in words.
+        name: description of the signal and the road.
     """
 
     given_as = "a plant on a road"
@@ -86,7 +86,7 @@ class QuadratureInterval:
 
     Attributes:
         step: index of the step.
-        start, length: of the interval [s].
+        start, length: start and length of the interval [s].
         nodes: heights at the nodes of the quadrature, shape (NODES, r).
         at_kink: True if one of its ends is a kink.
     """
@@ -104,7 +104,7 @@ class RoadResponse:
     Attributes:
         h: the step [s].
         time: shape (T,), from 0 [s].
-        pieces: of the steps with a kink, in their order.
+        pieces: intervals of the steps with a kink, in order.
     """
 
     def __init__(self, driven: RoadLoop, step: float, length: float) -> None:
@@ -231,8 +231,8 @@ class RoadResponse:
         In a step with a kink only the ends count.
 
         Args:
-            values: of a signal at all times, shape (T,).
-            slopes: likewise.
+            values: values of a signal at all times, shape (T,).
+            slopes: time derivatives, shape (T,).
         """
         c1, c2, c3 = self._cubics(values, slopes)
         with np.errstate(all="ignore"):
@@ -273,9 +273,9 @@ def step_for(rate: float, share: float, end: float) -> float:
     """Returns the step for the fastest motion and the road: a share of a radian, down to an eighth of that for a short road.
 
     Args:
-        rate: of the motion [rad/s].
-        share: of a radian.
-        end: of the road [s].
+        rate: rate of the motion [rad/s].
+        share: share of a radian per step.
+        end: end of the road [s].
     """
     step = share / rate
     return min(step, max(end / 200, step / 8))

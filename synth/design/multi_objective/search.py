@@ -34,7 +34,7 @@ def downhill_to_stability(landscapes: Sequence[BandLandscape], x: Array, free: A
     """Returns a point at which the largest real part of a pole of any of the loops is smaller.
 
     Args:
-        landscapes: of the plants, with the same points.
+        landscapes: landscapes of the plants, with the same points.
         free: which entries of a point may move, by index.
     """
     rate = float(np.abs(np.linalg.eigvals(landscapes[0].A)).max()) or 1.0
@@ -125,8 +125,8 @@ class MinimaxSearch:
         The rounds are counted, `TURNS_ON` times `GLANCE`, and not timed: the result is the same everywhere.
 
         Args:
-            gain: of stable loops, shape (m, q).
-            errors: active from the beginning, beside no errors.
+            gain: gain of stable loops, shape (m, q).
+            errors: errors that are active from the beginning, in addition to none.
         """
         self.settled = ROUGHLY
         self.activate(self.new_errors(errors))

@@ -35,7 +35,7 @@ class WorstCaseErrors:
 
         Args:
             K: shape (m, q).
-            rate: of the decay [rad/s]; 0 if no decay is demanded.
+            rate: required decay [rad/s]; 0 if none is required.
         """
         problem = self.problem
         for i in range(len(problem.members)):

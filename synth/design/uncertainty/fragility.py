@@ -1,8 +1,7 @@
 """Fragility of a law: tolerated errors of its readings, forces and coefficients, and their cost, in words and as JSON.
 
-Each amount stands between two: a box of errors in which it is proved that all is well, and errors that were met, at which it is
-not. A gain of one force is off in its entries: an error of that force is one of all readings at once. Of several forces each may
-be off, too.
+Each amount is enclosed: by a box of errors for which the property is proved, and by errors at which it fails. With one force,
+errors of the entries of its gain include an error of the force. With several forces each force may be off, too.
 """
 
 import math
@@ -212,12 +211,12 @@ SAME = 1e-9  # relative, of two norms: two ways to one are as far apart
 def fragility_object(
     report: Fragility, rounding: Mapping[str, Certificate], measured: Sequence[str], forces: Sequence[str]
 ) -> dict[str, Any]:
-    """Fragility as JSON has it: errors relative, None for what is infinite.
+    """Returns the fragility as a JSON object: relative errors, None for infinite values.
 
     Args:
-        rounding: of the same.
-        measured: its q signals.
-        forces: m of them.
+        rounding: certificates of the rounded gain, by number format.
+        measured: names of the q measured signals.
+        forces: names of the m forces.
     """
 
     def borne(one: ErrorMargin) -> dict[str, Any]:

@@ -227,7 +227,7 @@ def all_stable(gain: ScaledGain, box: Box) -> bool:
 def bound_in_band(gain: ScaledGain, box: Box, low: float, high: float, found: float) -> MultiplierProof | None:
     """Returns the proof of about the least bound on a norm in a band for a whole box, or None if none is found.
 
-    It says nothing of stability.
+    The bound does not imply stability.
 
     Args:
         gain: its loops, in continuous time, the middle one stable.

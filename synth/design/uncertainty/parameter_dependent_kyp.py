@@ -1,7 +1,7 @@
 """A bound on the norm in a band that holds for a whole box of errors: P and Q that move with them, proposed by Clarabel.
 
-What it proposes is proved by `synth/analysis/uncertainty_box.py`, or is no bound. Of a gain that is given this is hardly
-loose at all: the slack variable W costs a design dearly (see `lmi/sdp.py`), and a proof next to nothing.
+`synth/analysis/uncertainty_box.py` proves or rejects the proposed bound. For a given gain it is almost tight: the slack variable
+W is conservative in a design (see `lmi/sdp.py`), but hardly in a proof.
 """
 
 from dataclasses import replace
@@ -20,12 +20,12 @@ MOST = 25_000  # numbers in all inequalities of one problem: some seconds
 
 
 def proof_in_band(gain: ScaledGain, box: Box, low: float, high: float, unit: float) -> ParameterDependentKYP | None:
-    """About the least bound on a norm in a band that can be proved of a whole box; it says nothing of stability.
+    """Returns about the least provable bound on a norm in a band for a whole box; it does not imply stability.
 
     Args:
         gain: its loops, in continuous time, the middle one stable.
         low, high: the band [rad/s]; `high` may be infinite.
-        unit: about how large the bound is.
+        unit: magnitude of the bound.
     """
     (n, r), d, V = gain.plant.Bw.shape, len(gain.plant.C), 2 ** len(box.uncertain)
     if V * (2 * n + r + d) ** 2 > MOST or not gain.well_posed(box) or not 0 < unit < np.inf:

@@ -33,7 +33,7 @@ def stable_throughout(gain: ScaledGain, box: Box) -> list[tuple[Box, ParameterDe
     """Returns parts that fill a box, each with a stability proof of all its loops; None if no proof is found.
 
     Args:
-        box: of as many free factors as `MOST_UNKNOWNS` allows.
+        box: box with as many free factors as `MOST_UNKNOWNS` allows.
     """
     if unknowns(gain, box) > MOST_UNKNOWNS:
         return None

@@ -44,7 +44,7 @@ def scaled_gain(
 
 
 def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
-    """The factors of readings that are off by +-d and forces by +-e, relative and each by itself; those that nothing uses are 1.
+    """Returns the box of factors of measurements off by +-d and forces off by +-e, relative, separately; unused factors are 1.
 
     Args:
         gain: q readings, m forces, beside the states of a law.
@@ -52,7 +52,7 @@ def box_of(gain: ScaledGain, d: Array | float, e: Array | float) -> Box:
         e: one for all forces, or one for each, shape (m,).
 
     Raises:
-        InputError: there are more, or one is no number from 0 to 1.
+        InputError: there are too many errors, or one is not a number from 0 to 1.
     """
     (rows, columns), q, m = gain.K.shape, gain.readings, gain.forces
     width = np.zeros(columns + rows)
@@ -68,11 +68,11 @@ def errors_of(gain: ScaledGain, factors: Array) -> tuple[Array, Array]:
 
 
 def vertices(d: Array, e: Array) -> list[tuple[Array, Array]]:
-    """The corners of a box of errors: what readings and what forces are multiplied by, shapes (q,) and (m,).
+    """Returns the corners of a box of errors: factors of measurements and forces, shapes (q,) and (m,).
 
     Args:
-        d: by how much each reading may be off, relative, shape (q,).
-        e: likewise each force, shape (m,).
+        d: relative error of each measurement, shape (q,).
+        e: relative error of each force, shape (m,).
     """
     width = np.concatenate([d, e])
     return [(factors[: len(d)], factors[len(d) :]) for factors in Box(1 - width, 1 + width).vertices]

@@ -78,7 +78,7 @@ def scaled_plant(structured: StructuredPlant, filters: list[tuple[System, System
     """Returns the plant between scales of its errors, and its C_y and Dyw.
 
     Args:
-        filters: of each error, the scale of q, and its inverse, which p comes out of.
+        filters: for each error, the scale of q and its inverse, whose output is p.
     """
     plant, k = structured.plant, structured.errors
     outputs = append(gain(np.eye(len(plant.C) - k)), *(scale for scale, _ in filters))

@@ -2,7 +2,7 @@
 
 For errors Delta, a full block from z to w among them, mu(M) <= |D M D^-1| for any positive scales D of the errors (Doyle 1982;
 Packard, Doyle 1993, The complex structured singular value, Automatica 29). Errors of size below 1 / mu leave a loop stable. With
-the performance block, mu <= gamma says more: for all errors of size 1 / gamma the norm from w to z is at most gamma.
+the performance block, mu <= gamma also bounds the norm from w to z by gamma, for all errors of size 1 / gamma.
 
 The proof divides the frequencies into intervals, each with constant scales. Within an interval the level sets of the scaled loop
 show that no frequency exceeds gamma, as in `analysis/band_norm.py`. So nothing is sampled, and the search for scales is not

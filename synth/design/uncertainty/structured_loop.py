@@ -28,8 +28,8 @@ class StructuredLoop:
     """A loop M with k errors, of which the last k inputs are p and the last k outputs are q.
 
     Attributes:
-        loop: from [w; p] to [z; q], shape (d + k, r + k); from p to q alone if there is no performance.
-        errors: k.
+        loop: system from [w; p] to [z; q], shape (d + k, r + k); from p to q alone if there is no performance.
+        errors: number k of errors.
     """
 
     loop: GeneralizedPlant
@@ -55,7 +55,7 @@ class StructuredLoop:
         """Returns D M D^-1, where D scales each q, and D^-1 each p.
 
         Args:
-            scales: of the errors, positive, shape (k,).
+            scales: positive scales of the errors, shape (k,).
         """
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
@@ -99,7 +99,7 @@ class StructuredPlant:
     Attributes:
         plant: n states, m inputs, r + k disturbances, d + k controlled outputs.
         Cy, through, Dyw: y = C_y x + `through` u + Dyw [w; p], shapes (q, n), (q, m), (q, r + k).
-        errors: k.
+        errors: number k of errors.
     """
 
     plant: GeneralizedPlant
@@ -131,7 +131,7 @@ def plant_with_errors(
         plant: continuous, n states, m inputs, r disturbances, d controlled outputs.
         Cy, through, Dyw: y = C_y x + `through` u + Dyw w, shapes (q, n), (q, m), (q, r); no Dyw is zero.
         of_errors: the columns of state and z of a force that is added to what is requested, shapes (n, m), (d, m).
-        weights: of each force, and of each reading; None for one without an error.
+        weights: weight of each force and of each measurement; None for one without an error.
     """
     (q, n), (d, m), r = Cy.shape, plant.D.shape, plant.Bw.shape[1]
     forces, readings = ([i for i, one in enumerate(some) if one is not None] for some in weights)

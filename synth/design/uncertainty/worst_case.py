@@ -169,7 +169,7 @@ def common_x(gain: ScaledGain, box: Box, start: Array, eta: float) -> Array | No
     """Returns an X that satisfies (20) at all corners of a box, shape (n, n); None if it is infeasible, or nearly.
 
     Args:
-        box: of no more than `certificate.box.MOST` free factors.
+        box: box with at most `MOST` free factors (`uncertainty_box.py`).
         start: X > 0 to start from, as near as is known, shape (n, n).
         eta: gamma^-2.
 
@@ -352,11 +352,11 @@ class WorstNorm:
     """The worst norm over a box of errors.
 
     Attributes:
-        found: the largest norm met; infinite where a loop in the box is unstable.
-        readings: the errors there, relative, shape (q,).
-        forces: likewise, shape (m,).
-        proved: what no norm in the box exceeds, stability included; infinite where that is not proved.
-        proof: of that; None if it is not proved.
+        found: largest norm found; infinite if a loop in the box is unstable.
+        readings: relative errors of the measurements at that norm, shape (q,).
+        forces: relative errors of the forces at that norm, shape (m,).
+        proved: proved bound on all norms in the box, stability included; infinite if not proved.
+        proof: proof of that bound; None if it is not proved.
     """
 
     found: float

@@ -35,8 +35,8 @@ def smallest_unstable_period(vehicle: Vehicle, controller: Controller, delay: fl
     """Returns the shortest sample period at which a loop is not stable [s]; infinite if it is stable up to `LONGEST_PERIOD`.
 
     Args:
-        vehicle: sample period and delay of its `[implementation]` do not count.
-        delay: from a measurement to the force computed from it, in samples.
+        vehicle: the vehicle; sample period and delay of its `[implementation]` do not count.
+        delay: delay from a measurement to the force computed from it, in samples.
 
     Returns:
         0 if the loop is unstable even at the highest rate.
@@ -78,7 +78,7 @@ class AtRate:
     """The norms of a controller at one sample rate.
 
     Attributes:
-        period: of its samples [s].
+        period: sample period [s].
         undelayed_norm: norm of the loop without delay.
         late: norm of the loop with the delay `Cost.delay`.
         designed: norm without delay of a controller designed for this rate; None without such a design.
@@ -101,7 +101,7 @@ class Cost:
         ideal: norm of its continuous loop, with its actuators' lag and without noise; infinite if that is not stable.
         lower_bound: on the norm with these measurements at any rate; None if unknown. It is proved for time-invariant
             controllers, and no time-varying one does better (Khargonekar, Poolla 1986).
-        delay: of the late forces, in samples.
+        delay: delay of the late forces, in samples.
         rates: ascending by period.
         lost: the shortest sample period at which the loop is not stable [s], see `smallest_unstable_period`.
         lost_late: the same for late forces.
@@ -132,7 +132,7 @@ def cost(
     Args:
         vehicle: only the delay in samples of its `[implementation]` counts; default one.
         periods: ascending [s].
-        designs: periods for which the controller is also designed anew, if it was designed in two steps.
+        designs: periods for which a controller designed in two steps is designed again.
         done: called with the number of finished periods.
     """
     delay, ideal = vehicle.implementation.delay or 1, norm_in_continuous_time(vehicle, controller)

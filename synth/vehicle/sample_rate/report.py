@@ -22,10 +22,10 @@ SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 
 
 def cost_lines(one: Cost, lag: str = "") -> list[str]:
-    """A controller at all rates, a line each.
+    """Returns a line for each rate of a controller.
 
     Args:
-        lag: of the actuators, in words; empty without.
+        lag: lag of the actuators, in words; empty without.
     """
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
@@ -126,7 +126,7 @@ def failures(one: Cost) -> list[str]:
 
 
 def cost_object(one: Cost) -> dict[str, Any]:
-    """A controller at all rates as JSON has it: SI units, None for what is infinite or does not exist."""
+    """Returns a controller at all rates as a JSON object: SI units, None for infinite or missing values."""
     return {
         "name": one.controller.name,
         "norm": finite(one.ideal),

@@ -38,8 +38,8 @@ class FrontAxis:
         name: ride, travel, road_holding, force, band or tolerance.
         norm: its signals and band.
         off: relative error of each reading; then the axis is the worst norm.
-        meaning: on one line.
-        unit: of the norm, per m/s of road velocity.
+        meaning: description on one line.
+        unit: unit of the norm, per m/s of road velocity.
     """
 
     name: str

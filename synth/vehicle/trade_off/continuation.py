@@ -32,8 +32,8 @@ class EvaluatedGain:
     """An evaluated gain.
 
     Attributes:
-        x: of the landscape.
-        values: of the axes, shape (K,).
+        x: point of the landscape.
+        values: norms of the axes, shape (K,).
         excess: over the worst bound, relative; see `Evaluation`.
     """
 
@@ -51,8 +51,8 @@ class FrontContinuation:
 
     def __init__(self, search: MinimaxSearch, axes: Sequence[Sequence[BandLandscape]], starts: Sequence[Array]) -> None:
         """Args:
-        search: its bounds, its structure and its starts count; its goal does not.
-        axes: of each the landscapes whose largest norm it is.
+        search: the search with bounds, structure and starts; its goal does not count.
+        axes: for each axis, the landscapes whose largest norm it is.
         starts: gains, shape (m, q) each.
 
         Raises:
@@ -142,11 +142,11 @@ class FrontContinuation:
 
 
 def rays(ends: Array, count: int) -> Iterator[Array]:
-    """Points of the plane through the ends, about so many, neighbours one after another.
+    """Yields about `count` points of the plane through the ends, neighbours one after another.
 
     Args:
         ends: shape (K, K), K two or three.
-        count: of them; of three ends the number of points of a lattice that is next to it.
+        count: number of points; for three ends, that of the nearest lattice.
     """
     if len(ends) == 2:
         for share in np.linspace(0, 1, count):

@@ -43,7 +43,7 @@ class Point:
     """A design on the front, or another controller beside it.
 
     Attributes:
-        controller: with its certificate for `[performance]`.
+        controller: controller with its certificate for `[performance]`.
         norms: one per axis.
         travel: the largest suspension deflection over the paper's bump [m]; None if not requested, or without suspension.
     """
@@ -64,13 +64,13 @@ class Front:
 
     Attributes:
         vehicle: the vehicle.
-        name: of the controller whose measurements, bounds and structure the designs have.
-        axes: what it is between.
-        points: none of which is better than another in all, ascending on the first axis.
+        name: controller whose measurements, bounds and structure the designs have.
+        axes: axes of the trade-off.
+        points: designs that no other beats in all axes, ascending on the first axis.
         others: other controllers of the vehicle file.
-        missing: those that are not there, and why.
-        limits: of every two axes.
-        tried: designs.
+        missing: omitted controllers, each with the reason.
+        limits: lower-bound curves of every two axes.
+        tried: number of designs tried.
         unproved: those of them that were left out because a claim fails.
         interrupted: what Ctrl-C cut short; empty for nothing.
     """
@@ -106,13 +106,13 @@ def front(
     count: int = DESIGNS,
     on_progress: Callable[[int], None] = lambda done: None,
 ) -> Front:
-    """The front of a controller's static gains.
+    """Returns the front of a controller's static gains.
 
     Args:
-        name: of a controller that measures what the designs measure; bounds and structure of its goals are kept.
+        name: controller with the measurements of the designs; bounds and structure of its goals are kept.
         axes: two or three.
         others: names of controllers that are shown beside it.
-        on_progress: how many are done.
+        on_progress: called with the number of finished designs.
 
     Raises:
         InputError: the controller cannot be one, see `entry_of`; or it measures too much for an axis with errors.

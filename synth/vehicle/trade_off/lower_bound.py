@@ -1,7 +1,7 @@
-"""The line that nobody crosses: lower bounds on two norms at once, proved for controllers that know the whole state and the road.
+"""Joint lower bounds on two norms, proved for all controllers, even those that know the whole state and the road.
 
-Of any controller the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, v_i and v_j the norms of
-its parts. So a lower bound g on the stacked one, for some weights, keeps every controller out of the ellipse
+For any controller the norm of the stacked outputs [a z_i; b z_j] is at most (a^2 v_i^2 + b^2 v_j^2)^1/2, where v_i and v_j are
+the norms of the parts. So a lower bound g on the stacked norm, for some weights, keeps every controller out of the ellipse
 
     a^2 v_i^2 + b^2 v_j^2 < g^2,
 
@@ -32,8 +32,8 @@ class LowerBoundCurve:
     """The lower bound on two axes.
 
     Attributes:
-        axes: their indices.
-        weights: of both axes in a stacked z, shape (M, 2).
+        axes: indices of the axes.
+        weights: weights of both axes in a stacked z, shape (M, 2).
         norms: lower bounds on the norm of each stack, shape (M,).
     """
 
@@ -62,12 +62,12 @@ def no_bound(pair: tuple[int, int]) -> LowerBoundCurve:
 
 
 def limits(plants: list[GeneralizedPlant], bands: list[Band], units: Array) -> Iterator[LowerBoundCurve]:
-    """Returns the bounds of every two axes, one after another.
+    """Yields the bounds of every two axes.
 
     Args:
-        plants: of each axis, alike but for z.
-        bands: of each axis [rad/s].
-        units: of each, of the size of its norms, shape (K,).
+        plants: plant of each axis; only z differs.
+        bands: band of each axis [rad/s].
+        units: unit of each axis, about the size of its norms, shape (K,).
     """
     return (_limit(plants, bands, units, pair) for pair in combinations(range(len(plants)), 2))
 

@@ -1,4 +1,4 @@
-"""A trade-off in words, as `--json` has it, as CSV, and drawn."""
+"""Output of a trade-off: text, JSON, CSV and a picture."""
 
 import csv
 import math
@@ -104,7 +104,7 @@ def sentences(front: Front) -> list[str]:
 
 
 def front_object(front: Front) -> dict[str, Any]:
-    """The front as JSON has it: SI units."""
+    """Returns the front as a JSON object in SI units."""
     return {
         "controller": front.name,
         "axes": [
