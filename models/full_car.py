@@ -113,11 +113,7 @@ def _side(side: str, p: Parameters) -> float:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """Returns the linear model: 14 states, 4 inputs [N], 4 disturbances (road velocities) [m/s], 37 output signals.
-
-    Args:
-        p: parameters by name [SI].
-    """
+    """Returns the linear model for parameters [SI]: 14 states, 4 inputs [N], 4 road velocities [m/s], 37 output signals."""
     return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 

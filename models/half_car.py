@@ -71,11 +71,7 @@ def _body(p: Parameters) -> RigidBody:
 
 
 def linear_model(p: Parameters) -> LinearModel:
-    """Returns the linear model: 8 states, 2 inputs [N], 2 disturbances (road velocities) [m/s], 18 output signals.
-
-    Args:
-        p: parameters by name [SI].
-    """
+    """Returns the linear model for parameters [SI]: 8 states, 2 inputs [N], 2 road velocities [m/s], 18 output signals."""
     return rigid_body.linear_model(_body(p), STATES, FORCES, ROAD_VELOCITIES, (*OUTPUTS, *ON_DEMAND))
 
 

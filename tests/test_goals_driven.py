@@ -58,7 +58,7 @@ def test_said_by(vehicles, capsys, main, options):
     code, out, (line,) = said["broken"]
     assert (code, out) == said["kept"][:2]
     assert line.startswith(SAID)
-    assert line.endswith("at most 7 is allowed; and 1 more): it is taken as it is; python -m synth says more")
+    assert line.endswith("at most 7 is allowed; and 1 more): it is used unchanged; see python -m synth")
 
 
 def test_said_by_a_campaign(vehicles, tmp_path, capsys):

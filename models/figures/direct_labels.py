@@ -1,4 +1,4 @@
-"""Direct labels of curves: each name beside its own line, where no other line passes, for readers who do not tell hues apart.
+"""Direct labels of curves: each name next to its own line, far from other lines, for readers who cannot distinguish hues.
 
 A panel is divided into columns, in each of which a line covers an interval. A label lies above or below its line, at the columns
 where the distance to all other lines and labels is largest. Lines on each other share a label. A line without room has none.

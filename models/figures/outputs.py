@@ -75,7 +75,7 @@ def _check_ending(path: Path, what: str) -> None:
 
 
 def _is_own(path: Path) -> bool:
-    """Returns True if nothing is lost where a vehicle file is saved: there is no file, an empty one, or a saved one."""
+    """Returns True if saving a vehicle file loses nothing: there is no file, an empty one, or a saved one."""
     if not path.is_file() or not path.stat().st_size:
         return True
     with path.open("rb") as lines:

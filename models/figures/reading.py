@@ -127,7 +127,7 @@ def _noted(column: Sequence[str], marks: Iterable[str], notes: dict[str, str]) -
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Returns numbers with one number of decimals where each keeps three digits; what is rounding beside the others is 0.
+    """Returns numbers with a common number of decimals that keeps three digits of each; rounding errors become 0.
 
     Figure spaces align the decimal points of others. A column with an other word than - is unchanged.
     """

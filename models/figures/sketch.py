@@ -65,7 +65,7 @@ class View:
 
     @property
     def middles(self) -> list[float]:
-        """Where the struts are drawn: in proportion to their places, and not into each other."""
+        """Positions of the drawn struts: in proportion to their places, without overlap."""
         pairs = list(itertools.pairwise(self.struts))
         scale = max(((one.half + other.half + GAP) / (other.place - one.place) for one, other in pairs), default=0.0)
         first = self.struts[0]
@@ -187,7 +187,7 @@ def _box(across: tuple[float, float], down: tuple[float, float], *lines: str) ->
 
 
 def _letters(x: float, y: float, text: str, plain: bool = False) -> str:
-    """Returns a text around x; of symbols what follows _ is a subscript."""
+    """Returns a text around x; in symbols the part after _ is a subscript."""
     if not plain and re.fullmatch(rf"{SYMBOL.pattern}(, {SYMBOL.pattern})*", text):
         text = SYMBOL.sub(_subscripted, text)
     else:

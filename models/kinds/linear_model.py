@@ -121,7 +121,7 @@ class LinearModel:
 
     @property
     def jump(self) -> Array:
-        """J, by which states follow the road's height at once, shape (n, r): x - J z_r does not jump where a held road does."""
+        """J, direct effect of the road's height on the states, shape (n, r): x - J z_r does not jump where a held road does."""
         return self.Bw - self.Bt if self.tyres_damp else self.Bw
 
     @property

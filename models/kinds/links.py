@@ -115,11 +115,7 @@ def left_out(p: Parameters, angles: Collection[str]) -> str:
 
 
 def check_links(p: Parameters) -> None:
-    """Refuses a single roll centre.
-
-    Raises:
-        InputError: one axle has a roll centre and the other none.
-    """
+    """Raises an InputError if one axle has a roll centre and the other does not."""
     given = [part.name for part in ROLL_CENTRES if part.name in p]
     if len(given) == 1:
         other = next(part.name for part in ROLL_CENTRES if part.name not in p)

@@ -1,4 +1,4 @@
-"""Interface of exact equations of motion: without MuJoCo, and linear only where the vehicle is."""
+"""Interface of exact equations of motion, independent of MuJoCo; nonlinear if the vehicle is."""
 
 from collections.abc import Callable, Mapping
 from typing import Protocol

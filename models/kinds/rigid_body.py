@@ -300,11 +300,7 @@ def wheelbase(p: Parameters) -> float:
 
 
 def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) -> None:
-    """Refuses an inertia that no body of this mass and size can have.
-
-    Raises:
-        InputError: the radius of gyration is larger than the size [m].
-    """
+    """Raises an InputError if the radius of gyration of an inertia is larger than the size of the body [m]."""
     radius = float(np.sqrt(inertia / mass))
     if radius > size:
         raise InputError(
@@ -314,11 +310,7 @@ def check_inertia(name: str, inertia: float, mass: float, size: float, of: str) 
 
 
 def check_stands(body: RigidBody) -> None:
-    """Refuses a body that its own weight turns over.
-
-    Raises:
-        InputError: springs, bars and tyres hold it with less than its weight's moment.
-    """
+    """Raises an InputError if springs, bars and tyres cannot hold the body against the moment of its own weight."""
     if not body.guided:
         return
     tyres, stiffness = np.diag([corner.tyre_stiffness for corner in body.corners]), body.stiffness

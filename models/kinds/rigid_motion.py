@@ -88,7 +88,7 @@ class RigidMotion:
         return np.concatenate([q, hubs, columns[:, 2 * c :]], axis=1)
 
     def usable(self, state: Array) -> Array:
-        """See `Motion`. Where a body lies over, or a strut has no length left, its position does not follow from the struts."""
+        """See `Motion`. If a body has turned over, or a strut has no length, the struts do not determine its position."""
         q, hubs, rates, hub_rates = self._split(state)
         with np.errstate(all="ignore"):
             d, _, _, up = self._struts(q, hubs, rates, hub_rates)

@@ -202,11 +202,7 @@ def check_measured(name: str, measured: Sequence[str], dampers: Mapping[str, Dam
 def softest(
     curves: Sequence[SuspensionCurve], dampers: Sequence[Adjustable], pushed: Callable[[str], str]
 ) -> tuple[SuspensionCurve, ...]:
-    """Returns the curves of suspensions, with `Adjustable.offset` for the adjustable dampers.
-
-    Args:
-        pushed: force -> deflection of its suspension.
-    """
+    """Returns the curves of suspensions, with `Adjustable.offset` for adjustable dampers; `pushed` has a deflection by force."""
     bases = {pushed(damper.force): damper.offset for damper in dampers}
     replaced = []
     for curve in curves:

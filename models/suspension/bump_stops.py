@@ -48,12 +48,12 @@ class Stop:
     stiffness: tuple[float, float, float]
 
     def acts(self, beyond: Array) -> Array:
-        """Returns its force [N] where it is squeezed by so much [m], shape (...)."""
+        """Returns its force [N] at a compression [m], shape (...)."""
         first, second, third = self.stiffness
         return beyond * (first + beyond * (second + beyond * third))
 
     def work(self, beyond: Array) -> Array:
-        """Returns the energy that it stores where it is squeezed by so much [J], shape (...)."""
+        """Returns its stored energy [J] at a compression [m], shape (...)."""
         first, second, third = self.stiffness
         return beyond**2 * (first / 2 + beyond * (second / 3 + beyond * third / 4))
 

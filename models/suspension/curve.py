@@ -100,7 +100,7 @@ class ForceCurve:
 
     @cached_property
     def left_at(self) -> tuple[float, float]:
-        """Arguments below and above rest where it first leaves its line by `LEAVES` of its range; infinite if it never does."""
+        """Arguments below and above rest at which it first differs from its line by `LEAVES` of its range; infinite if never."""
         limit, arguments = LEAVES * self.range, []
         for side in (-1.0, 1.0):
             points = np.flatnonzero(side * self.x >= 0)[:: int(side)]

@@ -42,11 +42,7 @@ class CoefficientRange:
     bent: Bent | None = None
 
     def effective_velocity(self, closing: Array, which: Array | slice = slice(None)) -> Array:
-        """Returns the factor from coefficient to force: the closing velocity, bent as the curves are, shape (..., N, m).
-
-        Args:
-            closing: velocity [m/s], shape (..., N, m).
-        """
+        """Returns the factor from coefficient to force, shape (..., N, m): the closing velocity [m/s], bent as the curves are."""
         return closing if self.bent is None else closing - _pieces(self.bent.shape[:, which], -closing)
 
     def secant_limits(self, c_min: Array, c_max: Array, closing: Array, which: Array | slice) -> tuple[Array, Array]:

@@ -123,18 +123,18 @@ def say_false_claims(controllers: Iterable[Driver]) -> None:
         if isinstance(one, Controller) and one.false_claims:
             complain(
                 f"the certificate of controller {one.name!r} in the vehicle file does not hold ({_first(one.false_claims)}): its "
-                "gain is taken as it is; python -m synth --check says more"
+                "gain is used unchanged; see python -m synth --check"
             )
         if isinstance(one, Controller) and one.unmet_specifications:
             missed = [promise.text for promise in one.specifications if not promise.holds]
             complain(
                 f"controller {one.name!r} does not keep the goals that the vehicle file has for it ({_first(missed)}): it is "
-                "taken as it is; python -m synth says more"
+                "used unchanged; see python -m synth"
             )
 
 
 def _first(claims: Sequence[str]) -> str:
-    """The first of some claims, and how many more there are."""
+    """Returns the first of some claims, and the number of further ones."""
     return f"{claims[0]}; and {len(claims) - 1} more" if len(claims) > 1 else claims[0]
 
 
@@ -148,7 +148,7 @@ def recorded(
     runs: Callable[[], Mapping[str, Run]],
     result: Mapping[str, Any],
 ) -> dict[str, str | None]:
-    """Records what a command has run, as `record_runs` does; None for every file where there is no folder.
+    """Records the runs of a command by `record_runs`; returns None for every file without a folder.
 
     Args:
         options: as the command's parser read them, `--logs` among them.
@@ -165,11 +165,7 @@ def recorded(
 
 
 def write_histories(options: argparse.Namespace, runs: Sequence[Run], where: str) -> dict[str, Path | None]:
-    """Writes what `--picture` and `--csv` ask for; returns the outputs that were written, by name.
-
-    Args:
-        where: the road in words, after "over".
-    """
+    """Writes the files of `--picture` and `--csv`; returns their paths by name. `where` describes the road, after "over"."""
     outputs: dict[str, Path | None] = {}
     if options.picture is not None:
         from models.figures.picture import write_picture
@@ -230,7 +226,7 @@ def check_view(options: argparse.Namespace) -> None:
 
 
 def view(options: argparse.Namespace, logs: Mapping[str, str | None]) -> None:
-    """Shows a recording as `--open` and `--serve` want; what the command has printed is out before.
+    """Shows a recording for `--open` or `--serve`, after flushing the output of the command.
 
     Raises:
         InputError: the web viewer does not come up.
@@ -264,11 +260,7 @@ def run_named(
 
 
 def passive_beside(runs: Sequence[Run], design: Callable[[str], Controller]) -> Run | Reference:
-    """Returns the run of the passive vehicle, which is one of the runs, or made for the comparison.
-
-    Args:
-        design: gives the passive vehicle's controller.
-    """
+    """Returns the run of the passive vehicle: one of the runs, or a new one of the controller that `design` returns."""
     passive = next((run for run in runs if run.controller.name == PASSIVE), None)
     return passive or reference(runs[0].vehicle, design(PASSIVE), runs[0].road, runs[0].prediction.time)
 

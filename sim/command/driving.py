@@ -1,4 +1,4 @@
-"""What `sim.bump` and `sim.drive` do: controllers of some vehicles over one road, in MuJoCo and in analysis, in one answer."""
+"""The common part of `sim.bump` and `sim.drive`: controllers of vehicles over one road, in MuJoCo and in analysis."""
 
 import json
 from argparse import Namespace

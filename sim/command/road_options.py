@@ -89,7 +89,7 @@ def left_out_lines(names: Sequence[str]) -> list[str]:
 
 
 def add_run_options(parser: Parser, duration: float) -> None:
-    """Adds `--duration` with its default [s], `--timestep`, `--as`, those of logs and viewers, and those of what is printed."""
+    """Adds `--duration` with its default [s], `--timestep`, `--as`, and the options of logs, viewers and output."""
     add_exported(parser)
     parser.add_number("--duration", duration, "s", "how long to run")
     parser.add_number("--timestep", USUAL_TIMESTEP, "s", "integration step and sample period of the controller")

@@ -59,7 +59,7 @@ def open_viewer(recording: Path) -> None:
 
 
 def _reason(said: bytes) -> str:
-    """The last line of what a program has said, without colours, as a reason."""
+    """Returns the last line of a program's output, without colours, as a reason."""
     lines = [COLOUR.sub("", line).strip() for line in said.decode(errors="replace").splitlines()]
     return next((line.removeprefix("Error: ") for line in reversed(lines) if line), "it says nothing")
 
@@ -116,7 +116,7 @@ def _free_ports(count: int) -> list[int]:
 
 @contextmanager
 def _ended_with(command: list[str]) -> Iterator[subprocess.Popen]:
-    """A program that Ctrl-C does not reach, and that is ended with the block."""
+    """Context of a program that Ctrl-C does not reach, and that ends with the block."""
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )

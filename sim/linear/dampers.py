@@ -37,7 +37,7 @@ def is_linear(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def bent_velocities(vehicle: Vehicle, velocities: Array) -> Array:
-    """Returns the velocities that damper coefficients are multiplied by, from the velocities of the suspensions, shape (..., m)."""
+    """Returns the factors from damper coefficients to forces, by the velocities of the suspensions, shape (..., m)."""
     of = range_of([vehicle.adjustable], vehicle.linear_model.inputs)
     return velocities if of.bent is None else -of.effective_velocity(-velocities[..., None, :])[..., 0, :]
 
@@ -94,7 +94,7 @@ def commands_of(vehicle: Vehicle, physics: Response) -> Array:
 
 
 def squarable(forces: Array) -> Array:
-    """Returns requested forces [N], of which those that have no finite square are cut off; an unstable law asks for such."""
+    """Returns requested forces [N], clipped to finite squares, as unstable laws may exceed them."""
     return np.clip(forces, -MOST_SQUARED, MOST_SQUARED)
 
 

@@ -279,7 +279,8 @@ def _first_leave(values: Array, out: Array, looks: Array, low: Array, high: Arra
 
 
 def _root(line: Array, start: float, end: float, bound: float, side: int) -> float:
-    """Returns the point at which a polynomial, highest power first, passes a bound between two points; it may begin on the bound."""
+    """Returns the point at which a polynomial, highest power first, crosses a bound between two points; the first may lie on
+    it."""
 
     coefficients = line.tolist()
 

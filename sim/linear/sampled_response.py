@@ -218,11 +218,7 @@ def sampled_responses(
 
 
 def forces_ahead(preview: "RoadPreview", road: RoadInput, steps: int) -> Array:
-    """Returns the forces by which a computer answers the road ahead [N], shape (T, m), held from sample to sample.
-
-    Args:
-        steps: timesteps between two of its samples.
-    """
+    """Returns the forces by which a computer answers the road ahead [N], shape (T, m), held for `steps` timesteps each."""
     h = road.timestep
     heights = np.concatenate([road.heights, road.ahead((preview.samples(steps * h) - 1) * steps)])
     return preview.forces(heights, steps, h, len(road.time))

@@ -361,7 +361,7 @@ class Damped:
 
 
 class Limited:
-    """Linear laws whose forces the actuators limit, and whose states follow what is left of them."""
+    """Linear laws whose forces the actuators limit, and whose states follow the limited forces."""
 
     def __init__(self, laws: LinearLaws) -> None:
         """Wraps N laws."""

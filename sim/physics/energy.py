@@ -116,7 +116,7 @@ class Energy(Shown):
         return self.residual > self.allowed
 
     def beside(self, finer: "Energy") -> "Energy":
-        """Returns the balance with what is allowed of it once the same run is known at half the step."""
+        """Returns the balance with its allowed residual, given the same run at half the step."""
         falls = max(0.0, self.residual - finer.residual)
         return replace(self, allowed=max(self.allowed, min(COARSEST, self.allowed + FALLS * falls)))
 
@@ -194,14 +194,14 @@ def energy(runs: PhysicsRuns, index: int, road: RoadInput, until: float = np.inf
 
 
 class _FittedForces:
-    """Tyres that damp, and constant forces of struts without springs: what actuators beside the inputs store and dissipate.
+    """Energy of actuators other than the inputs: damping tyres, and constant forces of struts without springs.
 
     A tyre's spring has the energy k s^2 / 2 at the squeeze s. The rest R of the force acts between the road, at its velocity w,
     and the hub, at l'. The road's power is R w, that on the hub R l', and the difference is lost.
     """
 
     def __init__(self, vehicle: Vehicle, model: mujoco.MjModel) -> None:
-        """Finds them in the model of `_observed`, whose last sensors are of their lengths and speeds."""
+        """Finds these actuators in the model of `_observed`, whose last sensors are their lengths and speeds."""
         self.wheels, actuators = damped_tyres(vehicle, model)
         self.c, bias = model.actuator_gainprm[actuators, 0], model.actuator_biasprm[actuators]
         self.k = -bias[:, 1]

@@ -1,4 +1,4 @@
-"""Exported code in the loop: it reads the signals and sets the actuators of runs, and does all that is between these itself.
+"""Exported code in the loop: it reads the signals and sets the actuators of runs, and computes everything in between.
 
 Quantisation, delay, limits and anti-windup of the controller are in the code, and not here. Noise is of the sensors, and is here.
 """

@@ -89,11 +89,7 @@ class Block:
         return ~(self.largest < DIVERGED) | self.overflowed  # NaN compares as wild
 
     def clip(self, runs: Array) -> None:
-        """Replaces non-finite values of some runs by 0, and clips theirs to `DIVERGED`, in place.
-
-        Args:
-            runs: True for each of them, shape (N,).
-        """
+        """Replaces non-finite values of some runs, a mask of shape (N,), by 0, and clips theirs to `DIVERGED`, in place."""
         values = np.nan_to_num(self.values[..., runs], nan=0.0, posinf=0.0, neginf=0.0)
         self.values[..., runs] = np.clip(values, -DIVERGED, DIVERGED)
 

@@ -376,7 +376,7 @@ def force_from_road(gain: Array, road: Array, readout: Readout) -> Array:
 
 
 def signal_from_road(road: Array, readout: Readout, linear: bool) -> Array:
-    """Returns the same part of the signals themselves, shape (T, N, S): of those read from the state, or of those from sensors."""
+    """Returns that part of the signals, shape (T, N, S): those read from the state, or those read from sensors."""
     unseen = np.zeros((*road.shape[:2], len(readout.names)))
     for s in np.flatnonzero(readout.linear == linear):
         unseen[..., s] = 0.0 if linear else -readout.rest[s]

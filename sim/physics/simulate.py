@@ -168,7 +168,7 @@ def _whole(parts: Sequence[Callable[[Callable[[], bool]], Iterator[Block]]]) -> 
 
 
 def met_alike(inputs: Sequence[RoadInput]) -> list[RoadInput]:
-    """Returns, in place of each road input, the first one with equal heights under its wheels, so that these are computed once."""
+    """Replaces each road input by the first one with equal heights under its wheels, so that these are computed once."""
     keys = [(*road.vehicle.parameters.values(), id(road.road)) for road in inputs]
     first = dict(zip(reversed(keys), reversed(inputs), strict=True))
     return [first[key] for key in keys]

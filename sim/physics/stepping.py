@@ -1,4 +1,5 @@
-"""The simulation loop: read, control, move the road, step; in a batch of MuJoCo's, or for a single run, at a fifth less per step."""
+"""The simulation loop: read, control, move the road, step. In a batch of MuJoCo's, or for a single run, a fifth faster per
+step."""
 
 import functools
 import itertools

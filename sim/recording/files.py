@@ -102,5 +102,5 @@ def _published(written: Mapping[str, Path], folder: Path, stem: str) -> dict[str
 def _not_writable(folder: Path, error: OSError) -> InputError:
     return InputError(
         f"cannot write recordings in {folder}: {error.strerror or error}. It must be a writable folder with free space: "
-        "give another one, or mend this one"
+        "give another one, or fix this one"
     )

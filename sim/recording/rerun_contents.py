@@ -69,7 +69,7 @@ AFTER_END = 0.04  # of a run's duration: a plot over time ends with its data, an
 
 
 def _log_end(recording: rr.RecordingStream, path: str, time: Array, width: int = 1) -> None:
-    """Logs numbers that are none a little after the end of a series of some width, so that its plot goes on until there."""
+    """Logs NaN shortly after the end of a series of some width, so that its plot extends to the end."""
     after = time_index(time[-1:] + AFTER_END * time[-1:])
     recording.send_columns(path, after, rr.Scalars.columns(scalars=np.full(width, np.nan)).partition([width]))
 

@@ -1,1 +1,1 @@
-"""Signals over time: their differences, what ends the linear regime; a response knows its way to pandas and python-control."""
+"""Signals over time, their differences, and the ends of the linear regime; conversion to pandas and python-control."""

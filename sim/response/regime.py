@@ -386,5 +386,5 @@ def ended_by(vehicle: Vehicle, response: Response, anti_windup: bool = False) ->
 
 
 def broken_by(response: Response) -> str:
-    """Returns what broke off a run of physics: `DIVERGENCE`, or `LAW_OVERFLOW` of a law whose own states ran away."""
+    """Returns the reason why a run broke off: `DIVERGENCE`, or `LAW_OVERFLOW` for a law whose own states diverged."""
     return LAW_OVERFLOW if response.ran_away else DIVERGENCE

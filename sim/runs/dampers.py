@@ -65,7 +65,7 @@ def dampers_object(prediction: Prediction, physics: Response) -> dict[str, Any]:
 
 
 def damper_lines(prediction: Prediction, physics: Response, until: float) -> list[str]:
-    """Returns the same in sentences, with decisions before a time [s], after which there is no comparison; empty without dampers."""
+    """Returns sentences on the dampers, with decisions before a time [s] at which the comparison ends; empty without dampers."""
     vehicle, lines = prediction.vehicle, []
     otherwise = [one for one in prediction.otherwise if one.time < until]
     names = {one.force: one.coefficient for one in vehicle.adjustable}

@@ -93,7 +93,7 @@ class Prediction:
 
     @property
     def blur_text(self) -> str:
-        """Names of what `spread` is of; empty without any."""
+        """Names of the sources of `spread`; empty without any."""
         noise, code = self.vehicle.implementation.noise_text, code_of(self.controller)
         return " and ".join(filter(None, [noise, f"rounding to {code.law.numbers}" if self.rounding and code else ""]))
 
@@ -147,11 +147,7 @@ def _spread(loop: LoopModel, samples: int) -> dict[str, Array]:
 
 
 def predict_forced(controller: Programmed, road: RoadInput, requested_force: Array) -> Prediction:
-    """Returns the predicted responses to the forces that a law in Python requested in a run from rest.
-
-    Args:
-        requested_force: requested forces [N], shape (T, m).
-    """
+    """Returns the predicted responses to forces [N], shape (T, m), that a law in Python requested in a run from rest."""
     from sim.linear.forced_response import forced_continuous_response, forced_response
 
     return Prediction(

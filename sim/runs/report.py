@@ -298,7 +298,7 @@ def _unstable(run: Run) -> str:
 
 
 def shared_lines(said: Iterable[tuple[str, str]]) -> list[str]:
-    """Returns what is said of several controllers; those of which the same is said share a line, with the span of its times.
+    """Returns sentences about several controllers; controllers with the same sentence share a line, with the span of times.
 
     Args:
         said: names with what is said of each.

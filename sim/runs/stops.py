@@ -96,11 +96,7 @@ def stop_lines(runs: Sequence[Run], few: int, what: str = "stops") -> list[str]:
 
 
 def _hardest(run: Run, reached: Mapping[str, Mapping[str, Touch | None]], side: str) -> tuple[str, Touch] | None:
-    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact.
-
-    Args:
-        reached: all contacts of the run, see `touches`.
-    """
+    """Returns the hardest contact of a run with the stops of one side, after its corner in words, or None without a contact."""
     corners = {part.deflection: f" {part.corner}" if part.corner else "" for part in run.vehicle.kind.suspensions}
     found = [(corners[name], touch) for name, sides in reached.items() if (touch := sides.get(side)) is not None]
     return max(found, key=lambda one: (one[1].force, one[1].squeeze), default=None)

@@ -117,11 +117,7 @@ class Nullspace:
         self.free = [j for j in range(N) if j not in taken]
 
     def complete(self, values: Array) -> Array:
-        """Returns the Phi with given free rows, up to one common factor: integers, shape (N, k).
-
-        Args:
-            values: the free rows, integers, shape (len(free), k).
-        """
+        """Returns the Phi with given free rows, integers of shape (len(free), k), up to a common factor, shape (N, k)."""
         Phi = zeros(self._rows.shape[1], values.shape[1])
         Phi[self.free] = self._last * values * (self._shift.max(initial=1) // self._shift[self.free])[:, None]
         for row, j in zip(self._rows[::-1], self.pivots[::-1], strict=True):
@@ -202,11 +198,7 @@ def radius_of_solution(residual: float, contraction: float, curvature: float) ->
 
 
 def definiteness(M: Array) -> Definiteness:
-    """Checks if every symmetric matrix whose entries round to those of M is positive definite.
-
-    Args:
-        M: shape (k, k), symmetric to the last bit.
-    """
+    """Checks if every symmetric matrix whose entries round to those of M, exactly symmetric, is positive definite."""
     k = len(M)
     diagonal = np.diagonal(M)
     if not (np.abs(M).max(initial=0.0) <= 1 / SMALLEST and np.all(diagonal >= SMALLEST)):  # rejects a NaN, too

@@ -119,11 +119,7 @@ def stability_of_balanced(A: Array) -> Stability:
 
 
 def sampled_growth(Phi: Array) -> float:
-    """Returns the spectral radius of Phi in x[k+1] = Phi x[k], exactly 1 if that is 1 to rounding.
-
-    Args:
-        Phi: shape (n, n), finite.
-    """
+    """Returns the spectral radius of a finite Phi, shape (n, n), in x[k+1] = Phi x[k]: exactly 1 if that is 1 to rounding."""
     Phi, _ = balance(Phi)
     poles, conditions, _ = _eigen(Phi)
     size = np.abs(poles)
@@ -181,11 +177,7 @@ def _eigen(A: Array) -> tuple[Array, Array, Array]:
 
 
 def _on_circle(A: Array, poles: Array, conditions: Array, asked: Array | bool = True) -> Array:
-    """Returns a mask of the eigenvalues of a balanced matrix on the unit circle to rounding, shape (n,).
-
-    Args:
-        asked: mask of those that matter; the others are False.
-    """
+    """Returns a mask of the `asked` eigenvalues of a balanced matrix that are on the unit circle to rounding, shape (n,)."""
     distances = np.where(asked, np.abs(np.abs(poles) - 1), np.inf)
     return _within_rounding(A, conditions, np.exp(1j * np.angle(poles)), distances)
 

@@ -57,7 +57,7 @@ UNPROVED = "no bound is proved: rounding leaves no X that satisfies LMI (20) nea
 
 
 def proved(designer: Designer, controller: Controller) -> tuple[Controller, tuple[str, ...]]:
-    """A controller with a bound just above its norm, and what is said of it; as it is where it has one, or no loop to prove."""
+    """Returns a controller with a bound just above its norm, and a note; unchanged if it has a bound, or no loop to prove."""
     certificate = controller.certificate
     if certificate.bound is not None or not certificate.stable or not controller.measured:
         return controller, ()

@@ -1,4 +1,4 @@
-"""`python -m synth --fragility`: how large errors of its readings and forces a controller bears, and what rounding it costs."""
+"""`python -m synth --fragility`: the errors of measurements and forces that a controller tolerates, and the cost of rounding."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

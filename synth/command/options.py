@@ -79,13 +79,17 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
 
 
 def _parser() -> Parser:
-    parser = Parser("synth", "Designs the controllers of a vehicle file, certifies them, and says how good they are.", EPILOG)
+    parser = Parser(
+        "synth",
+        "Designs the controllers of a vehicle file, proves bounds on their norms, and compares them with lower bounds.",
+        EPILOG,
+    )
     parser.add_controller_and_vehicle("default: all")
     parser.add_argument("--zero-l", action="store_true", help="L = 0 instead of equation (14), the one-step design of remark 4")
     parser.add_argument(
         "--refine",
         action="store_true",
-        help="then lower the norm itself, as long as it is worth a larger gain; says what it traded",
+        help="then lower the norm itself, as long as it is worth a larger gain; print the trade-off",
     )
     parser.add_argument(
         "--cross-check",
@@ -101,8 +105,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--fragility",
         action="store_true",
-        help="say how far, in per cent, each reading and each of several forces may be off until the loop is unstable, or its "
-        "norm 1 or 10 %% higher: proved, and found; and what rounding its numbers to int16 or float16 does",
+        help="find how far, in per cent, measurements and forces may be off until the loop is unstable, or its norm 1 or "
+        "10 %% higher: proved, and found; and the effect of rounding its numbers to int16 or float16",
     )
     parser.add_argument(
         "--check",

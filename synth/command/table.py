@@ -211,11 +211,7 @@ def undamped(controller: Controller) -> bool:
 
 
 def answer_lines(rows: Sequence[Row], checked: bool = False) -> list[str]:
-    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures.
-
-    Args:
-        checked: True for a line on what was checked.
-    """
+    """Returns the requested answers about several controllers, equal answers in one sentence, and the failures."""
     alike = dict[str, list[str]]()
     own = without_copies(row.name for row in rows)
     told = [row for row in rows if not row.refined or row.name in own]  # refined, a printed copy comes to what the other does
@@ -259,8 +255,7 @@ def _failures(row: Row) -> list[str]:
 
 
 def short_lines(row: Row, gains: bool = True, checked: bool = False) -> list[str]:
-    """Returns the first promise of a controller with goals, or the gain of a designed one if a line holds it; what was asked
-    about it, and what fails.
+    """Returns the first specification of a controller with goals, or a short designed gain, requested answers, and failures.
 
     Args:
         gains: False to omit the gains.

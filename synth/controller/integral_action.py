@@ -22,11 +22,7 @@ RETURNS = 1e-9  # relative to the sum of the terms' sizes: less is zero at 0 rad
 
 
 def with_integrators(law: LinearLaw, integrated: Array) -> LinearLaw:
-    """Returns the law on readings y of a law on [y; integrals of S y]: the integrals are its first states.
-
-    Args:
-        integrated: S, shape (j, q).
-    """
+    """Returns the law on readings y of a law on [y; integrals of S y], S of shape (j, q): the integrals are its first states."""
     (j, q), k = integrated.shape, law.states
     A = np.block([[np.zeros((j, j + k))], [law.B[:, q:], law.A]])
     B = np.vstack([integrated, law.B[:, :q]])

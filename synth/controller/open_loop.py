@@ -96,11 +96,7 @@ def continuous(vehicle: Vehicle, controller: Controller) -> OpenLoop:
 
 
 def sampled(vehicle: Vehicle, controller: Controller, period: float) -> OpenLoop:
-    """Returns the open loop for a sample period.
-
-    Args:
-        period: [s].
-    """
+    """Returns the open loop for a sample period [s]."""
     model = with_lag(vehicle)
     C, D = model.rows(controller.measured)
     try:

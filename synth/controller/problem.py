@@ -250,11 +250,7 @@ def _with_integrals(plant: GeneralizedPlant, vehicle: Vehicle, model: LinearMode
 
 
 def _check_integrals(vehicle: Vehicle, model: LinearModel) -> None:
-    """Refuses to weigh the integral of a height, or of what no force moves for long.
-
-    Raises:
-        InputError: see above.
-    """
+    """Raises an InputError for the integral of a height, or of a signal that no force moves for long."""
     for name, terms in vehicle.integrals.items():
         what = f"[performance] weighs the integral of {name.removeprefix('integral_of_')}"
         if heights := [signal for signal in terms if signal in model.heights]:
@@ -278,11 +274,7 @@ UNMOVED = 1e-12  # relative: a smaller singular value of a balanced matrix is ze
 
 
 def _check_heights(vehicle: Vehicle, signal: str) -> None:
-    """Refuses to weigh a height that no norm bounds, or that a twist of the road moves.
-
-    Raises:
-        InputError: see above.
-    """
+    """Raises an InputError for a weighted height that no norm bounds, or that the warp of the road moves."""
     model, road = vehicle.linear_model, vehicle.road_filter
     if np.any(model.Br):
         raise InputError(f"[performance] {signal} of a {vehicle.kind.name}, which feels the road's twist, has no norm; give 0")
@@ -298,11 +290,7 @@ def _system(one: "Filter | None") -> System:
 
 
 def plant_states(vehicle: Vehicle, bandwidth: float | None = None) -> tuple[str, ...]:
-    """Returns the names of the states of a vehicle's plant: the vehicle's own, then those of its filters.
-
-    Args:
-        bandwidth: as for `generalized_plant`.
-    """
+    """Returns the names of the states of a vehicle's plant: the vehicle's own, then those of its filters."""
     model = _design_model(vehicle, bandwidth)
     if not vehicle.filtered:
         return model.states

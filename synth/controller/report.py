@@ -292,9 +292,7 @@ def growth_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
     margins, rate = law_margins(vehicle, controller), controller.law.anti_windup
     winds = " and winds up where forces are clipped; anti_windup bounds its states" if margins.winds_up else ""
     notes = [f"this law is unstable by itself (+{margins.growth:.4g} 1/s){winds}"] if margins.growth else []
-    notes += (
-        [f"{margins.small} of the ideal loop: small changes make it unstable; sim.margins says more"] if margins.small else []
-    )
+    notes += [f"{margins.small} of the ideal loop: small changes make it unstable; see sim.margins"] if margins.small else []
     notes += [IDLE_INTEGRAL] if _has_idle_integral(controller) else []
     if rate is not None:
         follows = f"where forces are clipped its states follow those that are given, at {rate:g} 1/s or faster"

@@ -144,7 +144,7 @@ def near_lower_bound(
     Dyw: Array | None = None,
     largest_gain: float = LARGEST_GAIN,
 ) -> tuple[Design, str]:
-    """Returns the result of `two_steps_or_descent`, or of a descent from there, and what that descent found, in words.
+    """Returns the result of `two_steps_or_descent`, or of a descent from there, and a remark on that descent.
 
     Two steps that end more than 0.1 % above the lower bound are refined, as by `refine`: each doubling of the gain is worth
     0.1 % of the norm. Where that ends more than 1 % above the bound, descents begin elsewhere, too. The lower norm is kept,

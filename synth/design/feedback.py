@@ -239,7 +239,7 @@ def _plain(value: Any) -> Any:
 
 
 def _distance(certificate: Certificate) -> str:
-    """Returns how far a norm is from what no controller beats, in words; empty where it is zero."""
+    """Returns the gap between a norm and the lower bound, in words; empty if it is zero."""
     if certificate.gap is not None and percent(certificate.gap) == percent(0):
         return "no controller beats its norm"
     if certificate.gap is not None:
@@ -293,7 +293,7 @@ class _Asked:
         return FeedbackDesign(static_law(found.gain), certificate, method, why, remark, certificate.norm.value)
 
     def full(self, stable: bool, fastest_pole: float | None) -> FeedbackDesign:
-        """A law of full order; where no such law of the least norm is found, that of the least mean square, or a gain."""
+        """Returns a law of full order; if none with the least norm is found, that of the least mean square, or a gain."""
         from synth.design.full_order.full_order import full_order_design
 
         plant, Dyw = self.loud

@@ -363,7 +363,7 @@ class _Tries:
 
 
 def _follows(X: Array, rows: Array) -> Array:
-    """R (9) with the L (14) of an X: what the states are as a rule where so much is measured, shape (n, q)."""
+    """Returns R (9) with the L (14) of an X, an estimate of the states from the measurements, shape (n, q)."""
     return X @ rows.T @ np.linalg.inv(rows @ X @ rows.T)
 
 
@@ -429,7 +429,7 @@ def _level(
 
 
 def _crossing(seen: Sequence[tuple[float, float]]) -> float:
-    """The level where the norm is 1: that of the polynomial in log norm which is log level where it was seen; NaN of no slope.
+    """Returns the level where the norm is 1, by a polynomial of log level over log norm; NaN without a slope.
 
     For a single pair the norm is assumed to fall as the level rises.
     """

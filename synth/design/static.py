@@ -248,7 +248,7 @@ class GainSearch:
         return self.admitted(self.landscape.point(gain), "the two steps, refined")
 
     def starts(self, most: int = MOST) -> list[Candidate]:
-        """Stable points of many sizes; where nothing else is found, of so many stabilising starts at most."""
+        """Returns stable points of many sizes; if there are none, the results of a limited number of stabilising starts."""
         sampled = survey(self.landscape, self.limit)
         candidates = self.admitted(np.zeros_like(self.limit), "no control")
         candidates += [

@@ -90,7 +90,7 @@ def well_posed(plant: GeneralizedPlant) -> WellPosedProblem:
 
 
 def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
-    """Why (22) has no optimum where a control force costs nothing, in words; empty where each does."""
+    """Returns a message if a control force costs nothing, as (22) then has no optimum; empty otherwise."""
     step, plant = plant.dt or 0.0, own_units(plant).into(plant.differences)
     _, rest, _ = _seen(plant.in_coordinates(np.diag(balance(plant.A)[1])), step)
     W = rest.independent_inputs()
@@ -104,11 +104,7 @@ def unpenalised_inputs(plant: GeneralizedPlant) -> list[str]:
 
 
 def unobservable_marginal_modes(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[str]:
-    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one.
-
-    Args:
-        states: names of the states; x1, x2, ... without them.
-    """
+    """Returns a message on the slowest undamped mode that z does not observe, as (22) then has no optimum; empty without one."""
     dt, plant = plant.dt, own_units(plant).into(plant.differences)
     scale = balance(plant.A)[1]
     balanced, names = plant.in_coordinates(np.diag(scale)), list(states) or [f"x{i + 1}" for i in range(len(plant.A))]
@@ -224,7 +220,7 @@ class Design(Shown):
 
 @numerics()
 def state_path(plant: GeneralizedPlant, states: Sequence[str] = ()) -> list[CentralPoint]:
-    """The central path of (22), or of the problem beside it where that has no optimum (`two_step.py`), in the plant's own units.
+    """Returns the central path of (22), or of a regularised problem if that has no optimum, in the plant's own units.
 
     Raises:
         InfeasibleError: the plant cannot be stabilised; the message names the mode.

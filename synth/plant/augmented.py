@@ -122,11 +122,7 @@ class System:
 
 
 def gain(D: object) -> System:
-    """A system without states, e = D v.
-
-    Args:
-        D: shape (p, k); a number counts as one by one.
-    """
+    """Returns a system without states, e = D v; a number D counts as a matrix of shape (1, 1)."""
     matrix = np.atleast_2d(np.asarray(D, dtype=float))
     return System(np.zeros((0, 0)), np.zeros((0, matrix.shape[1])), np.zeros((len(matrix), 0)), matrix)
 

@@ -137,21 +137,13 @@ class GeneralizedPlant:
         return GeneralizedPlant(high[:n], self.B, self.Bw, high[n:], self.D, self.Dw, beyond, dt=self.dt)
 
     def in_coordinates(self, T: Array) -> "GeneralizedPlant":
-        """Returns the same plant with state T^-1 x.
-
-        Args:
-            T: shape (n, n), regular.
-        """
+        """Returns the same plant with state T^-1 x, T regular, shape (n, n)."""
         inverse = np.linalg.inv(T)
         A, B, Bw = inverse @ self.A @ T, inverse @ self.B, inverse @ self.Bw
         return GeneralizedPlant(A, B, Bw, self.C @ T, self.D, self.Dw, dt=self.dt)
 
     def with_inputs(self, W: Array) -> "GeneralizedPlant":
-        """Returns the plant with inputs v that act as u = W v.
-
-        Args:
-            W: shape (m, k).
-        """
+        """Returns the plant with inputs v that act as u = W v, W of shape (m, k)."""
         return GeneralizedPlant(self.A, self.B @ W, self.Bw, self.C, self.D @ W, self.Dw, dt=self.dt)
 
     def independent_inputs(self) -> Array:

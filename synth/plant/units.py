@@ -82,11 +82,7 @@ class OwnUnits:
 
 
 def orthonormal_rows(rows: Array) -> tuple[Array, Array]:
-    """Returns V and S of independent rows S V: V has orthonormal rows that do not depend on units, S is lower triangular.
-
-    Args:
-        rows: shape (q, n).
-    """
+    """Returns V and S of independent rows S V: V has orthonormal rows that do not depend on units, S is lower triangular."""
     lengths = _powers(np.log2(np.linalg.norm(rows, axis=1)))  # exact, so that no unit is in what is rounded
     basis, triangle = np.linalg.qr((rows / lengths[:, None]).T)
     signs = np.where(np.diagonal(triangle) < 0, -1.0, 1.0)  # alike for rows that are alike

@@ -45,7 +45,7 @@ NOT_REFINED = "and what is refined is a static gain, which has none; leave --ref
 
 
 def designed(vehicle: Vehicle, entry: ControllerEntry, design: Design, posed: Problem) -> Controller:
-    """The controller of a gain on C_y x; a force that is in what is measured is taken out of it."""
+    """Returns the controller of a gain on C_y x; forces in the measurements are subtracted."""
     beside = STATE_ALONE if entry.name == "state" and len(posed.Cy) < len(posed.plant.A) else ""
     redundant = tuple(entry.measured[i] for i in design.redundant if i < len(entry.measured))
     return Controller(
@@ -245,7 +245,7 @@ class Designer:
     def _for_errors(
         self, entry: ControllerEntry, controller: Controller, on_progress: Callable[[float, bool], None]
     ) -> Controller:
-        """Returns a controller that is designed for its weighted errors, if it has some that its design knows; else as it is."""
+        """Returns a controller designed for its weighted errors, if its design handles them; otherwise unchanged."""
         if entry.errors is None:
             return controller
         from synth.vehicle.weighted_errors import is_robust_design, robust_controller
@@ -265,7 +265,7 @@ class Designer:
 
     @at_the_door
     def certify(self, name: str, measured: Sequence[str], law: LinearLaw, hardware: DesignConditions = NOMINAL) -> Controller:
-        """Certifies a known law, from what is measured to the forces, under any name, as it is.
+        """Certifies a known law from measurements to forces under any name, unchanged.
 
         Raises:
             InputError: it has another number of signals or forces, or no loop.
@@ -352,7 +352,7 @@ class Designer:
         lower_bound: LowerBound,
         on_found: Callable[[LinearLaw], None],
     ) -> Controller:
-        """A controller whose law on the readings themselves has a structure, of each force by itself."""
+        """Returns a controller whose law on the measurements themselves has a structure, separately for each force."""
         from synth.design.fixed_order.fixed_order import fixed_order_design
 
         states, through = self.shared(entry.hardware).states, posed.feedthrough

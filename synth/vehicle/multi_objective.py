@@ -1,4 +1,4 @@
-"""A controller that is designed for the goals of its section: the problem that they are, and what it keeps of them, certified."""
+"""Controllers designed for the goals of their section: the problem, and the certified specifications."""
 
 from collections.abc import Sequence
 from dataclasses import replace

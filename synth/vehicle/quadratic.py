@@ -104,7 +104,7 @@ def preview_controller(vehicle: Vehicle, entry: ControllerEntry, posed: Problem)
 
 
 def h2_norm_of(vehicle: Vehicle, entry: ControllerEntry, law: LinearLaw) -> float:
-    """The H2 norm that `quadratic_optimum` makes the smallest, of any law on what the sensors read whose loop is stable.
+    """Returns the H2 norm that `quadratic_optimum` minimises, for any law on the measurements with a stable loop.
 
     Raises:
         InputError: its loop has no solution.

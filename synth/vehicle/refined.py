@@ -1,4 +1,4 @@
-"""A controller after `--refine`, and what that took; and whether that is worth it."""
+"""A controller after `--refine`, with its trade-off, and the estimated benefit of `--refine`."""
 
 from dataclasses import dataclass
 

@@ -254,7 +254,7 @@ def _proved(gain: ScaledGain, box: Box, band: Band, unit: float) -> float:
 
 
 def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[float, float, float]:
-    """The norm in the band, what it proves to be below, and where it is reached; infinite where the loop is unstable."""
+    """Returns the norm in the band, a proved bound, and its frequency; infinite if the loop is unstable."""
     norm = norm_in_band(_loop(posed, K), *spec.band)
     if not norm.stability.stable:
         return np.inf, np.inf, np.nan
@@ -262,7 +262,7 @@ def _norm(posed: MeasuredPlant, K: Array, spec: NormSpecification) -> tuple[floa
 
 
 def _moved(posed: MeasuredPlant, rate: float) -> MeasuredPlant:
-    """A plant whose loops are stable where those of this one decay faster than a rate, without its filters."""
+    """Returns the plant without its filters, shifted: its loops are stable if those of this one decay faster than a rate."""
     plant, own = posed.plant, len(posed.plant.A) - posed.plant.weights
     alone = GeneralizedPlant(
         plant.A[:own, :own] + rate * np.eye(own), plant.B[:own], plant.Bw[:own], plant.C[:, :own], plant.D, plant.Dw

@@ -39,7 +39,7 @@ SAMPLED = "robust stability and performance (mu) are of the continuous loop, not
 
 
 def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedErrors) -> Controller:
-    """Returns a controller with what is proved of it for weighted errors; as it is if its loop is not stable without errors."""
+    """Returns a controller with its specifications for weighted errors; unchanged if its loop is unstable without errors."""
     if not controller.certificate.stable:
         return controller
     loop = structured_plant(vehicle, controller, errors).closed_by(controller.law.continuous())
@@ -49,7 +49,7 @@ def with_robustness(vehicle: Vehicle, controller: Controller, errors: WeightedEr
 
 
 def _robust(what: str, loop: StructuredLoop, at_most: float | None) -> Specification:
-    """Returns the peak of mu: what errors show that it is at least, and what is proved to be at most."""
+    """Returns a lower bound on the peak of mu, shown by errors, and a proved upper bound."""
     above = structured_bound(loop)
     below = worst_errors(loop, above.peak_frequency) if np.isfinite(above.gamma) else None
     value = below.mu if below is not None else np.inf

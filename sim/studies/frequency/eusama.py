@@ -175,7 +175,7 @@ def load_failures(loads: Sequence[MinimumLoad]) -> list[str]:
 
 
 def load_lines(loads: Sequence[MinimumLoad]) -> list[str]:
-    """The minimum loads as a table, and what is said against them."""
+    """Returns the minimum loads as a table, with a note on the criticism of this test."""
     name = Column[MinimumLoad]("EUSAMA's least load, % of static:", lambda one: one.tyre)
     ended = Column[MinimumLoad]("", lambda one: one.end)
     return [*column_table((name, RATIO, MEASURED, AT, ended), loads), f"  {DISPUTED}"]

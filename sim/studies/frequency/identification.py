@@ -1,4 +1,4 @@
-"""Frequency responses and L2 gains, measured in MuJoCo, beside what the linear analysis says they are.
+"""Frequency responses and L2 gains measured in MuJoCo, compared with linear analysis.
 
 A run starts from rest, so its first seconds are its own free motion, and the passive car's takes a minute to die. Its *shape* is
 known, as it is that of the loop's poles; only its size is not. So the last period of a run is fitted, by least squares, with a

@@ -317,7 +317,7 @@ def sweep_object(one: Sweep | DescribingFunction) -> dict[str, Any]:
 
 
 def _road_object(one: Sweep) -> dict[str, Any]:
-    """The exact norm of a sampled loop and the road that reaches it; nothing where the vehicle file has no such loop."""
+    """Returns the exact norm of a sampled loop and the road that reaches it; empty without such a loop."""
     if one.sampled is None:
         return {}
     road, measured = one.road, None

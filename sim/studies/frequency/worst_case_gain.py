@@ -286,7 +286,7 @@ def _drive_worst(
 
 
 def _told(loop: LoopModel, poles: Array, count: int) -> int:
-    """Returns how many steps of the end of a run are looked at: where slow modes are fitted, many samples."""
+    """Returns the number of steps evaluated at the end of a run: many samples if slow modes are fitted."""
     return max(count, TOLD_APART * loop.steps) if len(poles) else count
 
 

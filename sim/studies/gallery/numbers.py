@@ -298,11 +298,7 @@ KINDS: dict[str, Callable[[Designer, PrintedNumber], tuple[float, float | None]]
 
 
 def linear_of(designer: Designer, one: PrintedNumber) -> Controller:
-    """Returns the controller that a number is of.
-
-    Raises:
-        InputError: it is not linear.
-    """
+    """Returns the controller of a number; raises an InputError if it is not linear."""
     controller = designer.design(one.controller)
     if not isinstance(controller, Controller):
         raise InputError(f"controller {one.controller!r} is not linear, and has no {one.what}; name a linear one")

@@ -97,11 +97,7 @@ def strokes_used(vehicle: Vehicle, response: Response, first: int, end: int | No
 
 
 def without_unsound(standings: Iterable[Standing], unsound: Collection[str]) -> list[Standing]:
-    """Returns the rows with those of unsound laws marked.
-
-    Args:
-        unsound: names of the controllers whose law is unstable by itself or winds up.
-    """
+    """Returns the rows with those marked whose controller is among the unsound ones: unstable by itself, or winding up."""
     return [replace(one, sound=False) if one.controller in unsound else one for one in standings]
 
 
@@ -216,11 +212,7 @@ def compared_columns(standings: Sequence[Standing]) -> tuple[list[ComparedColumn
 
 
 def standing_lines(standings: Sequence[Standing], about: str) -> list[str]:
-    """Returns the table, with a note below.
-
-    Args:
-        about: the note: when is measured.
-    """
+    """Returns the table, with a note below on what is measured."""
     columns, legend = compared_columns(standings)
     if not columns:
         return ["no ride to compare: of every controller a run broke off"]

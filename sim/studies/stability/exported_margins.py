@@ -78,7 +78,7 @@ class ExportedMargins:
 
     @property
     def digits(self) -> str:
-        """Format of what is found."""
+        """Format of the values found."""
         return ".6g" if self.gain.width == GAIN_WIDTH else ".3g"
 
     @property

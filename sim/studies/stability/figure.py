@@ -109,7 +109,7 @@ def _search_panel(title: str, label: str, search: Bisection, growth: Callable[[f
 
 
 def _fragile_panel(fragile: FragilityFound) -> Panel:
-    """The worst norm over the size of errors: what is met, what is proved of all of them, and where MuJoCo decays and grows."""
+    """Returns the panel of the worst norm over the size of errors: found, proved, and where MuJoCo decays and grows."""
     predicted, search = fragile.predicted, fragile.edge.search
     norm, stable = predicted.norm, predicted.stable
     end = min(1.2 * stable.smallest_violation, 1.0)
@@ -137,7 +137,7 @@ def _fragile_panel(fragile: FragilityFound) -> Panel:
 
 
 def _box_panel(controller: Controller, box: Robustness) -> Panel:
-    """The norm over what varies, with what physics did at the corners; over more than two such things, the worst of the rest."""
+    """Returns the panel of the norm over the variations, with physics at the corners; the worst of any beyond two."""
     percent = [100 * (factors - 1) for factors in box.factors]
     labels = [f"{one.name} [% off]" for one in box.varied]
     norms = np.where(np.isfinite(box.norms), box.norms, np.nan)

@@ -185,7 +185,7 @@ def _settled(trials: Sequence[Trial], timestep: float, least: float, stopped: Ca
 
 
 def _creeps(loop: LateLoop | None, growth: Growth) -> bool:
-    """Returns True if a run contradicts its loop, whose slowest mode moves too little in the longest run to be told."""
+    """Returns True if a run contradicts its loop, whose slowest mode moves too little to be identified in the longest run."""
     creeps = loop is not None and abs(loop.rate) * LONGEST < CREEPING and growth.grows != (loop.rate > 0)
     return creeps and (not growth.grows or abs(growth.rate) * LONGEST < CREEPING)
 
@@ -268,7 +268,7 @@ def _duration(trial: Trial, timestep: float, least: float) -> float:
 
 
 def _least(trial: Trial, timestep: float) -> float:
-    """Returns how long a run is before it can be said to decay [s], as it is looked at."""
+    """Returns the shortest duration after which a run can be found to decay [s]."""
     return SHORTEST * math.ceil(_enough(trial, timestep) / SHORTEST)
 
 

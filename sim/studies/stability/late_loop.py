@@ -39,7 +39,7 @@ class LateLoop:
 
     @functools.cached_property
     def rate(self) -> float:
-        """Rate of the slowest mode [1/s], above 0 where it grows; NaN where iterations do not find it."""
+        """Rate of the slowest mode [1/s], positive if it grows; NaN if the iteration does not find it."""
         try:
             return rate_from_sample_to_sample(*self._over_sample, self.G, self.delay) / (self.held * self.timestep)
         except ArpackError:

@@ -120,7 +120,7 @@ class LoopMargins:
 
     @property
     def found_delay(self) -> float:
-        """The smallest delay that grows [s]; infinite where none does, NaN where no run decides it."""
+        """Smallest unstable delay [s]; infinite if all are stable, NaN if no run decides it."""
         seen = self.delay.decided and (self.sees_delay or math.isfinite(self.delay.unstable))
         return self.delay.unstable if seen else math.nan
 

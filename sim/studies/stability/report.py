@@ -235,7 +235,7 @@ def _disk_row(disk: DiskMargin) -> tuple[str, float, float, str]:
 
 
 def _table(title: str, rows: Sequence[tuple[str, float, float, str]]) -> list[str]:
-    """Rows of a name, what is predicted, what is found, and a note to the right, or below where it does not fit."""
+    """Returns rows of name, predicted value, value found, and a note to the right, or below if it does not fit."""
     heading = f"{'predicted':>{CELL}}{'MuJoCo':>{CELL}}"
     room = NAME + 2
     lines = [f"{title:{room}}{heading}"] if len(title) <= room else [title, f"{'':{room}}{heading}"]
@@ -253,7 +253,7 @@ def _noted(gain: GainMargin, note: str = "") -> str:
 
 
 def _sampled_rows(gain: GainMargin, h: float, power: int) -> list[tuple[str, float, float, str]]:
-    """Returns the margin of the sampled loop at both timesteps, if it differs from the loop's own; a lower factor has power -1."""
+    """Returns the sampled loop's margin at both timesteps, if it differs from the loop's own; power -1 for a lower factor."""
     searches = zip((h, h / 2), gain.sampled, (gain.search, gain.finer), strict=True)
     return [
         (f"  sampled every {1e3 * step:g} ms", at**power, search.found**power, "" if step == h else "above: what these tend to")

@@ -184,7 +184,7 @@ def robustness(
 def _worst(
     norm: Callable[[Sequence[float]], float], varied: Sequence[Variation]
 ) -> tuple[tuple[Array, ...], Array, float, Sequence[float]]:
-    """The factors of a grid over the box and the norms there, then the worst norm and where that is."""
+    """Returns the factors of a grid over the box and the norms there, then the worst norm and its factors."""
     box = [(each.smallest, each.largest) for each in varied]
     count = max(3, round(GRID ** (1 / len(box))))
     factors = tuple(np.linspace(*ends, count) for ends in box)

@@ -1,4 +1,4 @@
-"""The edges of a map of validity along one axis, at every value of the other: up to where nothing breaks, and what does then."""
+"""Edges of a map of validity along one axis, at every value of the other: where the linear regime ends, and by which end."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -293,7 +293,7 @@ def _switched(controller: Controller, inputs: Sequence[RoadInput]) -> Response:
 
 
 def loaded(bump: Road, loads: tuple[Load, ...]) -> Road:
-    """A bump, with loads on the body where there are some."""
+    """Returns a bump with the loads on the body, if any."""
     return RoadWithLoads(bump, loads) if loads else bump
 
 

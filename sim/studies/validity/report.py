@@ -56,7 +56,7 @@ def envelope_object(cells: Cells, axes: Sequence[GridAxis], controller: str, thr
 
 
 def loads_object(given: Sequence[str]) -> dict[str, list[str]]:
-    """The loads over every bump, as they were asked for; no key where there are none."""
+    """Returns the requested loads over every bump as a JSON object; empty without loads."""
     return {"loads": list(given)} if given else {}
 
 
@@ -74,7 +74,7 @@ def _cell(cells: Cells, i: int, threshold: float) -> dict[str, Any]:
 
 
 def compared_lines(vehicle: Vehicle, controller: Controller) -> list[str]:
-    """Returns lines on what linear analysis knows of the computer and the actuators, and what only MuJoCo has."""
+    """Returns lines on the parts of computer and actuators in linear analysis, and those in MuJoCo only."""
     how = vehicle.implementation
     if not controller.law.acts or (how.ideal and vehicle.limits.actuator_bandwidth is None):
         return []

@@ -23,11 +23,7 @@ SMALLEST = 1e-12  # of the largest variance of a combination of measurements, or
 
 
 def balanced_coordinates(landscape: Landscape, x: Array) -> Array:
-    """M, shape (N, N): with x + M t for the point, t has these coordinates.
-
-    Args:
-        x: a stable point.
-    """
+    """Returns M, shape (N, N), at a stable point x: with x + M t for the point, t has these coordinates."""
     A, C = landscape.loop(x)
     triangle, basis = linalg.schur(A)  # pyright: ignore[reportAssignmentType]
     ports = landscape.ports(x)

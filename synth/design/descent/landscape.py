@@ -30,7 +30,7 @@ POLES = 0.3  # of the work of a norm: the poles alone
 
 @dataclass(frozen=True, eq=False)
 class Ports:
-    """A change of K acts through B and D, on what C_y, Dyw and Dyu say of states, of w and of the change itself.
+    """Inputs and outputs of a change of K: it acts through B and D, on C_y x + Dyw w and, by Dyu, on itself.
 
     Attributes:
         B, D, Cy, Dyw, Dyu: shapes (n, m), (d, m), (q, n), (q, r) and (q, m).
@@ -142,7 +142,7 @@ class Work:
 
     @property
     def text(self) -> str:
-        """What stopped a search that is over, in words."""
+        """Reason why a search stopped, in words."""
         return f"the search stopped at its limit of {self.limit:g} norms of loops"
 
 
@@ -212,7 +212,7 @@ class Landscape:
         return flat if self.free is None else flat[..., self.free]
 
     def acting(self, x: Array) -> Array:
-        """K of a point, or of many, as it acts where y is without Dyu: (I - K Dyu)^-1 K, (..., m, q); NaN where it cannot."""
+        """Returns K of points as it acts on y without Dyu: (I - K Dyu)^-1 K, shape (..., m, q); NaN if that does not exist."""
         K = self.gain(x) - self.before
         if not self.through:
             return K
@@ -286,7 +286,7 @@ class Landscape:
         return self.last[1]
 
     def norm(self, x: Array, above: float = np.inf) -> tuple[float, float]:
-        """The norm and where it peaks [rad/s]; infinite where the loop is unstable, or not finite itself.
+        """Returns the norm and its peak frequency [rad/s]; infinite if the loop is unstable or not finite.
 
         Args:
             above: the search ends early, with a lower bound, once the norm is known to exceed this.

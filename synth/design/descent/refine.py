@@ -1,4 +1,4 @@
-"""`--refine`: from a gain that the LMIs found down the norm itself, as far as it is worth it.
+"""`--refine`: descent on the norm from a gain of the LMIs, as far as it is worth a larger gain.
 
 Minimising the norm without bounds ruins a controller: from the paper's controller I it walks to [-72240, -82631] for a thousandth
 of gamma, because the infimum lies at infinite gain. So the gain grows by stages, at most twofold each, and a stage in which gamma

@@ -38,11 +38,7 @@ SEED = 20261121
 
 
 def survey(landscape: Landscape, limit: Array) -> list[Array]:
-    """The best stable sample of every decade of size that has one, smallest first, each of shape (N,).
-
-    Args:
-        limit: largest entries, shape (N,).
-    """
+    """Returns the best stable sample of every decade of size that has one, smallest first, each of shape (N,) like `limit`."""
     generator, count = np.random.default_rng(SEED), _count(landscape)
     samples = []
     for decade in range(SMALLEST, int(np.ceil(np.log10(limit.max())))):
@@ -67,11 +63,7 @@ def around(landscape: Landscape, x: Array, limit: Array, factor: float, seed: in
 
 
 def lowest(landscape: Landscape, points: Array) -> Array | None:
-    """Returns the point with the smallest norm among the first stable ones, shape (N,); None if none is stable.
-
-    Args:
-        points: shape (count, N).
-    """
+    """Returns the point with the smallest norm among the first stable ones of `points`, shape (count, N), or None."""
     stable = points[:0]
     for some in np.split(points, range(AT_ONCE, len(points), AT_ONCE)):
         loops = landscape.A + landscape.B @ landscape.acting(some) @ landscape.Cy

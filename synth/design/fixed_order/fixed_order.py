@@ -299,7 +299,7 @@ class _Search:
         return law if self.plant.dt is None else discrete_law(law, where, self.plant.dt)
 
     def parts(self, structure: LawStructure, full: LinearLaw) -> list[LinearLaw]:
-        """Returns laws of a structure from one of full order: reduced, for each force by itself where it has a law of its own."""
+        """Returns laws of a structure by reduction of a full-order law, separately for each force with a law of its own."""
         reduce = partial(reductions, self.plant, self.Cy, self.Dyw)
         if structure.rows is None:
             return [*reduce(full, structure.order)]

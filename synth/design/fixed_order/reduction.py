@@ -1,4 +1,4 @@
-"""Laws of fewer states that answer nearly as a law does: several reductions, of which a descent goes on from the best.
+"""Laws of fewer states with nearly the same response: several reductions; descent continues from the best.
 
 - Balanced truncation (Moore 1981) of the law's stable part, whose unstable part is kept.
 - Truncation balanced within the closed loop: by what w makes of the law's states, and what z sees of these (Enns 1984, with the
@@ -23,11 +23,7 @@ from synth.plant.generalized import GeneralizedPlant
 
 
 def reductions(plant: GeneralizedPlant, Cy: Array, Dyw: Array | None, law: LinearLaw, k: int) -> Iterator[LinearLaw]:
-    """Yields laws of k states, on y = C_y x + Dyw w, from one of at least as many; itself if it has no more.
-
-    Args:
-        law: continuous as the plant, or discrete.
-    """
+    """Yields laws of k states, on y = C_y x + Dyw w, from a law of at least as many; itself if it has no more."""
     if law.states <= k:
         yield law
         return

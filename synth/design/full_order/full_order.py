@@ -43,7 +43,7 @@ def as_designed(law: LinearLaw) -> LinearLaw:
 
 
 def discrete_law(law: LinearLaw, where: Mapped, dt: float) -> LinearLaw:
-    """The law on what is measured of a discrete plant, whose loop is that of a law on y = C_y x + Dyw w of the mapped one.
+    """Returns the law on the measurements of a discrete plant with the loop of a law on y = C_y x + Dyw w of its image.
 
     What is measured of the mapped plant contains Dyu u, which the law takes out; then Tustin's map takes it back, and the gain
     that was closed before is joined to it.
@@ -297,7 +297,7 @@ def full_order_design(
 
 
 def _against(own: FullOrderDesign, other: FullOrderDesign, as_run: Callable[[LinearLaw], LinearLaw]) -> str:
-    """Returns the price of a law that is stable by itself against one that is not, in words."""
+    """Returns the cost of a law that is stable by itself compared with an unstable one, in words."""
     norms = [each.certificate.norm.value for each in (own, other)]
     share = norms[0] / norms[1] - 1
     price = "at no price" if share <= WITHIN else f"its norm is {percent(share)} higher"
@@ -327,7 +327,7 @@ def _remark(best: TradeOffPoint, trade: Sequence[TradeOffPoint], bound: float) -
 
 
 def _speed(best: TradeOffPoint, trade: Sequence[TradeOffPoint]) -> str:
-    """Returns what a fast pole asks of a computer and what a slower law costs, in words; empty if the pole is not fast."""
+    """Returns the sample period that a fast pole requires and the cost of a slower law, in words; empty without one."""
     if best.excess == 1:
         return ""
     slower = [each for each in trade if each.excess == 1]

@@ -252,7 +252,7 @@ def _assumed(D: Array) -> tuple[Array, float]:
 
 
 def _law(own: NormalisedPlant, all_known: bool, cost: Array, unheard: Array) -> tuple[LinearLaw, list[str]]:
-    """Returns the best law for a cost of forces and a noise of measurements on top of what there is, and both in words.
+    """Returns the best law for an additional cost of forces and noise of measurements, and both in words.
 
     Raises:
         DesignError: a Riccati equation has no solution.

@@ -154,7 +154,7 @@ CANCELS = 1e-6  # of the largest Hankel singular value: a smaller one is next to
 
 
 def reduced_law(law: LinearLaw, fast: float) -> LinearLaw:
-    """A law without its fast modes and those that cancel; itself where it has none.
+    """Returns a law without its fast modes and those that cancel; the law itself if it has none.
 
     Args:
         law: continuous, in units in which its numbers have a like size.
@@ -190,7 +190,7 @@ def parted(law: LinearLaw, first: object) -> tuple[LinearLaw, LinearLaw]:
 
 
 def _truncated(law: LinearLaw) -> LinearLaw:
-    """A stable law without what its Hankel singular values say is next to nothing (square-root method)."""
+    """Returns a stable law without modes of negligible Hankel singular values (square-root method)."""
     if not law.states:
         return law
     reached, seen = _root(law.A, law.B), _root(law.A.T, law.C.T)
@@ -369,7 +369,7 @@ class RiccatiSearch:
         return found
 
     def trade(self, fastest: float) -> list[TradeOffPoint]:
-        """Controllers of all shares and of some gamma, and without their poles beyond the fastest where they have such."""
+        """Returns controllers of all shares and of some gamma, also without their poles beyond the fastest allowed."""
         points, gamma = list[TradeOffPoint](), LARGEST
         for share in SHARES:
             gamma = self.smallest(share, gamma)

@@ -63,7 +63,7 @@ def law_gain(law: LinearLaw) -> Array:
 def sampled_full_order(
     problem: SampledDataProblem, bound: SampledBound | None, near: float, states: Sequence[str] = (), stable: bool = False
 ) -> SampledFullOrderDesign:
-    """Designs a law within 0.1 % of what no controller beats, or the nearest that was found.
+    """Designs a law within 0.1 % of the lower bound, or the nearest that was found.
 
     Args:
         bound: lower bound of the loop; None if none is proved.

@@ -21,11 +21,7 @@ BESIDE = 30.0  # dB below, beside it
 
 
 def in_band(posed: MeasuredPlant, band: Band) -> MeasuredPlant:
-    """Returns a plant whose norm is at least the norm in the band; for a band of all frequencies, the plant itself.
-
-    Args:
-        band: lower and upper frequency [rad/s].
-    """
+    """Returns a plant whose norm is at least the norm in the band [rad/s]; for a band of all frequencies, the plant itself."""
     if band == EVERYWHERE:
         return posed
     plant = posed.plant

@@ -17,7 +17,7 @@ from synth.plant.numerics import DesignError
 
 
 def with_individual_optima(asked: MultiObjectiveProblem) -> MultiObjectiveProblem:
-    """The same, of the largest ratio to what each member has by itself, within the same bounds.
+    """Returns the same problem for the largest ratio to each member's individual optimum, within the same bounds.
 
     Raises:
         DesignError: one has nothing within the bounds.

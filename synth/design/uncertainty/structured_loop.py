@@ -52,11 +52,7 @@ class StructuredLoop:
         return transfer_matrix(self.loop.A, self.loop.Bw, self.loop.C, self.loop.Dw, omega)
 
     def scaled(self, scales: Array) -> GeneralizedPlant:
-        """Returns D M D^-1, where D scales each q, and D^-1 each p.
-
-        Args:
-            scales: positive scales of the errors, shape (k,).
-        """
+        """Returns D M D^-1, where D scales each q, and D^-1 each p, by positive scales of shape (k,)."""
         M, k = self.loop, self.errors
         C, Dw, Bw = M.C.copy(), M.Dw.copy(), M.Bw.copy()
         C[-k:] *= scales[:, None]

@@ -1,4 +1,4 @@
-"""The worst norm of a law whose readings and forces are off: the largest that is met, and a bound that holds on the whole box.
+"""The worst norm of a law with errors of measurements and forces: the largest norm found, and a bound on the whole box.
 
 The X of the bound is found by Newton's method on a barrier:
 
@@ -275,13 +275,13 @@ def search_bound(heights: WorstCaseNormFunction, box: Box) -> BoxProof | None:
 
 
 def bisect_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
-    """The proof of a bound on a box, if one is found at little cost; what is met on the way is remembered."""
+    """Returns the proof of a bound on a box if it is cheap to find; stores larger norms found on the way."""
     parts, _ = _filled(heights, [(box, None)], lambda: bound, _trials(heights) // CHEAPLY)
     return _proof(parts, lambda: bound) if parts is not None else None
 
 
 def prove_bound(heights: WorstCaseNormFunction, box: Box, bound: float) -> BoxProof | None:
-    """The proof of a bound that is asked about, looked for patiently."""
+    """Returns the proof of a given bound, after a long search."""
     parts, _ = _filled(heights, [(box, None)], lambda: bound, PATIENT * _trials(heights))
     return _proof(parts, lambda: bound) if parts is not None else None
 
@@ -387,7 +387,7 @@ def worst_norm(
     through: Array | None = None,
     enough: Positive | None = None,
 ) -> WorstNorm:
-    """The worst norm where each reading is off by up to +-d and each force by up to +-e, relative and each by itself.
+    """Returns the worst norm if each measurement is off by up to +-d and each force by up to +-e, relative, separately.
 
     K_ij becomes K_ij (1 + a_j) (1 + b_i) with |a_j| <= d_j, |b_i| <= e_i.
 

@@ -166,7 +166,7 @@ def _in_two_steps(vehicle: Vehicle, controller: Controller) -> bool:
 
 
 def _designed(vehicle: Vehicle, controller: Controller, period: float, near: float) -> tuple[SampledNorm | None, str]:
-    """The norm of a gain on the same measurements that is designed for a rate; where none is found None, and why."""
+    """Returns the norm of a gain on the same measurements designed for a rate; without one None, and the reason."""
     built = replace(vehicle, implementation=Implementation(period))
     entry = ControllerEntry(controller.name, controller.measured)
     try:

@@ -22,11 +22,7 @@ SAME = 5e-9  # relative: what is nearer to the continuous norm is it
 
 
 def cost_lines(one: Cost, lag: str = "") -> list[str]:
-    """Returns a line for each rate of a controller.
-
-    Args:
-        lag: lag of the actuators, in words; empty without.
-    """
+    """Returns a line for each rate of a controller; `lag` describes the lag of the actuators, or is empty."""
     ideal = f"norm {one.ideal:.7g}" if math.isfinite(one.ideal) else "UNSTABLE"
     bound = f", lower bound {one.lower_bound:.7g}" if one.lower_bound is not None else ""
     designs = _has_designs(one)
@@ -64,7 +60,7 @@ def short_lines(costs: Sequence[Cost]) -> list[str]:
 
 
 def _previews(costs: Sequence[Cost]) -> list[str]:
-    """Returns a line that names the controllers of which the norms are without the road ahead; empty if there are none."""
+    """Returns a line that lists the controllers whose norms ignore their preview; empty if there are none."""
     names = [one.controller.name for one in costs if one.controller.preview is not None]
     return [f"  {', '.join(names)}: of the feedback alone, without the road ahead"] if names else []
 
@@ -75,7 +71,7 @@ def _has_designs(one: Cost) -> bool:
 
 
 def _undesigned_lines(one: Cost) -> list[str]:
-    """Why a design is missing, a line for each reason: what happened, without what causes it and what to do."""
+    """Returns a line for each reason of missing designs: what happened, without cause and remedy."""
     missing: dict[str, list[AtRate]] = {}
     for at in one.rates:
         if at.undesigned:

@@ -97,11 +97,7 @@ class FrontContinuation:
         return np.array([self._end(k).values for k in range(len(self.axes))])
 
     def step_along(self, unit: Array) -> EvaluatedGain:
-        """The best on a ray.
-
-        Args:
-            unit: the ray's point, shape (K,); none below zero.
-        """
+        """Returns the best design on the ray through a point `unit` without negative entries, shape (K,)."""
         unit = np.maximum(unit, NOTHING * np.max([each.values for each in self.met], axis=0))
         start = min(self.met, key=lambda each: float(np.max(each.values / unit)) * (1 + RANK * max(each.excess, 0.0)))
         return self._descend(start, {k: float(unit[k]) for k in range(len(unit))}, {})

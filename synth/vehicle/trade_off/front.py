@@ -1,4 +1,4 @@
-"""The trade-off of a vehicle between some axes: designs on its front, each certified, what bounds them, and others beside."""
+"""The trade-off of a vehicle between some axes: certified designs on its front, lower bounds, and other controllers."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
