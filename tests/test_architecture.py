@@ -1,6 +1,7 @@
 """The house: imports point one way, from room to room as the table says, and each heavy package is known to one file."""
 
 import graphlib
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import sim
 import synth
 from sim.inspect.command_line import COMMANDS
 from sim.recording.run_log import RESULTS
+from tests import ceilings
 from tests.commands import ROOT
 from tests.sources import sources
 
@@ -250,6 +252,24 @@ def test_few_files():
     """No folder holds more files than one overlooks."""
     for folder in {path.parent for path in FILES}:
         assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_FILES
+
+
+def test_every_file_is_of_one_capability():
+    """Each file of code or text is in one row of the table of ceilings, and each glob of the table finds a file."""
+    files, rows = ceilings.counted(), ceilings.rows()
+    places = {name: [row.capability for row in rows if row.has(name)] for name in files}
+    assert not [name for name, found in places.items() if not found], "add these to a row of tests/ceilings.py"
+    assert not {name: found for name, found in places.items() if len(found) > 1}, "leave these in one row of tests/ceilings.py"
+    globs = {glob: re.compile(ceilings.expression(glob)) for row in rows for glob in row.globs}
+    idle = [glob for glob, expression in globs.items() if not any(map(expression.fullmatch, files))]
+    assert not idle, "these match no file; take them out of tests/ceilings.py"
+
+
+def test_ceilings():
+    """No capability has more lines than its row allows."""
+    files = ceilings.counted()
+    above = {row.capability: found for row in ceilings.rows() if (found := row.too_many(files))}
+    assert not above, "new work fits into its capability's lines, or takes something away there; see tests/ceilings.py"
 
 
 @pytest.mark.parametrize("start", REACHES)

@@ -1,46 +1,27 @@
-"""Python is all that it needs: no source counts on what only one system has, on its paths, or on its encoding."""
+"""Commands run on any machine that has Python: from any folder, with any letters in names, without the packages of extras."""
 
-import ast
 import json
-import os
 import subprocess
 import sys
 
-import pytest
-
-from tests.commands import ROOT
-from tests.sources import of_one_system, sources
-
-# The one path of POSIX, which is only ever compared with what the user gave.
-KNOWN = {
-    ("models/common/files.py", "/dev/stdout"),
-    ("sim/campaign/law_process.py", "os.killpg"),  # only where there is one
-    ("sim/campaign/law_process.py", "signal.SIGKILL"),  # there, too
-}
+from models.kinds.kind import HERE
+from tests.commands import environment
 
 
-def test_no_source_counts_on_a_system():
-    """No module, function, signal or path that Linux, macOS or Windows lacks; no text in the system's own encoding."""
-    assert {(own, one) for own, source in sources().items() for one in source.of_one_system} - KNOWN == set()
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "import fcntl",
-        "def f():\n    from resource import getrusage",
-        "import os\nos.killpg(1, 2)",
-        "from os import fork",
-        "import signal\nsignal.SIGKILL",
-        "open('/proc/self/status')",
-        "path.write_text('x')",
-        "open(path, 'w')",
-        "path.open('w', encoding='utf-8')",
-    ],
-)
-def test_the_walk_sees_it(source):
-    """The walk finds what it is for."""
-    assert [*of_one_system([*ast.walk(ast.parse(source))])]
+def test_names_and_folders(tmp_path):
+    """A command runs without warnings from any folder, with spaces and letters of other scripts in names, in the C locale."""
+    folder = tmp_path / "mein Auto é Ы"
+    folder.mkdir()
+    text = (HERE / "quarter_car.toml").read_text(encoding="utf-8").partition("[controllers.")[0]
+    controller = '[controllers."Жук"]\nmeasured = ["sprung_velocity"]\ngain = [[-8970.3]]\n'
+    (folder / "das Auto.toml").write_text(text + controller, encoding="utf-8")
+    options = ("--vehicle", "das Auto.toml", "--controller", "Жук", "--duration", "0.1", "--logs", "журнал 1")
+    command = [sys.executable, "-W", "error", "-m", "sim.bump", *options]
+    kept = {name: value for name, value in environment().items() if not name.startswith(("LC_", "LANG", "PYTHONUTF8"))}
+    ran = subprocess.run(command, cwd=folder, env=kept | {"LC_ALL": "C"}, capture_output=True, check=False)
+    assert (ran.returncode, ran.stderr.decode()) == (0, "")
+    assert "Жук: norm" in ran.stdout.decode()
+    assert [path.name for path in (folder / "журнал 1").glob("*Жук*.mcap")]
 
 
 # Runs commands as if an extra's package were not installed, each with our own modules imported anew.
@@ -63,60 +44,47 @@ for package, module, *rest in json.loads(sys.argv[1]):
             found.append((exit.code, out.getvalue(), err.getvalue()))
 print(json.dumps(found))
 """
-MAP = ["--vary", "height:0.1:0.2:2", "--vary", "speed:5:9:2"]
 EXTRAS = [  # a package, its extra, and a command that needs it
     ("matplotlib", "report", ["sim.sweep", "--controller", "passive", "--picture", "x.png"]),
     ("contourpy", "report", ["sim.report"]),
     ("ray", "cluster", ["sim.campaign", "campaign.toml", "--ray", "auto"]),
     ("pyopencrg", "opencrg", ["sim.drive", "--controller", "passive", "--road", "road.crg"]),
-]
-MORE_EXTRAS = [  # asked for in the same way
-    ("matplotlib", "report", ["sim.envelope", "--controller", "passive", *MAP, "--picture", "x.png"]),
-    ("matplotlib", "report", ["sim.margins", "--controller", "I", "--picture", "x.svg"]),
     ("jinja2", "report", ["sim.report"]),
 ]
 
 
-@pytest.mark.parametrize("extras", [EXTRAS, pytest.param(MORE_EXTRAS, marks=pytest.mark.attack)], ids=["some", "others"])
-def test_an_extra_is_asked_for_by_name(tmp_path, extras):
+def test_an_extra_is_asked_for_by_name(tmp_path):
     """Without an extra's packages a command that needs them says in one line how to install them, before any work."""
     (tmp_path / "road.crg").touch()
     (tmp_path / "campaign.toml").write_text(
         'vehicles = ["quarter_car"]\ncontrollers = ["passive"]\nroads = ["bump"]\nspeeds = [10.0]\nduration = 1.0\nsettle = 0.0\n'
     )
-    cases = json.dumps([[package, *arguments] for package, _, arguments in extras])
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    cases = json.dumps([[package, *arguments] for package, _, arguments in EXTRAS])
     command = [sys.executable, "-c", WITHOUT, cases]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True)
     found = json.loads(done.stdout)
-    assert len(found) == len(extras)
-    for (code, out, err), (package, extra, arguments) in zip(found, extras, strict=True):
+    assert len(found) == len(EXTRAS)
+    for (code, out, err), (package, extra, arguments) in zip(found, EXTRAS, strict=True):
         assert (code, out) == (2, ""), (package, arguments, err)
         assert err.count("\n") == 1, (package, arguments, err)
         assert f"[{extra}]" in err, (package, arguments)
 
 
-@pytest.mark.attack
-def test_no_graphics_are_needed(tmp_path):
-    """Whatever the environment says of MuJoCo's graphics, a command runs: it draws nothing by them."""
-    arguments = [sys.executable, "-m", "sim.bump", "--controller", "passive", "--duration", "0.1", "--no-logs"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "none that there is"}
-    done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 BLAS = """
-import sys
-sys.argv = ["-m"]  # as Python's own start says while it imports a command's package
-import {package}, numpy, scipy.linalg, threadpoolctl
-print({{one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"}})
+import atexit, runpy, sys
+
+@atexit.register
+def count():
+    import numpy, scipy.linalg, threadpoolctl
+    print("threads", {one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"})
+
+sys.argv = ["-m", "--help"]  # as Python's own start has it while it imports a command's package
+runpy.run_module("sim.bump", None, "__main__", True)
 """
 
 
-@pytest.mark.parametrize("package", ["sim", pytest.param("synth", marks=pytest.mark.attack)])
-def test_a_command_has_one_thread_of_blas(package):
-    """All its libraries have, whichever is loaded when: more only wait for each other."""
-    environment = {key: value for key, value in os.environ.items() if "NUM_THREADS" not in key}
-    environment |= {"PYTHONPATH": str(ROOT), "PYTHONUTF8": "1"}
-    done = subprocess.run([sys.executable, "-c", BLAS.format(package=package)], env=environment, capture_output=True, text=True)
-    assert (done.stdout, done.stderr) in (("{1}\n", ""), ("set()\n", ""))  # macOS's own library tells nobody how many
+def test_a_command_has_one_thread_of_blas():
+    """All libraries of a command have one thread of BLAS: more only wait for each other."""
+    kept = {key: value for key, value in environment().items() if "NUM_THREADS" not in key}
+    done = subprocess.run([sys.executable, "-c", BLAS], env=kept, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] in ("threads {1}", "threads set()")  # macOS's own library does not tell

@@ -39,10 +39,13 @@ def test_add_a_road_and_a_command(tmp_path):
     (tmp_path / "sim" / "modes.py").write_text(command, encoding="utf-8", newline="\n")
     row = '    "sim.modes": "models.vehicle synth.vehicle",\n'
     assert row.strip() in page(".github/CONTRIBUTING.md")
+    budget = "poles of a loop  50  0  5\n    sim/modes.py docs/how-to/modes.md\n"
+    assert all(line in page(".github/CONTRIBUTING.md") for line in budget.splitlines())
     purpose, margins = "list the natural frequencies and damping ratios", '    ("sim.margins", "find'
     for file, before, added in (
         ("tests/test_architecture.py", '    "sim.margins": ', row),
         ("sim/__main__.py", margins, f'    ("sim.modes", "{purpose}", "--json"),\n'),
+        ("tests/ceilings.py", "margins in physics  ", budget),
         ("README.md", "| `roadproof margins`", f"| `roadproof modes` | {purpose} | - |\n"),
         ("docs/how-to/index.md", "margins\n", "modes\n"),
         ("tests/test_any_controller.py", '"sim.bump": [*SHORT', '"sim.modes": [], '),
@@ -70,8 +73,9 @@ def test_add_a_road_and_a_command(tmp_path):
     (log,) = (tmp_path / "logs").glob("*.mcap")
     assert "the log still proves what it claims" in run("sim.inspect", str(log))
     assert "Hz   damping" in run("sim.modes", "--controller", "I")
-    tested = run("pytest", "-k", "ramp or sizes or imports or house", "tests/test_roads.py", "tests/test_architecture.py")
-    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 5  # its derivative, its description; sizes, imports, rooms
+    names = "ramp or sizes or imports or house or capability"
+    tested = run("pytest", "-k", names, "tests/test_roads.py", "tests/test_architecture.py")
+    assert int(re.findall(r"(\d+) passed", tested)[0]) >= 6  # its derivative, its description; sizes, imports, rooms, files
     held = ("test_any_controller", "test_readme", "test_printed", "test_pages", "test_site", "test_loaded", "test_roadproof")
     names = "modes or forgotten or table_of_commands or contents or help_pages"
     tested = run("pytest", "-m", "not attack", "-k", names, *(f"tests/{name}.py" for name in held))
