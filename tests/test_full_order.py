@@ -163,7 +163,7 @@ def fast_plant(*texts: str, cost: float) -> tuple[GeneralizedPlant, np.ndarray]:
     return GeneralizedPlant(A, B, Bw, C, D, np.zeros((d + m, Bw.shape[1]))), Cy
 
 
-@pytest.mark.parametrize("case", [FAST, FASTER])
+@pytest.mark.parametrize("case", [FAST, *attacks([(FASTER,)])], ids=["fast", "faster"])
 def test_the_best_law_is_taken_however_fast(case):
     """The norm is that of SLICOT's hinfsyn or better, next to the lower bound, and the remark says how fast that is: too fast."""
     *texts, cost, slicot = case
@@ -203,6 +203,7 @@ def test_faster_laws_are_nearer():
         assert norms == sorted(norms, reverse=True)
 
 
+@pytest.mark.attack
 def test_a_limit_that_no_law_keeps():
     """A `fastest_pole` that no law keeps is refused with the slowest there is, and so is any for a discrete plant."""
     plant, Cy = fast_plant(*FASTER[:5], cost=FASTER[5])
