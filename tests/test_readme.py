@@ -249,7 +249,7 @@ def test_home_page_example(capsys):
 def commands_there_are() -> set[str]:
     """Every module that `python -m` runs, as it is called."""
     files = [path for floor in ("synth", "sim") for path in (ROOT / floor).rglob("*.py")]
-    running = [path for path in files if "\n    run_command(main)\n" in path.read_text(encoding="utf-8")]
+    running = [path for path in files if "    from models.common.cli import run\n" in path.read_text(encoding="utf-8")]
     names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__") for path in running}
     return names - {"sim"}
 
