@@ -20,8 +20,6 @@ MINE = 'measured = ["suspension_deflection", "sprung_velocity"]'
 # (what is wrong, replaced in the file that ships, by this, what the message says: the key, what is allowed)
 CHANGES = [
     ("not TOML", MASS, "sprung_mass is 504.5", ["not TOML", "line 5"]),
-    ("a number of 5000 digits", MASS, f"sprung_mass = {'9' * 5000}", ["not TOML", "digits"]),
-    ("brackets without end", MASS, f"sprung_mass = {'[' * 5000}", ["nested too deeply"]),
     ("a decimal comma", MASS, "sprung_mass = 504,5", ["not TOML", "write 504.5 for 504,5"]),
     ("a key twice", MASS, f"{MASS}\n{MASS}", ["not TOML", "line 6"]),
     (
@@ -44,7 +42,7 @@ CHANGES = [
     ("infinite", MASS, "sprung_mass = inf", ["sprung_mass = inf", "from 1e-06 to 1e+12 kg"]),
     ("absurdly large", MASS, "sprung_mass = 1e300", ["sprung_mass = 1e+300", "from 1e-06 to 1e+12 kg"]),
     ("absurdly small", MASS, "sprung_mass = 1e-300", ["sprung_mass = 1e-300", "from 1e-06 to 1e+12 kg"]),
-    ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["parameters.sprung_mass is a number of 400 digits"]),
+    ("too large for a float", MASS, f"sprung_mass = {'9' * 400}", ["sprung_mass = 99999", "from 1e-06 to 1e+12 kg"]),
     ("text for a number", MASS, 'sprung_mass = "heavy"', ["sprung_mass = 'heavy'", "a number"]),
     ("text of two lines", MASS, 'sprung_mass = "a\\nb"', [r"sprung_mass = 'a\nb'", "a number"]),
     ("true for a number", MASS, "sprung_mass = true", ["sprung_mass = True", "a number"]),
@@ -80,7 +78,7 @@ CHANGES = [
         "a law beyond floats",
         MINE,
         f"{MINE}\n{LAW}".replace("-1.0", f"1{'0' * 400}"),
-        ["controllers.I.A is a number of 401 digits"],
+        ["[controllers.I] A = [[10000", "is not a matrix of numbers"],
     ),
     ("a law of its own rate", MINE, f"{MINE}\n{LAW}\nsample_period = 0.01", ["give [implementation] sample_period = 0.01"]),
     ("a rate that is none", MINE, f"{MINE}\n{LAW}\nsample_period = -1", ["sample_period = -1", "seconds from"]),
