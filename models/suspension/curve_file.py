@@ -34,7 +34,7 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
     Raises:
         InputError: a file is missing, or does not contain a curve; the message names it.
     """
-    for path, entry in _with_files(data):
+    for path, entry in _with_files({name: data.get(name) for name in ("curves", "actuators")}, ()):
         try:
             table, comment, file = _read(entry, folder, _argument(path))
         except InputError as error:
@@ -42,20 +42,13 @@ def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]
         yield Replacement((*path, "file"), table, comment, file)
 
 
-def _with_files(data: Mapping[str, Any]) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Returns the entries that name files, each with its keys: curves, and limits of all dampers, or of single ones."""
-    file_entries: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
-    for section in ("curves", "actuators"):
-        entries = data.get(section)
-        for name, entry in entries.items() if isinstance(entries, dict) else ():
-            if not isinstance(entry, dict):
-                continue
-            if "file" in entry:
-                file_entries.append(((section, name), entry))
-            elif section == "actuators":
-                inner = {key: value for key, value in entry.items() if isinstance(value, dict) and "file" in value}
-                file_entries += [((section, name, key), value) for key, value in inner.items()]
-    return file_entries
+def _with_files(tables: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Yields the tables below a path that name files, each with its own path."""
+    for name, entry in tables.items():
+        if isinstance(entry, dict) and "file" in entry:
+            yield (*path, name), entry
+        elif isinstance(entry, dict):
+            yield from _with_files(entry, (*path, name))
 
 
 def _argument(path: tuple[str, ...]) -> str:

@@ -57,10 +57,7 @@ def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) ->
             record[match[1]][int(match[2])][int(match[3])] = value
         else:
             record[key] = value
-    hardware = entry.hardware
-    record |= {"noise": True} if any(hardware.noise) else {}
-    record |= {"loads": dict(hardware.loads)} if hardware.loads else {}
-    return record | ({"lag": True} if hardware.bandwidth is not None else {})
+    return record | entry.hardware.record
 
 
 def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> ControllerEntry:

@@ -91,9 +91,7 @@ def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound
         "measured": list(controller.measured),
         **controller.law.record,
         **goals,
-        **({"noise": True} if controller.hardware.noise else {}),
-        **({"loads": dict(controller.hardware.loads)} if controller.hardware.loads else {}),
-        **({"lag": True} if controller.hardware.bandwidth is not None else {}),
+        **controller.hardware.record,
     }
     path = ("controllers", name)
     return [*section_lines(path, section), "", *section_lines((*path, "certificate"), record, CHECKED_BY)]
