@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
 from operator import getitem
@@ -45,12 +44,15 @@ def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
         table = reduce(getitem, sections, expected)
         table.pop(key)
         table.update(replacement.values)
-    with suppress(Exception):  # texts that tomlkit reads or writes wrongly
+    cause: Exception | None = None
+    try:
         changed = _changed(text, replacements)
         if _normal(parse_toml(changed)) == _normal(expected):
             return changed
+    except Exception as error:  # a text that tomlkit reads or writes wrongly
+        cause = error
     names = listing(".".join(replacement.path) for replacement in replacements)
-    raise InputError(f"{names} cannot be replaced in the text; write each on a line of its own, below its section")
+    raise InputError(f"{names} cannot be replaced in the text; write each on a line of its own, below its section") from cause
 
 
 def _changed(text: str, replacements: Sequence[Replacement]) -> str:
