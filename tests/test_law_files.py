@@ -57,6 +57,7 @@ def test_a_law_is_read_to_the_last_bit(tmp_path, how):
     rng = np.random.default_rng(3)
     law = {name: rng.standard_normal(each.shape) * 10.0 ** rng.uniform(-9, 9, each.shape) for name, each in LAW.items()}
     others = {"note": "of today", "data": rng.standard_normal((300, 40))}
+    assert law_in(tmp_path, mat(LAW | {"A": csc_array((2, 2))}, **how)).record == RECORD | {"A": [[0.0, 0.0], [0.0, 0.0]]}
     for variables in [law, *([] if how.get("format") == "4" else [{"any": law, "c": CELLS, "f": {"x": "y"}}])]:
         found = law_in(tmp_path, mat(variables | others, **how))
         for name, each in law.items():
@@ -167,7 +168,7 @@ def test_only_a_vehicle_file_names_files(tmp_path, monkeypatch):
     ],
 )
 def test_a_file_without_a_controller(tmp_path, variables, said):
-    """A file that does not contain exactly one controller is refused in one line that says why."""
+    """A file that does not contain exactly one controller is refused in one line with the reason."""
     with pytest.raises(InputError) as caught:
         law_in(tmp_path, mat(variables))
     assert said in str(caught.value)

@@ -29,7 +29,8 @@ def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
     Raises:
         InputError: it is not such a file, or does not contain exactly one controller.
     """
-    where, matrices = _only_controller(_variables(content))
+    where, values = _only_controller(_variables(content))
+    matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones
     if {"A", "B", "C"} & {*matrices}:
         missing = [name for name in MATRICES if name not in matrices]
         if missing:
@@ -80,8 +81,6 @@ def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]
 
 def _numbers(name: str, value: Any) -> Array:
     """Returns a matrix of real finite numbers; the law checks its size."""
-    if hasattr(value, "toarray"):  # sparse
-        value = value.toarray()
     if value.dtype.kind in KINDS:
         raise InputError(f"{name} is {KINDS[value.dtype.kind]}; give a matrix of numbers: in MATLAB, call {SAVE}")
     return real_matrix(value, name, np.inf)[0]
