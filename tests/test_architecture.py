@@ -106,6 +106,7 @@ REACHES = {
 OWNERS = {
     "cvxpy": {"synth/lmi/sdp.py", "synth/design/uncertainty/parameter_dependent_kyp.py"},
     "tomllib": {"models/common/files.py"},
+    "tomlkit": {"models/common/toml_edit.py"},
     "mujoco": {
         "models/vehicle/mjcf.py",
         "models/suspension/curve_actuators.py",

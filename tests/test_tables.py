@@ -11,8 +11,7 @@ from models.common.table import BOTH, find_table
 from models.common.units import LENGTH
 from models.roads.choice import choose_road
 from models.roads.load_choice import parse_history
-from models.suspension.curve_file import with_tables
-from models.vehicle.in_place import controllers_of, with_families
+from models.vehicle.in_place import with_contents
 from tests.commands import in_the_suite
 
 SEPARATORS = {"comma": ",", "comma and space": ", ", "semicolon": ";", "tab": "\t", "space": " ", "spaces": "   "}
@@ -53,10 +52,10 @@ def read(caller: str, text: str, folder) -> np.ndarray:
         load = parse_history(text.lstrip("\ufeff"), "table.csv")
         return np.column_stack([load.time, *load.columns.values()])
     if caller == "curve":
-        whole, _ = with_tables('[curves]\nsuspension_damping = { file = "table.csv" }\n', folder)
+        whole, _ = with_contents('[curves]\nsuspension_damping = { file = "table.csv" }\n', folder)
         return np.column_stack([parse_toml(whole)["curves"]["suspension_damping"][name] for name in CALLERS[caller]])
-    whole, _ = with_families('[controllers.I]\nfamily = "table.csv"\n', folder)
-    return np.array([[member[name] for name in CALLERS[caller]] for member in controllers_of(whole)["I"]["family"]])
+    whole, _ = with_contents('[controllers.I]\nfamily = "table.csv"\n', folder)
+    return np.array([[member[name] for name in CALLERS[caller]] for member in parse_toml(whole)["controllers"]["I"]["family"]])
 
 
 @pytest.mark.parametrize("caller", in_the_suite(("rig", "family"), CALLERS))

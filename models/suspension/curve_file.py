@@ -8,15 +8,15 @@ format: blocks in brackets, tables under a row of names in braces, comments from
 """
 
 import itertools
-import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import TEXT, decoded, origin, parse_toml, read_bytes, reading
+from models.common.files import origin, reading
 from models.common.table import find_table
+from models.common.toml_edit import Replacement
 from models.common.units import FORCE, LENGTH, TIME, VELOCITY, unit_named
 
 GIVE = "give a .csv file with a header such as velocity [m/s], force [N], or a .dpr file"
@@ -24,47 +24,31 @@ UNITS: Mapping[str, Mapping[str, float]] = {"velocity": VELOCITY, "deflection": 
 BLOCK = re.compile(r"^\[\s*([^\]]+?)\s*\]$")
 
 
-def with_tables(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
-    """Returns a vehicle file's text with tables in place of its curve files, and those files.
+def curve_tables(data: Mapping[str, Any], folder: Path) -> Iterator[Replacement]:
+    """Yields the tables of a vehicle file's curves that name files.
 
     Args:
-        folder: folder of the vehicle file, to which its paths are relative.
+        data: tables of the vehicle file.
+        folder: its folder, to which its paths are relative.
 
     Raises:
-        InputError: the text is not TOML, or a file is missing, or holds no curve; the message names it.
+        InputError: a file is missing, or does not contain a curve; the message names it.
     """
-    files = []
-    for path, entry in _asked(parse_toml(text)):
+    for path, entry in _with_files({name: data.get(name) for name in ("curves", "actuators")}, ()):
         try:
             table, comment, file = _read(entry, folder, _argument(path))
         except InputError as error:
-            raise InputError(f"{_words(path)}: {error}") from error
-        files.append(file)
-        text = _in_place(text, path, entry, table, comment)
-    if len(text.encode()) > TEXT:
-        raise InputError("with the tables of its files it is too large; thin them")
-    return text, tuple(files)
+            raise InputError(f"[{'.'.join(path[:-1])}] {path[-1]}: {error}") from error
+        yield Replacement((*path, "file"), table, comment, file)
 
 
-def _asked(data: Mapping[str, Any]) -> list[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Returns the entries that name files, each with its keys: curves, and limits of all dampers, or of single ones."""
-    file_entries: list[tuple[tuple[str, ...], Mapping[str, Any]]] = []
-    for section in ("curves", "actuators"):
-        entries = data.get(section)
-        for name, entry in entries.items() if isinstance(entries, dict) else ():
-            if not isinstance(entry, dict):
-                continue
-            if "file" in entry:
-                file_entries.append(((section, name), entry))
-            elif section == "actuators":
-                inner = {key: value for key, value in entry.items() if isinstance(value, dict) and "file" in value}
-                file_entries += [((section, name, key), value) for key, value in inner.items()]
-    return file_entries
-
-
-def _words(path: tuple[str, ...]) -> str:
-    """Names an entry, for messages."""
-    return f"[{'.'.join(path[:-1])}] {path[-1]}"
+def _with_files(tables: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Yields the tables below a path that name files, each with its own path."""
+    for name, entry in tables.items():
+        if isinstance(entry, dict) and "file" in entry:
+            yield (*path, name), entry
+        elif isinstance(entry, dict):
+            yield from _with_files(entry, (*path, name))
 
 
 def _argument(path: tuple[str, ...]) -> str:
@@ -72,31 +56,6 @@ def _argument(path: tuple[str, ...]) -> str:
     if path[0] == "actuators" or "damping" in path[-1]:
         return "velocity"
     return "deflection" if "stiffness" in path[-1] else ""
-
-
-def _changed(data: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
-    """Returns a copy of nested tables with another value at a path of keys."""
-    first, *rest = path
-    return {**data, first: _changed(data[first], tuple(rest), value) if rest else value}
-
-
-def _in_place(text: str, path: tuple[str, ...], entry: Mapping[str, Any], table: Mapping[str, Any], comment: str) -> str:
-    """Returns the text with a table in place of a file, which a line of its own must name."""
-    name, before = path[-1], parse_toml(text)
-    whole = {key: value for key, value in entry.items() if key != "file"} | dict(table)
-    after = _changed(before, path, whole)
-    lines = [f"{key} = {json.dumps(value)}" for key, value in table.items()]
-    others = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "file"]
-    inline, own = f"{comment}\n{name} = {{ {', '.join([*lines, *others])} }}", "\n".join([comment, *lines])
-    for key, instead in ((name, inline), ("file", own)):
-        for line in re.finditer(rf"^[ \t]*{re.escape(key)}[ \t]*=[^\n]*$", text, re.M):
-            changed = text[: line.start()] + instead + text[line.end() :]
-            try:
-                if parse_toml(changed) == after:
-                    return changed
-            except InputError:
-                continue
-    raise InputError(f'{_words(path)}: its file is not named on a line of its own; write {name} = {{ file = "NAME.csv" }} on one')
 
 
 def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, Any], str, Path]:
@@ -107,16 +66,16 @@ def _read(entry: Mapping[str, Any], folder: Path, over: str) -> tuple[dict[str, 
     """
     file = entry["file"]
     if not isinstance(file, str) or not file:
-        raise InputError(f"file = {quoted(file)} is no file's name; {GIVE}")
-    if beside := [key for key in ("velocity", "deflection", "force") if key in entry]:
-        raise InputError(f"has a file and {listing(beside)}; a file is whole by itself, so leave one out")
+        raise InputError(f"file = {quoted(file)} is not the name of a file; {GIVE}")
+    if others := [key for key in ("velocity", "deflection", "force") if key in entry]:
+        raise InputError(f"has a file and {listing(others)}; a file has the whole table, so omit one of them")
     path = folder / file
-    content = read_bytes(path, "curve", GIVE)
-    text = decoded(content, path, "curve", GIVE)
     with reading(path, "curve", GIVE):
-        table = (_of_dpr if path.suffix.lower() == ".dpr" else _of_csv)(text)
-    if over and over not in table:
-        raise InputError(f"curve {path}: has the columns {listing(table)}; give {over} and force")
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig").replace("\r\n", "\n")
+        table = _of_dpr(text) if file.lower().endswith(".dpr") else _of_csv(text)
+        if over and over not in table:
+            raise InputError(f"has the columns {listing(table)}; give {over} and force")
     return table, origin(file, content), path
 
 

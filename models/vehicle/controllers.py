@@ -67,6 +67,12 @@ class DesignConditions:
     bandwidth: float | None = None
     loads: tuple[tuple[str, float], ...] = ()
 
+    @property
+    def record(self) -> dict[str, Any]:
+        """Keys of a controller's section, as in TOML."""
+        given = {"noise": any(self.noise), "loads": dict(self.loads), "lag": self.bandwidth is not None}
+        return {key: value for key, value in given.items() if value}
+
 
 NOMINAL = DesignConditions()
 

@@ -148,20 +148,11 @@ def whole_text(text: str, folder: Path) -> tuple[str, tuple[Path, ...]]:
     Raises:
         InputError: the text is not TOML, or one of these files is missing or wrong.
     """
-    families = laws = tables = ()
-    if re.search(r"\bfamily\b", text):
-        from models.vehicle.in_place import with_families
+    if not re.search(r"\bfamily\b|\bfile\b[\"']?\s*[=\]]", text):
+        return text, ()
+    from models.vehicle.in_place import with_contents
 
-        text, families = with_families(text, folder)
-    if re.search(r"\bfile\b[\"']?\s*[=\]]", text):
-        from models.vehicle.in_place import with_laws
-
-        text, laws = with_laws(text, folder)
-    if re.search(r"\b(curves|actuators)\b", text):
-        from models.suspension.curve_file import with_tables
-
-        text, tables = with_tables(text, folder)
-    return text, (*families, *laws, *tables)
+    return with_contents(text, folder)
 
 
 def road_files(goals: Iterable["Goals | None"]) -> list[Path]:

@@ -16,12 +16,13 @@ from models.common.arrays import Array
 from models.common.errors import InputError, listing, quoted
 from models.common.files import whole_file
 from models.common.printed import pasted, percent
+from models.common.toml_edit import section_lines
 from models.figures.outputs import CAMPAIGN_SUM
 from models.vehicle.in_place import with_sections
 from models.vehicle.names import check_name
 from models.vehicle.vehicle import Vehicle, parse_vehicle
 from sim.campaign.file import Campaign
-from sim.campaign.law_keys import section_lines
+from sim.campaign.law_keys import record_of
 from sim.campaign.plan import Candidate, Plan
 from sim.campaign.store import Store
 from sim.campaign.summary import Standings
@@ -295,7 +296,7 @@ def save(path: Path, campaign: Campaign, choice: Choice, command: str, identity:
         f"{CAMPAIGN_SUM}{identity}",
     ]
     if candidate.variant is not None:
-        lines += section_lines(vehicle, candidate.controller, choice.values, name)
+        lines += section_lines(("controllers", name), record_of(vehicle, candidate.controller, choice.values))
     text = with_sections(vehicle.text_for(path), lines)
     parse_vehicle(text, folder=path.parent)  # what is written can be read
     with whole_file(path, "save") as beside:

@@ -3,7 +3,6 @@
 A drawn law is read as a vehicle file's section is, with the same limits, so that it can be written as one.
 """
 
-import json
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -58,10 +57,7 @@ def record_of(vehicle: Vehicle, controller: str, values: Mapping[str, float]) ->
             record[match[1]][int(match[2])][int(match[3])] = value
         else:
             record[key] = value
-    hardware = entry.hardware
-    record |= {"noise": True} if any(hardware.noise) else {}
-    record |= {"loads": dict(hardware.loads)} if hardware.loads else {}
-    return record | ({"lag": True} if hardware.bandwidth is not None else {})
+    return record | entry.hardware.record
 
 
 def drawn_entry(vehicle: Vehicle, controller: str, values: Mapping[str, float]) -> ControllerEntry:
@@ -86,14 +82,3 @@ def check_key(vehicle: Vehicle, controller: str, key: str) -> float | None:
     if key not in values:
         raise InputError(f"the law of controller {controller!r} has no key {quoted(key)}; it has {listing(values)}")
     return values[key]
-
-
-def section_lines(vehicle: Vehicle, controller: str, values: Mapping[str, float], name: str) -> list[str]:
-    """Returns a controller with drawn values as a section of a vehicle file, under another name."""
-    key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
-    lines = [f"[controllers.{key}]"]
-    for each, value in record_of(vehicle, controller, values).items():
-        table = isinstance(value, Mapping)
-        text = ", ".join(f"{inner} = {json.dumps(number)}" for inner, number in value.items()) if table else json.dumps(value)
-        lines.append(f"{each} = {{ {text} }}" if table else f"{each} = {text}")
-    return lines

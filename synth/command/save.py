@@ -1,13 +1,12 @@
-"""A design as a controller of a vehicle file, with its certificate beside its gain; written whole or not at all."""
+"""Saves designs as controllers of a vehicle file, each with its gain and certificate."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from models.common.errors import InputError, listing
 from models.common.files import whole_file
+from models.common.toml_edit import section_lines
 from models.figures.outputs import CHECKED_BY
 from models.vehicle.in_place import with_sections
 from models.vehicle.vehicle import Vehicle, parse_vehicle
@@ -87,28 +86,12 @@ def _entry(vehicle: Vehicle, controller: Controller, sampled_bound: SampledBound
     goals = asked.goals.record if asked is not None and asked.goals is not None else {}
     if asked is not None and asked.errors is not None:
         goals |= {"tolerance": goals.get("tolerance", {}) | asked.errors.record}
-    key = name if name.isascii() else json.dumps(name, ensure_ascii=False)
-    return [
-        f"[controllers.{key}]",
-        *(['actuators = "force"'] if asked is not None and asked.forced else []),
-        f"measured = {_toml(list(controller.measured))}",
-        *(f"{key} = {_toml(value)}" for key, value in controller.law.record.items()),
-        *(f"{key} = {_toml(value)}" for key, value in goals.items()),
-        *(["noise = true"] if controller.hardware.noise else []),
-        *([f"loads = {_toml(dict(controller.hardware.loads))}"] if controller.hardware.loads else []),
-        *(["lag = true"] if controller.hardware.bandwidth is not None else []),
-        "",
-        f"[controllers.{key}.certificate]    {CHECKED_BY}",
-        *(f"{key} = {_toml(value)}" for key, value in record.items()),
-    ]
-
-
-def _toml(value: Any) -> str:
-    """A number, text, list or mapping of such, as TOML writes it on one line."""
-    if value == float("inf"):
-        return "inf"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
-    return json.dumps(value)
+    section = {
+        **({"actuators": "force"} if asked is not None and asked.forced else {}),
+        "measured": list(controller.measured),
+        **controller.law.record,
+        **goals,
+        **controller.hardware.record,
+    }
+    path = ("controllers", name)
+    return [*section_lines(path, section), "", *section_lines((*path, "certificate"), record, CHECKED_BY)]

@@ -16,33 +16,10 @@ from synth.controller.export.linear_system import vehicle_system
 VEHICLE, QUOTE = "vehicle", "'"
 TITLE = b"MATLAB 5.0 MAT-file of Roadproof"  # with no date, so that the same content has the same bytes
 LONGEST = 63  # characters of a name in MATLAB, and in a file of version 5
-RESERVED = frozenset(
-    (
-        "break",
-        "case",
-        "catch",
-        "classdef",
-        "continue",
-        "else",
-        "elseif",
-        "end",
-        "for",
-        "function",
-        "global",
-        "if",
-        "otherwise",
-        "parfor",
-        "persistent",
-        "return",
-        "spmd",
-        "switch",
-        "try",
-        "while",
-        "file",
-        "loop",
-        "plant",
-    )
-)  # by MATLAB, and by the script
+RESERVED = {  # by MATLAB, and by the script
+    *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if", "otherwise"),
+    *("parfor", "persistent", "return", "spmd", "switch", "try", "while", "file", "loop", "plant"),
+}
 
 
 def struct_names(controllers: Sequence[Controller]) -> dict[str, str]:

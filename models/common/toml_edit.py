@@ -1,0 +1,122 @@
+"""Edits of a user's TOML text, which keep its comments, order and blank lines, and new sections for it."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any
+
+from models.common.errors import InputError, listing
+from models.common.files import parse_toml
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """Keys with values that take the place of one key in a TOML text.
+
+    Attributes:
+        path: the sections of the key, from the outermost, and the key itself.
+        values: the new keys with their values.
+        comment: comment on the line above; empty for none.
+        file: the file that contains the values, if any.
+    """
+
+    path: tuple[str, ...]
+    values: Mapping[str, Any]
+    comment: str = ""
+    file: Path | None = None
+
+
+def with_replacements(text: str, replacements: Sequence[Replacement]) -> str:
+    """Returns a TOML text with these replacements. A comment behind a replaced key stays behind the first new one.
+
+    Raises:
+        InputError: the text is not TOML, or the new text would not have exactly these values.
+    """
+    if not replacements:
+        return text
+    expected = parse_toml(text)
+    for replacement in replacements:
+        *sections, key = replacement.path
+        table = reduce(getitem, sections, expected)
+        table.pop(key)
+        table.update(replacement.values)
+    cause: Exception | None = None
+    try:
+        changed = _changed(text, replacements)
+        if _normal(parse_toml(changed)) == _normal(expected):
+            return changed
+    except Exception as error:  # a text that tomlkit reads or writes wrongly
+        cause = error
+    names = listing(".".join(replacement.path) for replacement in replacements)
+    raise InputError(f"{names} cannot be replaced in the text; write each on a line of its own, below its section") from cause
+
+
+def _changed(text: str, replacements: Sequence[Replacement]) -> str:
+    import tomlkit
+    from tomlkit.items import Comment, Float, SingleKey, Trivia
+
+    document = tomlkit.parse(text)
+    for replacement in replacements:
+        (body, i), (outer, line) = _place(document.body, replacement.path)
+        place, written = body[i][1].trivia, {key: toml_value(value) for key, value in replacement.values.items()}
+        if outer is not body:  # an inline table, where the first key's item contains the others
+            name, *others = written
+            written = {name: ", ".join([written[name], *(f"{_key(key)} = {written[key]}" for key in others)])}
+        # tomlkit takes seconds for the items of large matrices, and none for a number that is written as the whole value.
+        new = [(SingleKey(key), Float(0.0, Trivia(place.indent, trail="\n"), value)) for key, value in written.items()]
+        first, last = new[0][1].trivia, new[-1][1].trivia
+        first.comment_ws, first.comment, last.trail = place.comment_ws, place.comment, place.trail
+        body[i : i + 1] = new
+        if replacement.comment:
+            outer.insert(line, (None, Comment(Trivia(outer[line][1].trivia.indent, comment=replacement.comment))))
+    return document.as_string()
+
+
+def _place(body: list[Any], path: tuple[str, ...], line: Any = None) -> Any:
+    """Returns body and index of the item at a path, and those of the item in whose line it is; None if it is elsewhere."""
+    from tomlkit.items import InlineTable
+
+    name, *rest = path
+    for i, (key, item) in enumerate(body):
+        if key is not None and key.key == name:
+            if not rest:
+                return (body, i), line or (body, i)
+            outer = line or ((body, i) if isinstance(item, InlineTable) else None)
+            if found := _place(item.value.body, tuple(rest), outer):
+                return found
+    return None
+
+
+def _normal(value: Any) -> str:
+    """Returns a text that is equal for equal tables, whatever their order, NaN included."""
+    return json.dumps(value, sort_keys=True, default=str)
+
+
+def section_lines(path: Sequence[str], values: Mapping[str, Any], comment: str = "") -> list[str]:
+    """Returns a section as lines of TOML.
+
+    Args:
+        path: its name, below the names of the sections that it is in.
+        comment: comment behind its name.
+    """
+    name = ".".join(map(_key, path))
+    return [f"[{name}]    {comment}".rstrip(), *(f"{_key(key)} = {toml_value(value)}" for key, value in values.items())]
+
+
+def toml_value(value: Any) -> str:
+    """Returns a number, text, list or mapping on one line of TOML."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(key)} = {toml_value(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, float):
+        return float.__repr__(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_value(name)

@@ -1,0 +1,113 @@
+"""Controllers in MATLAB files, versions 4 to 7, as SciPy reads them."""
+
+import warnings
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from models.common.arrays import Array, real_matrix
+from models.common.errors import InputError, first_few, listing, quoted
+
+MATRICES = ("A", "B", "C", "D")
+PERIODS = ("Ts", "sample_period")
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "ioDelay", "InternalDelay")  # fields of a struct made by get(sys)
+SAVE = "save('FILE.mat', 'A', 'B', 'C', 'D', 'Ts', '-v7')"
+KINDS = {"U": "text", "O": "a cell array or an object", "V": "a struct"}  # by the letter of the NumPy type
+
+
+def read_law(content: bytes) -> tuple[dict[str, Any], float | None]:
+    """Returns the only law in a MATLAB file.
+
+    Args:
+        content: bytes of the file.
+
+    Returns:
+        Its matrices as in TOML, or its gain; and its sample period [s], None for a continuous or static law.
+
+    Raises:
+        InputError: it is not such a file, or does not contain exactly one controller.
+    """
+    where, values = _only_controller(_variables(content))
+    matrices = {name: value.toarray() if hasattr(value, "toarray") else value for name, value in values.items()}  # sparse ones
+    if {"A", "B", "C"} & {*matrices}:
+        missing = [name for name in MATRICES if name not in matrices]
+        if missing:
+            raise InputError(f"{listing(missing)} is missing in {where}; give A, B, C and D, or K alone")
+    if "K" in matrices and {*MATRICES} & {*matrices}:
+        raise InputError(f"{where} has K and {listing({*MATRICES} & {*matrices})}; keep K, a static gain, or A, B, C and D")
+    _check_plain(matrices)
+    if "A" not in matrices or not matrices["A"].size:
+        gain = "K" if "K" in matrices else "D"
+        return {"gain": _numbers(gain, matrices[gain]).tolist()}, None
+    return {name: _numbers(name, matrices[name]).tolist() for name in MATRICES}, _period(matrices)
+
+
+def _variables(content: bytes) -> dict[str, Any]:
+    """Returns the variables of a file by name, with MATLAB's own beginning with two underscores."""
+    from scipy.io import loadmat
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of two objects, which have the same name for SciPy
+            return loadmat(BytesIO(content))
+    except NotImplementedError as error:
+        raise InputError("is of version 7.3, which is HDF5 and cannot be read; save it in MATLAB with '-v7'") from error
+    except Exception as error:
+        raise InputError(f"is not a MATLAB file, or damaged ({error}); write it in MATLAB by {SAVE}") from error
+
+
+def _only_controller(variables: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Returns the place of the only controller in a file, for messages, and the variables or fields there."""
+    names = (*MATRICES, "K", *PERIODS)
+    places = {"the file": {name: value for name, value in variables.items() if name in names}}
+    for name, value in variables.items():
+        if getattr(value, "dtype", None) is not None and value.dtype.names and value.shape == (1, 1):
+            places[f"the struct {name}"] = {field: value[field][0, 0] for field in value.dtype.names}
+    holding = {where: values for where, values in places.items() if {*values} & {*MATRICES, "K"}}
+    if len(holding) > 1:
+        raise InputError(f"contains more than one controller, in {' and '.join(holding)}; keep one")
+    for where, values in holding.items():
+        return where, values
+    if "None" in variables:  # SciPy's name for objects, whose own name and class are in a row of four
+        name, _, kind, _ = (part.decode() if isinstance(part, bytes) else part for part in variables["None"][0])
+        raise InputError(
+            f"{name} is a MATLAB object of class {kind}, which only MATLAB reads; if it is a system, call there "
+            f"[A, B, C, D, Ts] = ssdata({name}); {SAVE}"
+        )
+    others = [name for name in variables if not name.startswith("__")]
+    raise InputError(f"contains no A, B, C, D, and no K; it has {first_few(others) or 'nothing'}: in MATLAB, call {SAVE}")
+
+
+def _numbers(name: str, value: Any) -> Array:
+    """Returns a matrix of real finite numbers; the law checks its size."""
+    if value.dtype.kind in KINDS:
+        raise InputError(f"{name} is {KINDS[value.dtype.kind]}; give a matrix of numbers: in MATLAB, call {SAVE}")
+    return real_matrix(value, name, np.inf)[0]
+
+
+def _check_plain(matrices: Mapping[str, Any]) -> None:
+    """Refuses a struct of a system with fields other than its matrices that would change the law."""
+    E = _numbers("E", matrices["E"]) if "E" in matrices else np.zeros((0, 0))
+    if E.size and not np.array_equal(E, np.eye(len(E))):
+        raise InputError("has an E that is not the identity; give x' = A x + B y without one, by ss(sys, 'explicit') in MATLAB")
+    delayed = [name for name in DELAYS if np.any(matrices.get(name, 0))]
+    if delayed:
+        raise InputError(
+            f"has {', '.join(delayed)} above 0, and a law has no delay; give one to [implementation], or take pade(sys, 3)"
+        )
+    unit = "".join(map(str, np.ravel(matrices.get("TimeUnit", ""))))
+    if unit not in ("", "seconds"):
+        raise InputError(f"TimeUnit is {quoted(unit)}; give seconds, by chgTimeUnit(sys, 'seconds') in MATLAB")
+
+
+def _period(matrices: Mapping[str, Any]) -> float | None:
+    """Returns the sample period [s]; None for a continuous law, whose period MATLAB writes as 0."""
+    periods = {name: _numbers(name, matrices[name]) for name in PERIODS if name in matrices}
+    for name, value in periods.items():
+        if value.size != 1 or value.item() < 0:
+            raise InputError(f"{name} = {quoted(value)} is not a sample period; give seconds, or 0 for a continuous law")
+    values = {value.item() for value in periods.values()}
+    if len(values) > 1:
+        raise InputError("Ts and sample_period are two sample periods; keep one")
+    return max(values, default=0.0) or None
