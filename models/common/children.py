@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import traceback
+import warnings
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -118,6 +119,8 @@ def serve() -> None:
     with open(os.devnull, "rb") as empty, suppress(OSError):  # stderr may be closed
         os.dup2(empty.fileno(), 0)
         os.dup2(2, 1)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, as in commands
     sys.stdout, messages = sys.stderr, queue.SimpleQueue[Any]()
     threading.Thread(target=_listen, args=(requests, messages), daemon=True).start()
     function: Answers = messages.get()
