@@ -139,7 +139,7 @@ def test_it_is_terminated(library, tmp_path, monkeypatch):
     ("old", "new", "said"),
     [
         ("2.0", "1.0", "Failed to validate modelDescription.xml"),
-        ("CoSimulation", "ModelExchange", "it has FMI 2.0 and no co-simulation; give an FMU of FMI 2 or 3"),
+        ("CoSimulation", "ModelExchange", "it has FMI 2.0, no co-simulation; give an FMU of FMI 2 or 3"),
         ('"m/s"', '"mm/s"', "the unit of its sprung_velocity is 'mm/s'; export it in m/s"),
         ('"N"', '"kN"', "the unit of its control_force is 'kN'; export it in N"),
         ('"sprung_velocity"', '"speed"', "its inputs are speed, suspension_deflection, and the controller measures"),

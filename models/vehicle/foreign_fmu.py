@@ -22,7 +22,6 @@ from models.laws.python_runtime import Sample
 FORCE = signals.CONTROL_FORCE.name
 KNOWN = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
 CORNERS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
-REAL = ("Real", "Float64", "Float32")  # types of signals; an input of another type keeps its start value
 GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
 TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
 
@@ -52,13 +51,7 @@ class ForeignFmu:
             raise InputError("the FMU has changed since the vehicle file was read; run the command again")
         import fmpy
 
-        self._folder, reasons = TemporaryDirectory(prefix="fmu", ignore_cleanup_errors=True), list[str]()
-
-        def log(*arguments: Any) -> None:
-            status, _, text = arguments[-3:]  # in FMI 2 and 3
-            reasons[:] = [f": {text.decode(errors='replace')}"] if status > 1 else reasons
-
-        self._reasons = reasons
+        self._folder = TemporaryDirectory(prefix="fmu", ignore_cleanup_errors=True)
         with self._errors(f"; {GIVE}"):
             description = fmpy.read_model_description(str(file))
             fmpy.extract(str(file), self._folder.name)
@@ -68,7 +61,7 @@ class ForeignFmu:
         if needed not in platforms:
             raise InputError(f"the FMU has binaries for {listing(platforms)}, and none for {needed}; export it for {needed}")
         with self._errors():
-            fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=log)
+            fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=_log)
             self._fmu, self._end = fmu, weakref.finalize(self, _end, fmu)
             if old:
                 fmu.setupExperiment()
@@ -96,12 +89,22 @@ class ForeignFmu:
     @contextmanager
     def _errors(self, give: str = "") -> Iterator[None]:
         """Turns errors of FMPy and of the FMU into an InputError."""
+        _messages.clear()
         try:
             yield
         except Exception as error:  # of many types
             if hasattr(self, "_end"):
                 self._end.detach()  # an FMU that has failed must not be terminated
-            raise InputError(f"{str(error).rstrip('.')}{''.join(self._reasons)}{give}") from error
+            raise InputError(": ".join([str(error).rstrip("."), *_messages[-1:]]) + give) from error
+
+
+_messages: list[str] = []  # of errors in the present call; FMPy sends those of all instances to the logger of the last one
+
+
+def _log(*arguments: Any) -> None:
+    status, _, text = arguments[-3:]  # in FMI 2 and 3
+    if status > 1:
+        _messages.append(text.decode(errors="replace"))
 
 
 def _end(fmu: Any) -> None:
@@ -117,9 +120,8 @@ def _variables(description: Any, measured: Sequence[str]) -> tuple[list[Any], li
         InputError: the FMU is not for co-simulation, or has other inputs, outputs or units.
     """
     if description.fmiMajorVersion == 1 or description.coSimulation is None:
-        use = "no co-simulation" if description.coSimulation is None else "co-simulation"
-        raise InputError(f"it has FMI {description.fmiVersion} and {use}; {GIVE}")
-    real = [one for one in description.modelVariables if one.type in REAL]
+        raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
+    real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]  # others keep start values
     inputs, outputs = ({one.name: one for one in real if one.causality == kind} for kind in ("input", "output"))
     if {*inputs} != {*measured}:
         raise InputError(
@@ -144,10 +146,8 @@ def _plain(unit: str) -> str:
 
 def own_delay(file: Path) -> int:
     """Returns the delay of the outputs of an FMU that Roadproof exported [samples], and 0 for any other file."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError):  # the first step refuses it
-        return 0
-    computer = root.find(".//Implementation[@delay]") if root.get("generationTool") == TOOL else None
-    return 0 if computer is None else int(computer.attrib["delay"])
+    with suppress(OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError), zipfile.ZipFile(file) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+        if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
+            return int(computer.attrib["delay"])
+    return 0  # the first step refuses a file that is not an FMU
