@@ -31,6 +31,7 @@ DELAYED = TEXT.replace(BUILT, f"{BUILT}delay = 1\n")
 # One library with as many faults as GUIDs.
 SOURCE = """
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 typedef struct { void (*log)(void *, const char *, int, const char *, const char *, ...); } calls;
@@ -39,10 +40,7 @@ void *fmi2Instantiate(const char *n, int k, const char *guid, const char *r, con
 { of = c; mode = strdup(guid); return strcmp(guid, "none") ? (void *)mode : NULL; }
 int fmi2GetReal(void *c, const unsigned *r, size_t n, double *v) { v[0] = strcmp(mode, "nan") ? 1.0 : NAN; return 0; }
 int fmi2DoStep(void *c, double t, double h, int s)
-{
-    if (!strcmp(mode, "discard")) { of->log(NULL, "x", 2, "logStatusDiscard", "too long a step"); return 2; }
-    return strcmp(mode, "odd") ? 0 : 77;
-}
+{ if (!strcmp(mode, "crash")) abort(); if (strcmp(mode, "discard")) return 0; of->log(0, "x", 2, "x", "too long"); return 2; }
 int fmi2Terminate(void *c) { FILE *file = fopen("terminated", "w"); return fclose(file); }
 """
 DESCRIPTION = """<?xml version="1.0"?>
@@ -61,8 +59,7 @@ def library(tmp_path_factory) -> bytes:
     fmi2 = pytest.importorskip("fmpy.fmi2")
     folder = tmp_path_factory.mktemp("faults")
     others = {name for name in dir(fmi2.FMU2Slave) if name.startswith("fmi2")} - {*re.findall(r"fmi2\w+", SOURCE)}
-    text = "#include <stdio.h>\n" + SOURCE + "".join(f"int {name}(void) {{ return 0; }}\n" for name in sorted(others))
-    (folder / "x.c").write_text(text)
+    (folder / "x.c").write_text(SOURCE + "".join(f"int {name}(void) {{ return 0; }}\n" for name in sorted(others)))
     subprocess.run(["cc", "-shared", "-fPIC", "-w", "x.c", "-o", "x.so"], cwd=folder, check=True)
     return (folder / "x.so").read_bytes()
 
@@ -79,11 +76,11 @@ def called(folder: Path) -> list[float]:
     return law(np.zeros(len(driver.measured)), 0.0, 0.005, None, {}).tolist()
 
 
-def packed(file: Path, library: bytes, guid: str = "good", change: Callable[[str], str] = str, place: str = "linux64") -> None:
-    """Writes an FMU of the library."""
+def packed(file: Path, library: bytes, guid: str = "good", old: str = "GUID", new: str = "good") -> None:
+    """Writes an FMU of the library, with one text replaced in its description and in the names of its files."""
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("modelDescription.xml", change(DESCRIPTION.replace("GUID", guid)))
-        archive.writestr(f"binaries/{place}/their.so", library)
+        archive.writestr("modelDescription.xml", DESCRIPTION.replace("GUID", guid).replace(old, new))
+        archive.writestr("binaries/linux64/their.so".replace(old, new), library)
 
 
 @needs_fmpy
@@ -110,17 +107,17 @@ def test_it_drives_as_its_law_does(version, tmp_path):
 @pytest.mark.parametrize(
     ("guid", "said"),
     [
-        ("discard", r"^controller 'theirs', FMU their.fmu: fmi2DoStep failed with status 2 \(discard\): too long a step$"),
-        ("odd", r"fmi2DoStep failed with status 77"),
+        ("discard", r"^controller 'theirs', FMU their.fmu: fmi2DoStep failed with status 2 \(discard\): too long$"),
+        ("crash", r"ends its process \(signal SIGABRT\) at 0 s"),
         ("nan", r"its force is not finite"),
         ("none", r"Failed to instantiate model"),
     ],
 )
 def test_a_fault_is_one_line(guid, said, library, tmp_path):
-    """A step that is refused or gives no number, and a start that fails, are one line."""
+    """A step that is refused, crashes or gives no number, and a start that fails, are one line."""
     packed(tmp_path / "their.fmu", library, guid)
     with refused("controller 'theirs'", "their.fmu", match=said):
-        called(tmp_path)
+        run(parse_vehicle(TEXT + THEIRS, folder=tmp_path), ["theirs"], Bump(), duration=0.1)
 
 
 @needs_fmpy
@@ -144,24 +141,18 @@ def test_it_is_terminated(library, tmp_path, monkeypatch):
         ('"N"', '"kN"', "the unit of its control_force is 'kN'; export it in N"),
         ('"sprung_velocity"', '"speed"', "its inputs are speed, suspension_deflection, and the controller measures"),
         ('"control_force"', '"torque"', "its outputs are torque; name its forces control_force"),
+        ("linux64", "other64", "the FMU has binaries for other64, and none for linux64; export it for linux64"),
         ("</fmiModelDescription>", "", "give an FMU of FMI 2 or 3 for co-simulation"),
+        ("", "", "File is not a zip file; give an FMU of FMI 2 or 3 for co-simulation"),
     ],
 )
 def test_what_does_not_fit_is_one_line(old, new, said, library, tmp_path):
-    """FMUs of other versions and kinds, with other units and names, or a damaged description, are refused in one line each."""
-    packed(tmp_path / "their.fmu", library, change=lambda text: text.replace(old, new))
+    """Other files, versions, kinds, platforms, units and names, and a damaged description, are refused in one line each."""
+    if old:
+        packed(tmp_path / "their.fmu", library, "good", old, new)
+    else:
+        (tmp_path / "their.fmu").write_bytes(b"PK no zip")
     with refused("controller 'theirs'", said):
-        called(tmp_path)
-
-
-@needs_fmpy
-def test_other_files_are_one_line(library, tmp_path):
-    """A file that is not a zip, and an FMU without a binary for this machine, are refused in one line."""
-    (tmp_path / "their.fmu").write_bytes(b"PK no zip")
-    with refused("File is not a zip file; give an FMU"):
-        called(tmp_path)
-    packed(tmp_path / "their.fmu", library, place="other64")
-    with refused("the FMU has binaries for other64, and none for", "; export it for"):
         called(tmp_path)
 
 
