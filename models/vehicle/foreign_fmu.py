@@ -1,278 +1,141 @@
-"""Somebody else's FMU (FMI 2.0, co-simulation) as a controller, in a process of its own, which may crash or never answer.
+"""FMUs of other tools (FMI 2 and 3, co-simulation) as controllers, by FMPy. They run in the child process of their law.
 
-A vehicle file names it as `fmu = "their.fmu"`. Its inputs are what is measured, by name, in the same units; its outputs are the
-control forces. Its step from a sample to the next gives the forces that are held meanwhile.
+A vehicle file names one by `fmu = "their.fmu"`. Its inputs have the names and units of the measured signals, and its outputs are
+the control forces. The step from a sample to the next one computes the forces that are held in between.
 """
 
 import hashlib
-import json
-import platform
-import queue
-import re
-import shutil
-import subprocess
-import sys
-import tempfile
-import threading
 import weakref
 import zipfile
-import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 from xml.etree import ElementTree
 
 from models.common.errors import InputError, listing, quoted
-from models.common.files import MIB, read_bytes
 from models.kinds import signals
 from models.laws.python_runtime import Sample
 
-PROCESS = Path(__file__).with_name("fmu_process.py")
-LONGEST = 5.0  # s, limit of a step; below the limit of a law's call, so that this line is said
-LONGEST_START = 8.0  # s, limit of loading and initialization, which are within the first call
-MOST_INSIDE, MOST_FILES, MOST_XML = 512 * MIB, 10_000, 16 * MIB  # unpacked
-FORCE = signals.CONTROL_FORCE
-CORNERS = ("", "front", "rear", "front_left", "front_right", "rear_left", "rear_right")
-GIVE = "give an FMU of FMI 2.0 for co-simulation"
-TOOL = "Roadproof"  # whose FMUs have the delay of their computer in them, and say so in an annotation
-DAMAGED = (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError)
-
-
-@dataclass(frozen=True)
-class Variable:
-    """Scalar variable of an FMU: its value reference, and its unit, or empty."""
-
-    reference: int
-    unit: str
-
-
-@dataclass(frozen=True)
-class Description:
-    """modelDescription.xml, as far as it is needed.
-
-    Attributes:
-        guid: its token.
-        identifier: name of its library.
-        inputs, outputs: Real variables by name.
-        delay: samples by which its outputs are late, as Roadproof's export notes them; 0 for FMUs of other tools.
-    """
-
-    guid: str
-    identifier: str
-    inputs: dict[str, Variable]
-    outputs: dict[str, Variable]
-    delay: int
+FORCE = signals.CONTROL_FORCE.name
+KNOWN = [one for one in vars(signals).values() if isinstance(one, signals.Signal)]
+CORNERS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
+GIVE = "give an FMU of FMI 2 or 3 for co-simulation"
+TOOL = "Roadproof"  # outputs of its FMUs are late by the delay that an annotation contains
 
 
 def law_of(file: str, sha256: str) -> Callable[[Sample, "ForeignFmu | None"], Any]:
-    """Returns a law in Python that steps an FMU.
-
-    Args:
-        file: its path.
-        sha256: checksum that it must have.
-    """
+    """Returns a law in Python that steps the FMU in a file with this checksum."""
 
     def step(sample: Sample, state: "ForeignFmu | None") -> Any:
-        one = ForeignFmu(Path(file), sha256, [*sample.measured]) if state is None else state
-        return one.step(sample.time, sample.period, sample.y.tolist()), one
+        fmu = ForeignFmu(Path(file), sha256, sample) if state is None else state
+        return fmu.step(sample), fmu
 
     return step
 
 
 class ForeignFmu:
-    """An instance of an FMU in a process of its own, which ends with it."""
+    """Instance of an FMU. It is terminated with this object."""
 
-    def __init__(self, file: Path, sha256: str, measured: Sequence[str]) -> None:
-        """Unpacks and starts it.
+    def __init__(self, file: Path, sha256: str, sample: Sample) -> None:
+        """Starts the FMU, which receives the first sample for its initialization.
 
         Raises:
-            InputError: it is no such FMU, it is damaged or hostile, or its inputs are not what is measured.
+            InputError: FMPy is missing, or the FMU cannot be read, does not fit the measured signals, or fails.
         """
-        content = read_bytes(file, "FMU", GIVE)
-        if hashlib.sha256(content).hexdigest() != sha256:
-            raise InputError("the FMU has changed since the vehicle file was read")
-        folder = tempfile.mkdtemp(prefix="fmu")
-        self._end = weakref.finalize(self, _ended, None, folder)
-        description, library = unpacked(file, Path(folder))
-        inputs, outputs = _matched(description, measured)
-        process = subprocess.Popen(
-            [sys.executable, "-I", str(PROCESS)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert process.stdin is not None, "it is a pipe"
-        assert process.stdout is not None, "it is a pipe"
-        self._end.detach()
-        self._end = weakref.finalize(self, _ended, process, folder)
-        self._process, self._write, self._answers = process, process.stdin, queue.Queue[str]()
-        threading.Thread(target=_read, args=(process.stdout, self._answers), daemon=True, name="roadproof-fmu").start()
-        resources = (Path(folder) / "resources").as_uri()
-        about = {"library": str(library), "guid": description.guid, "resources": resources, "inputs": inputs, "outputs": outputs}
-        self._ask(about, LONGEST_START, "the start")
+        if find_spec("fmpy") is None:
+            raise InputError("an FMU needs FMPy; pip install 'roadproof[fmi]'")
+        if hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
+            raise InputError("the FMU has changed since the vehicle file was read; run the command again")
+        import fmpy
 
-    def step(self, time: float, period: float, seen: Sequence[float]) -> list[float]:
+        self._folder = TemporaryDirectory(prefix="fmu", ignore_cleanup_errors=True)
+        with self._errors(f"; {GIVE}"):
+            description = fmpy.read_model_description(str(file))
+            fmpy.extract(str(file), self._folder.name)
+        self._inputs, self._forces = _variables(description, sample.measured)
+        old, platforms = description.fmiMajorVersion == 2, [path.name for path in Path(self._folder.name, "binaries").glob("*")]
+        needed = fmpy.platform if old else fmpy.platform_tuple
+        if needed not in platforms:
+            raise InputError(f"the FMU has binaries for {listing(platforms)}, and none for {needed}; export it for {needed}")
+        with self._errors():
+            fmu: Any = fmpy.instantiate_fmu(self._folder.name, description, "CoSimulation", logger=_log)
+            self._fmu, self._end = fmu, weakref.finalize(self, _end, fmu)
+            if old:
+                fmu.setupExperiment()
+            fmu.enterInitializationMode()
+            self._set_inputs(sample)
+            fmu.exitInitializationMode()
+
+    def step(self, sample: Sample) -> list[float]:
         """Returns the forces of a sample [N].
 
         Raises:
-            InputError: the step is refused, takes too long, or ends the process.
+            InputError: the FMU fails, or ends the simulation.
         """
-        return self._ask({"time": time, "period": period, "inputs": list(seen)}, LONGEST, "the step")
+        with self._errors():
+            self._set_inputs(sample)
+            result = self._fmu.doStep(sample.time, sample.period)
+            if result and result[1]:  # in FMI 3
+                raise InputError("the FMU ended the simulation")
+            return [getattr(self._fmu, f"get{one.type}")([one.valueReference])[0] for one in self._forces]
 
-    def _ask(self, asked: dict[str, Any], longest: float, what: str) -> list[float]:
+    def _set_inputs(self, sample: Sample) -> None:
+        for one, value in zip(self._inputs, sample.y.tolist(), strict=True):
+            getattr(self._fmu, f"set{one.type}")([one.valueReference], [value])
+
+    @contextmanager
+    def _errors(self, give: str = "") -> Iterator[None]:
+        """Turns errors of FMPy and of the FMU into an InputError."""
+        _messages.clear()
         try:
-            self._write.write(json.dumps(asked) + "\n")
-            self._write.flush()
-            line = self._answers.get(timeout=longest)
-        except queue.Empty:
-            self._end()
-            raise InputError(f"{what} took longer than {longest:g} s") from None
-        except OSError:
-            line = ""
-        if not line:
-            code = self._process.wait(LONGEST)
-            raise InputError(f"{what} ended the process of the FMU ({f'signal {-code}' if code < 0 else f'exit code {code}'})")
-        answer = json.loads(line)
-        if "error" in answer:
-            raise InputError(f"{what} failed: {answer['error']}")
-        return answer["outputs"]
+            yield
+        except Exception as error:  # of many types
+            if hasattr(self, "_end"):
+                self._end.detach()  # an FMU that has failed must not be terminated
+            raise InputError(": ".join([str(error).rstrip("."), *_messages[-1:]]) + give) from error
 
 
-def _read(stream: IO[str], into: "queue.Queue[str]") -> None:
-    for line in stream:
-        into.put(line)
-    into.put("")
+_messages: list[str] = []  # of errors in the present call; FMPy sends those of all instances to the logger of the last one
 
 
-def _ended(process: "subprocess.Popen[str] | None", folder: str) -> None:
-    """Ends a process, and removes what was unpacked for it."""
-    if process is not None:
-        process.kill()
-        process.wait(LONGEST)
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                try:
-                    pipe.close()
-                except OSError:
-                    continue
-    shutil.rmtree(folder, ignore_errors=True)
+def _log(*arguments: Any) -> None:
+    status, _, text = arguments[-3:]  # in FMI 2 and 3
+    if status > 1:
+        _messages.append(text.decode(errors="replace"))
 
 
-def unpacked(file: Path, folder: Path) -> tuple[Description, Path]:
-    """Unpacks an FMU, and returns its description and the path of its library.
+def _end(fmu: Any) -> None:
+    with suppress(Exception):
+        fmu.terminate()
+        fmu.freeInstance()
+
+
+def _variables(description: Any, measured: Sequence[str]) -> tuple[list[Any], list[Any]]:
+    """Returns the variables of the measured signals, and those of the forces in the order of the corners.
 
     Raises:
-        InputError: it is no FMU, damaged, too large, has names that lead out of its folder, or no binary for this machine.
+        InputError: the FMU is not for co-simulation, or has other inputs, outputs or units.
     """
-    try:
-        with zipfile.ZipFile(file) as archive:
-            description, names = _described(archive), set(archive.namelist())
-            suffix = {"windows": ".dll", "darwin": ".dylib"}.get(platform.system().lower(), ".so")
-            own = f"binaries/{_platform()}/{description.identifier}{suffix}"
-            if own not in names:
-                there = sorted({name.split("/")[1] for name in names if re.fullmatch(r"binaries/[^/]+/.+", name)})
-                raise InputError(
-                    f"the FMU has binaries for {listing(there) if there else 'no platform'}, and none for {_platform()}; "
-                    f"export it for {_platform()}"
-                )
-            archive.extractall(folder, [name for name in names if name.startswith(("binaries/", "resources/"))])
-    except DAMAGED as error:
-        raise InputError(f"the file is not an FMU, or is damaged ({error}); {GIVE}") from error
-    (folder / "resources").mkdir(exist_ok=True)
-    return description, folder / own
-
-
-def own_delay(file: Path) -> int:
-    """Returns the delay of an FMU's own outputs [samples]; 0 for a file that is not a valid FMU, whose first step is refused."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return _described(archive).delay
-    except (InputError, *DAMAGED):
-        return 0
-
-
-def _described(archive: zipfile.ZipFile) -> Description:
-    _check_entries(archive.infolist())
-    if "modelDescription.xml" not in archive.namelist():
-        raise InputError(f"the file has no modelDescription.xml; {GIVE}")
-    return read_description(archive.read("modelDescription.xml"))
-
-
-def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
-    for one in entries:
-        parts = PurePosixPath(one.filename).parts
-        if ".." in parts or one.filename.startswith("/") or "\\" in one.orig_filename or ":" in one.filename:
-            raise InputError(f"the name of its file {quoted(one.orig_filename)} leads out of its folder; {GIVE}")
-        if one.external_attr >> 28 == 0xA:
-            raise InputError(f"it contains a link, {quoted(one.filename)}; {GIVE} without links")
-    if len(entries) > MOST_FILES or sum(one.file_size for one in entries) > MOST_INSIDE:
-        raise InputError(f"it unpacks to more than {MOST_FILES} files or {MOST_INSIDE // MIB} MiB; export it with less inside")
-
-
-def read_description(content: bytes) -> Description:
-    """Returns what modelDescription.xml says.
-
-    Raises:
-        InputError: it is no description of FMI 2.0 for co-simulation that runs by itself.
-    """
-    if len(content) > MOST_XML or b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise InputError(f"its modelDescription.xml is too large, or defines entities; {GIVE}")
-    try:
-        root = ElementTree.fromstring(content)
-        if root.get("fmiVersion") != "2.0":
-            raise InputError(f"its version is FMI {quoted(root.get('fmiVersion'))}; {GIVE}")
-        kind = root.find("CoSimulation")
-        if kind is None:
-            raise InputError(f"it is for model exchange only; {GIVE}")
-        if kind.get("needsExecutionTool") in ("true", "1"):
-            raise InputError("it needs the program that exported it; export it so that it runs without that program")
-        identifier = kind.get("modelIdentifier", "")
-        if not re.fullmatch(r"\w+", identifier):
-            raise InputError(f"its modelIdentifier, {quoted(identifier)}, is not a name in C; {GIVE}")
-        found: dict[str, dict[str, Variable]] = {"input": {}, "output": {}}
-        for one in root.iter("ScalarVariable"):
-            real, causality = one.find("Real"), one.get("causality")
-            if causality in found and real is None:
-                raise InputError(f"its {causality} {one.get('name')!r} is not of type Real; export its signals as Real")
-            if causality in found and real is not None:
-                found[causality][one.attrib["name"]] = Variable(int(one.attrib["valueReference"]), real.get("unit", ""))
-        computer = root.find(f"VendorAnnotations/Tool[@name='{TOOL}']/Implementation")
-        delay = 0 if computer is None else int(computer.attrib["delay"])
-        return Description(root.attrib["guid"], identifier, found["input"], found["output"], delay)
-    except (ElementTree.ParseError, KeyError, ValueError, LookupError) as error:
-        raise InputError(f"its modelDescription.xml is damaged ({error}); {GIVE}") from error
-
-
-def _matched(description: Description, measured: Sequence[str]) -> tuple[list[int], list[int]]:
-    """Returns the value references of what is measured, and of the forces in the order of the corners.
-
-    Raises:
-        InputError: an input is not measured, or the other way round, a unit is another, or there are no forces.
-    """
-    if {*description.inputs} != {*measured}:
+    if description.fmiMajorVersion == 1 or description.coSimulation is None:
+        raise InputError(f"it has FMI {description.fmiVersion}{'' if description.coSimulation else ', no co-simulation'}; {GIVE}")
+    real = [one for one in description.modelVariables if one.type in ("Real", "Float64", "Float32")]  # others keep start values
+    inputs, outputs = ({one.name: one for one in real if one.causality == kind} for kind in ("input", "output"))
+    if {*inputs} != {*measured}:
         raise InputError(
-            f"its inputs are {listing(sorted(description.inputs)) or 'none'}, and the controller measures {listing(measured)}; "
-            "list the inputs in `measured`"
+            f"its inputs are {listing(inputs)}, and the controller measures {listing(measured)}; list the inputs in `measured`"
         )
-    named = {(f"{FORCE.name}_{corner}" if corner else FORCE.name): corner for corner in CORNERS}
-    forces = [name for name in named if name in description.outputs]
+    forces = [outputs[name] for name in (FORCE, *(f"{FORCE}_{corner}" for corner in CORNERS)) if name in outputs]
     if not forces:
-        outputs = listing(sorted(description.outputs)) or "none"
-        raise InputError(f"its outputs are {outputs}; name its forces {FORCE.name}, or {FORCE.name}_CORNER")
-    for name, one in {**description.inputs, **{name: description.outputs[name] for name in forces}}.items():
-        unit = _unit(name)
-        if unit and one.unit and _plain(one.unit) != unit:
-            raise InputError(f"the unit of its {name} is {quoted(one.unit)}; export it in {unit}")
-    return [description.inputs[name].reference for name in measured], [description.outputs[name].reference for name in forces]
-
-
-def _unit(name: str) -> str:
-    """Returns the unit of a signal by its name, or empty for a name that only its vehicle knows."""
-    known = {one.name: one.unit for one in vars(signals).values() if isinstance(one, signals.Signal)}
-    fitting = [one for one in known if name == one or name.startswith(f"{one}_")]
-    return known[max(fitting, key=len)] if fitting else ""
+        raise InputError(f"its outputs are {listing(outputs)}; name its forces {FORCE}, or {FORCE}_CORNER")
+    for one in (*inputs.values(), *forces):
+        unit = one.unit or (one.declaredType and one.declaredType.unit)
+        signal = next((known for known in KNOWN if f"{one.name}_".startswith(f"{known.name}_")), None)  # or one of its corners
+        if unit and signal and _plain(unit) != signal.unit:
+            raise InputError(f"the unit of its {one.name} is {quoted(unit)}; export it in {signal.unit}")
+    return [inputs[name] for name in measured], forces
 
 
 def _plain(unit: str) -> str:
@@ -281,6 +144,10 @@ def _plain(unit: str) -> str:
     return {"m s-1": "m/s", "m s-2": "m/s2", "rad s-1": "rad/s", "rad s-2": "rad/s2"}.get(plain, plain)
 
 
-def _platform() -> str:
-    system, wide = platform.system().lower(), sys.maxsize > 2**32
-    return {"windows": "win", "darwin": "darwin"}.get(system, system) + ("64" if wide else "32")
+def own_delay(file: Path) -> int:
+    """Returns the delay of the outputs of an FMU that Roadproof exported [samples], and 0 for any other file."""
+    with suppress(OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError), zipfile.ZipFile(file) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+        if root.get("generationTool") == TOOL and (computer := root.find(".//Implementation[@delay]")) is not None:
+            return int(computer.attrib["delay"])
+    return 0  # the first step refuses a file that is not an FMU

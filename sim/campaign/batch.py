@@ -200,14 +200,15 @@ def run_batch(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = l
             if results is None:
                 return None
             rows |= {i: {"run": start + i, **row} for i, row in zip(pair, results.rows, strict=True)}
-            # Of runs whose law was called for all of them, and failed, each is tried alone: who fails must not depend on company.
-            todo += [[some[i]] for i in results.doubtful] if len(some) > 1 else []
+            # Which runs fail must not depend on the batch: doubtful ones are repeated in halves, until each is alone.
+            doubtful = [some[i] for i in results.doubtful] if len(some) > 1 else []
+            todo += [half for half in (doubtful[::2], doubtful[1::2]) if half]
     return [rows[i] for i in range(len(keys))]
 
 
 @dataclass(frozen=True)
 class _BatchRows:
-    """Rows of runs, and which of them may have failed by the fault of another."""
+    """Rows of runs, and the indices of those that may have failed because of another run."""
 
     rows: Rows
     doubtful: list[int]

@@ -118,14 +118,12 @@ class Plan:
 
     def programmed(self, run: int) -> bool:
         """Returns True if a law in Python drives the run."""
-        return self._programmed(*self._blocks[int(np.searchsorted(self._starts, run, side="right")) - 1][1:3])
-
-    def _programmed(self, vehicle: int, controller: int) -> bool:
-        c = self.campaign
-        return isinstance(self.controllers[list(c.vehicles)[vehicle]][c.controllers[controller]], Programmed)
+        key = self.key(run)
+        name, controller = list(self.campaign.vehicles)[key.vehicle], self.campaign.controllers[key.controller]
+        return isinstance(self.controllers[name][controller], Programmed)
 
     def batches(self, gaps: Iterable[tuple[int, int]], most: Callable[[], int]) -> Iterator[tuple[int, int]]:
-        """The runs of gaps (start, stop), cut into batches of one vehicle, of laws in Python or none, that fit into memory.
+        """Yields the runs of gaps (start, stop), cut into batches of one vehicle that fit into memory.
 
         Args:
             gaps: ascending.
@@ -134,9 +132,8 @@ class Plan:
         vehicles = list(self.campaign.vehicles.values())
         for start, stop in gaps:
             while start < stop:
-                v, own = self.key(start).vehicle, self.programmed(start)
-                later = (block for block in self._blocks[:-1] if block[0] > start)
-                same = next((first for first, u, k, *_ in later if u != v or self._programmed(u, k) != own), self.count)
+                v = self.key(start).vehicle
+                same = next((first for first, u, *_ in self._blocks[:-1] if first > start and u != v), self.count)
                 size = runs_at_once(len(self.campaign.time), len(vehicles[v].kind.wheels))
                 end = min(stop, same, start + min(size, most()))
                 yield start, end

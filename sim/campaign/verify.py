@@ -16,11 +16,10 @@ from models.common.arrays import Array
 from models.common.errors import InputError
 from models.common.threads import one_thread
 from models.laws.linear import LinearLaw, law_of
-from sim.campaign.law_process import LawProcesses
+from sim.campaign.batch import run_batch
 from sim.campaign.manifest import FaultError, Gains, gains_of
 from sim.campaign.plan import Plan
 from sim.campaign.store import Store
-from sim.campaign.workers import run_timed
 from synth.vehicle.designer import Designer
 
 SAME_GAIN = 1e-9  # relative: how far rounding on another machine may move a designed gain
@@ -73,16 +72,15 @@ def verify(plan: Plan, store: Store, count: int, seed: int, own: bool, progress:
     if not faults:
         faults += _inputs(plan, table)
         drawn = np.random.default_rng(seed).choice(plan.count, size=min(count, plan.count), replace=False)
-        with LawProcesses(plan) as asides:
-            for run in sorted(drawn.tolist()):
-                if plan.programmed(run) and not own:
-                    left_out += 1
-                    continue
-                rows, _ = run_timed(plan, run, run + 1, asides=asides)
-                expected = pa.Table.from_pylist(rows or [], schema=store.schema)
-                faults += _differences(run, table.slice(run, 1).to_pylist()[0], expected.to_pylist()[0])
-                again.append(run)
-                progress(len(again))
+        for run in sorted(drawn.tolist()):
+            if plan.programmed(run) and not own:
+                left_out += 1
+                continue
+            rows = run_batch(plan, run, run + 1)
+            expected = pa.Table.from_pylist(rows or [], schema=store.schema)
+            faults += _differences(run, table.slice(run, 1).to_pylist()[0], expected.to_pylist()[0])
+            again.append(run)
+            progress(len(again))
     return Verified(len(table), tuple(again), tuple(faults), left_out)
 
 

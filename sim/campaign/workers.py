@@ -14,7 +14,6 @@ from models.common.errors import InputError
 from models.common.threads import AHEAD, one_thread, side_by_side
 from sim.campaign import HERE
 from sim.campaign.batch import Rows, run_batch
-from sim.campaign.law_process import LawProcesses, of_worker
 from sim.campaign.plan import Plan
 
 Done = tuple[int, Rows, float]  # first run of a batch, its rows, and the time that it took [s]
@@ -24,28 +23,19 @@ RETRIES = 5  # of a batch whose Ray worker dies
 
 
 @one_thread()
-def run_timed(
-    plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False, asides: LawProcesses | None = None
-) -> tuple[Rows | None, float]:
-    """`run_batch`, and how long it took [s]; laws in Python are run aside, by default by a process of this worker's."""
+def run_timed(plan: Plan, start: int, stop: int, stopped: Callable[[], bool] = lambda: False) -> tuple[Rows | None, float]:
+    """Returns the rows of `run_batch`, and the time that it took [s]."""
     began = time.monotonic()
-    if plan.programmed(start):
-        rows = (asides or of_worker(plan)).rows(start, stop, stopped)
-    else:
-        rows = run_batch(plan, start, stop, stopped)
-    return rows, time.monotonic() - began
+    return run_batch(plan, start, stop, stopped), time.monotonic() - began
 
 
 def local(plan: Plan, batches: Iterator[tuple[int, int]], workers: int) -> Iterator[Done]:
-    """Runs batches on threads, in the order in which they are done. MuJoCo and numpy work outside Python's lock.
-
-    Laws in Python work within it: each thread has a process for them.
-    """
+    """Runs batches on threads, and yields each when it is complete. MuJoCo and NumPy work outside Python's lock."""
 
     def piece(batch: tuple[int, int]) -> Callable[[Callable[[], bool]], tuple[int, Rows | None, float]]:
-        return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped, asides))
+        return lambda stopped: (batch[0], *run_timed(plan, *batch, stopped))
 
-    with LawProcesses(plan) as asides, closing(side_by_side(map(piece, batches), workers)) as done:
+    with closing(side_by_side(map(piece, batches), workers)) as done:
         for _, (start, rows, took) in done:
             if rows is not None:
                 yield start, rows, took

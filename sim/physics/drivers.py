@@ -1,6 +1,6 @@
 """Drivers of runs other than linear laws: laws in Python, known forces, and adjustable dampers, sample by sample."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from sim.physics.sensor_readout import AntiWindup, Laws, LinearLaws, Readout
 from synth.controller.controller import Controller, Driver
 
 if TYPE_CHECKING:
-    from models.laws.python_runtime import OwnLaw
+    from models.laws.python_runtime import FileRuns, LawRuns
     from models.suspension.damper_range import CoefficientRange
 
 
@@ -53,7 +53,7 @@ class Failure:
 
     Attributes:
         why: reason, in one line.
-        together: True if the law was called for several runs at once, so that another of them may be at fault.
+        together: True if the law was called for several runs at once, so another of them may have caused the failure.
     """
 
     why: str
@@ -143,91 +143,74 @@ class PythonLaws:
         self._failures, self._numbers = failures, numbers
         self._count, self._gone = len(controllers), np.zeros(len(controllers), dtype=bool)
         self._measured = np.array([[name in controller.measured for name in signals] for controller in controllers])
-        from models.laws.python_runtime import OwnLaw
+        from models.laws.python_runtime import runs_of
 
-        members: list[tuple[OwnLaw, Programmed, int, list[int]]] = []
-        together: dict[tuple[int, int], tuple[OwnLaw, list[int]]] = {}
+        alike: dict[tuple[int, int], list[int]] = {}
         for i, (controller, vehicle) in enumerate(zip(controllers, vehicles, strict=True)):
-            steps = steps_per_sample(vehicle.implementation, timestep)
-            if (id(controller), steps) in together:
-                together[id(controller), steps][1].append(i)
-                continue
-            try:
-                law = OwnLaw(controller, self.forces)
-            except InputError as error:
-                self._failed(error, np.array([i]))
-                continue
-            members.append((law, controller, steps, [i]))
-            if law.vectorised:
-                together[id(controller), steps] = law, members[-1][3]
-        self._groups = []
-        for law, controller, steps, runs in members:
-            seen, ahead = (
-                np.array([signals.index(name) for name in controller.measured]),
-                preview_samples(controller, steps * timestep),
-            )
-            self._groups.append(_Group(law, seen, steps, ahead, np.array(runs), _parameters(law, [vehicles[i] for i in runs])))
+            alike.setdefault((id(controller), steps_per_sample(vehicle.implementation, timestep)), []).append(i)
+        self._groups = list[_Group]()
+        for (_, steps), some in alike.items():
+            controller, runs = controllers[some[0]], list[int]()
+            laws = runs_of(controller, self.forces)
+            for i in some:
+                try:
+                    laws.add(vehicles[i].parameters)
+                    runs.append(i)
+                except InputError as error:
+                    self._failed(error, [i])
+            seen, ahead = [signals.index(name) for name in controller.measured], preview_samples(controller, steps * timestep)
+            self._groups.append(_Group(laws, np.array(seen), steps, ahead, np.array(runs, dtype=int)))
 
     def __call__(self, due: Array | slice, which: Array, k: int, seen: Array) -> Array:
         """Returns the forces of the due laws at step k, shape (len(which), m), from the signals (len(which), S)."""
         forces, everybody = np.zeros((len(which), self.forces)), len(which) == self._count
         self._gone[which] |= np.any(self._measured[which] & ~(np.abs(seen) <= WILD), axis=1)
         for group in self._groups:
-            if k % group.steps == 0:
+            if k % group.steps == 0 and not self._gone[group.runs].all():
                 rows = group.runs if everybody else np.searchsorted(which, group.runs)
-                if not self._gone[group.runs].all():
-                    forces[rows] = self._asked(group, k, seen[rows[:, None], group.seen])
+                forces[rows] = self._requested(group, k, seen[rows[:, None], group.seen])
         return forces
 
-    def _asked(self, group: "_Group", k: int, y: Array) -> Array:
+    def _requested(self, group: "_Group", k: int, y: Array) -> Array:
         """Returns the requested forces of a group's runs, shape (n, m), from their measurements, shape (n, q)."""
-        preview, many, runs = None, group.law.vectorised, group.runs
+        preview, runs, gone = None, group.runs, self._gone[group.runs]
         if group.ahead:
             heights = self._heights[k : k + (group.ahead - 1) * group.steps + 1 : group.steps][:, runs]
             preview = np.ascontiguousarray(np.moveaxis(heights, 0, 2))
-        time, period = k * self._timestep, group.steps * self._timestep
         try:
-            if not many:
-                return group.law(y[0], time, period, None if preview is None else preview[0], group.parameters)[None]
-            gone = self._gone[runs, None]
-            return np.where(gone, 0.0, group.law(np.where(gone, 0.0, y), time, period, preview, group.parameters))
+            forces, errors = group.laws.call(gone, y, k * self._timestep, group.steps * self._timestep, preview)
         except InputError as error:
-            self._failed(error, runs)
+            self._failed(error, runs[~gone].tolist(), len(runs) > 1)
             return np.zeros((len(runs), self.forces))
+        for i, error in errors.items():
+            self._failed(error, [int(runs[i])])
+        return forces
 
-    def _failed(self, error: InputError, runs: Array) -> None:
-        """Notes that the law of these runs has failed, or raises the error if failures are not collected."""
+    def _failed(self, error: InputError, runs: Sequence[int], together: bool = False) -> None:
+        """Records that the law of these runs has failed, or raises the error if failures are not collected."""
         if self._failures is None:
             raise error
         self._gone[runs] = True
-        self._failures |= {self._numbers[i]: Failure(str(error), len(runs) > 1) for i in runs.tolist()}
+        self._failures |= {self._numbers[i]: Failure(str(error), together) for i in runs}
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Runs that share one execution of a law.
+    """Runs of one controller with the same sample period.
 
     Attributes:
-        law: the execution.
+        laws: the executions of its law.
         seen: indices of the signals it measures.
         steps: timesteps between two of its samples.
         ahead: number of road heights that it previews under each wheel.
-        runs: indices of the runs; a single one unless the law is vectorised.
-        parameters: of the vehicle or, for a vectorised law, of the vehicles, by name.
+        runs: indices of the runs whose law could be executed.
     """
 
-    law: "OwnLaw"
+    laws: "LawRuns | FileRuns"
     seen: Array
     steps: int
     ahead: int
     runs: Array
-    parameters: Mapping[str, Array | float]
-
-
-def _parameters(law: "OwnLaw", vehicles: Sequence[Vehicle]) -> Mapping[str, Array | float]:
-    if not law.vectorised:
-        return vehicles[0].parameters
-    return {name: np.array([vehicle.parameters[name] for vehicle in vehicles]) for name in vehicles[0].parameters}
 
 
 @dataclass(frozen=True, eq=False)

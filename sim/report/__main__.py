@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from models.roads.load import Load
     from models.vehicle.vehicle import Vehicle
     from sim.report.contents import Report
-    from sim.report.worker_processes import Beside
+    from sim.report.worker_processes import WorkerPool
 
 
 EPILOG = """
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from models.figures.page import check_page
     from models.figures.picture import check_drawing
     from models.roads.load_choice import choose_load
-    from sim.report.worker_processes import Beside, processes
+    from sim.report.worker_processes import WorkerPool, processes
     from sim.studies.ride.standing import standing_lines
 
     check_page()
@@ -74,8 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_drawing()
     loads, results, undesigned = tuple(choose_load(text) for text in options.loads), {}, []
     for title, (vehicle, names) in subjects.items():
-        with Beside(processes(vehicle, options.quick)) as beside:  # they import what this one does
-            results[title] = _reported(options, vehicle, names, loads, beside, outputs[title])
+        with WorkerPool(processes(options.quick) if arguments is None else 0) as pool:  # a library starts none
+            results[title] = _reported(options, vehicle, names, loads, pool, outputs[title])
         undesigned += sorted({*names} - {one.controller for one in results[title].compared})
     if len(subjects) > 1:
         return _several(options, outputs, results, undesigned)
@@ -167,7 +167,7 @@ def _reported(
     vehicle: "Vehicle",
     names: Sequence[str],
     loads: "tuple[Load, ...]",
-    beside: "Beside",
+    pool: "WorkerPool",
     outputs: "Mapping[str, Path | None]",
 ) -> "Report":
     """A report whose page is written, with its figures where they are asked for."""
@@ -213,7 +213,7 @@ def _reported(
     laws = tuple(one for one in controllers if not isinstance(one, Controller))
     own = {"own_road": road, "road_name": name, "duration": duration}
     scope = Scope(vehicle, designer, linear, options.timestep, options.quick, stage, laws, options.front, loads, exported, **own)
-    result = report(scope, _about(vehicle.source), beside)
+    result = report(scope, _about(vehicle.source), pool)
     stage("the page")
     _write(result.page, outputs)
     stage.end()

@@ -23,7 +23,7 @@ from sim.report.loads import loads_section, workshop_section
 from sim.report.ride import AVERAGE, SEEDS, OverRoads, Ride, ride_section
 from sim.report.scope import AMPLITUDE, BUMP_DURATION, Scope
 from sim.report.summary import compared_on, first_screen, trust_section
-from sim.report.worker_processes import Beside, Piece
+from sim.report.worker_processes import Piece, WorkerPool
 from sim.runs.run import Run, run_controllers, sample_times
 from sim.studies.frequency.describing_function import DescribingFunction, describing_function
 from sim.studies.frequency.identification import ideal_measurements, identify
@@ -57,15 +57,15 @@ class Report:
     compared_on: str
 
 
-def report(scope: Scope, provenance: dict[str, str], beside: Beside) -> Report:
+def report(scope: Scope, provenance: dict[str, str], pool: WorkerPool) -> Report:
     """The whole report.
 
     Args:
         provenance: where it comes from, in words.
-        beside: processes for what does not depend on anything else here.
+        pool: processes for pieces that do not depend on anything else here.
     """
     vehicle, bump, h = scope.vehicle, Bump(), scope.timestep
-    results = beside.begin(scope, pieces_of(scope))
+    results = pool.begin(scope, pieces_of(scope))
     scope.progress(BUMP)
     time, halves = (sample_times(vehicle, scope.duration, step) for step in (h, h / 2))
     runs = run_controllers(vehicle, scope.driven, scope.road, time)

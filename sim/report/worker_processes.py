@@ -1,85 +1,59 @@
-"""Pieces of a report in processes beside this one, as Python runs one thing at a time in each."""
+"""Child processes for pieces of a report, because Python uses one core in each process."""
 
-import os
 import pickle
-import subprocess
-import sys
-from collections.abc import Callable
+import queue
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.common import interrupt
+from models.common.children import Child
 from models.common.threads import cores
-from models.kinds.kind import HERE
-from models.vehicle.vehicle import Vehicle
 
-if TYPE_CHECKING:  # that imports nearly everything, which is to be begun in all processes at once
+if TYPE_CHECKING:  # it imports nearly everything, and children begin to import that before this process does
     from sim.report.scope import Scope
 
-ROOT = Path(__file__).parent.parent.parent
 MOST = 3  # processes: more of them would wait for the longest piece
 
 Name = tuple[str, str]
-Piece = Callable[["Scope"], Any]  # a function of a module, or a `partial` of one, as it is sent by its name
+Piece = Callable[["Scope"], Any]  # a function of a module, or a `partial` of one
 
 
-def processes(vehicle: Vehicle, quick: bool) -> int:
-    """Returns the number of worthwhile processes: 0 in a library, on a single core, and if a user's own code is run.
-
-    A quick report has one long piece only, so it has one process at most. A user's code may print, start processes or never end;
-    only the main process can handle that.
-    """
-    own = vehicle.kind.folder != HERE or any(entry.python is not None for entry in vehicle.controllers.values())
-    return 0 if own or interrupt.interrupt_pending() is None else min(cores() - 1, 1 if quick else MOST)
+def processes(quick: bool) -> int:
+    """Returns the number of worthwhile processes: 0 on one core, and at most 1 for a quick report, which has one long piece."""
+    return min(cores() - 1, 1 if quick else MOST)
 
 
-class Beside:
-    """Processes that take pieces of work. They import while this one designs, and take no Ctrl-C: this one ends them."""
+class WorkerPool:
+    """Child processes that compute pieces of a report while this process computes others."""
 
     def __init__(self, count: int) -> None:
-        """Begins as many; with none, all of the work is done here."""
-        known = os.environ.get("PYTHONPATH")
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *([known] if known else []), os.curdir])}
-        command = [sys.executable, "-P", "-m", "sim.report.worker"]
-        self._all = [
-            subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True, bufsize=-1
-            )
-            for _ in range(count)
-        ]
-        self._idle = list(self._all)
+        """Starts as many processes. Without any, all pieces are computed here."""
+        self._children, self._idle = [Child(_computed) for _ in range(count)], queue.SimpleQueue[Child]()
+        for child in self._children:
+            self._idle.put(child)
         self._threads = ThreadPoolExecutor(count) if count else None
 
-    def __enter__(self) -> "Beside":
+    def __enter__(self) -> "WorkerPool":
         return self
 
     def __exit__(self, *error: object) -> None:
-        for process in self._all:
-            process.kill()
-            process.wait()
+        for child in self._children:
+            child.end()
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)
-        for process in self._all:
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):
-                    assert pipe is not None, "both are pipes"
-                    pipe.close()
 
     def begin(self, scope: "Scope", pieces: dict[Name, Piece]) -> Callable[[], dict[Name, Any]]:
-        """Begins pieces of work, by their stage and of what they are; long ones first, or one process ends alone.
+        """Begins pieces of work, given by stage and subject. Long pieces come first, so that all processes end together.
 
         Returns:
-            What gives all results, by name. It does here what no process has begun, from the last on, and waits for the others.
+            Function that returns all results by name. It computes here what no process has begun, from the last piece on, and
+            what a process did not complete.
         """
         futures: dict[Name, Future[Any]] = {}
         if self._threads is not None:
-            import cloudpickle  # kinds of vehicle have functions without names
-
             silent = replace(scope, progress=_silent)
-            written = {name: cloudpickle.dumps((piece, silent)) for name, piece in pieces.items()}  # before anything changes
+            written = {name: pickle.dumps((piece, silent)) for name, piece in pieces.items()}  # before `scope` caches results
             futures = {name: self._threads.submit(self._elsewhere, piece) for name, piece in written.items()}
 
         def here(name: Name) -> Any:
@@ -90,7 +64,7 @@ class Beside:
             _show(scope, name)
             try:
                 return futures[name].result()
-            except (OSError, EOFError, pickle.PickleError):
+            except Exception:  # raised again here, where its traceback shows its cause
                 return here(name)
 
         def results() -> dict[Name, Any]:
@@ -100,25 +74,29 @@ class Beside:
         return results
 
     def _elsewhere(self, piece: bytes) -> Any:
-        """Returns the result of a piece from a process."""
-        if not self._idle:
-            raise EOFError
-        process = self._idle.pop()
-        assert process.stdin is not None, "it is a pipe"
-        assert process.stdout is not None, "it is a pipe"
-        process.stdin.write(piece)
-        process.stdin.flush()
-        answer = pickle.load(process.stdout)
-        self._idle.append(process)
-        return answer
+        """Returns the result of a piece from a child."""
+        child = self._idle.get()
+        try:
+            return child.ask(piece)
+        finally:
+            self._idle.put(child)
+
+
+def _computed(pieces: Iterator[bytes]) -> Iterator[Any]:
+    """Computes pieces in a child."""
+    import sim.report.contents  # noqa: F401 - all that a piece needs, before the first is requested
+
+    for written in pieces:
+        piece, scope = pickle.loads(written)
+        yield piece(scope)
 
 
 def _show(scope: "Scope", name: Name) -> None:
-    """Says which piece is worked on, or waited for."""
-    stage, what = name
+    """Shows which piece is computed, or waited for."""
+    stage, subject = name
     scope.progress(stage)
-    if what:
-        scope.progress(f"of {what}")
+    if subject:
+        scope.progress(f"of {subject}")
 
 
 def _silent(text: str) -> None:

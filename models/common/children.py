@@ -1,0 +1,153 @@
+"""Child processes in Python that answer messages, one after another.
+
+Each wait for an answer has a limit, and the death of a child is an exception, so a child may run code that hangs or crashes.
+
+A child does not import the user's script again, as children of `multiprocessing` do, so scripts need no `if __name__ ==
+"__main__"`. Its stdin is empty, and its prints go to stderr. It ignores Ctrl-C and ends with its parent, even in the middle of a
+call.
+"""
+
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import warnings
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import IO, Any
+
+Answers = Callable[[Iterator[Any]], Iterator[Any]]  # a generator function of a module, from messages to answers
+ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}  # of BLAS, whose threads only wait
+GRACE = 0.5  # s in which a child that its parent ends can finish
+
+
+class EndedError(Exception):
+    """The child process has ended; the message is its exit code or signal."""
+
+
+class Child:
+    """A child process, as its parent sees it. It ends with this object."""
+
+    def __init__(self, answers: Answers) -> None:
+        """Starts the process.
+
+        Args:
+            answers: the function that runs in the child. It receives an iterator of messages and yields an answer for each.
+                An exception that it yields is raised by `receive`, as is one that it raises, which ends the child.
+        """
+        code = f"import sys; sys.path[:] = {sys.path!a}; from models.common.children import serve; serve()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the parent
+            env=ONE_THREAD | os.environ,
+        )
+        self._process, self._answers = process, queue.SimpleQueue[Any]()
+        self.end = weakref.finalize(self, _end, process)
+        threading.Thread(target=_read, args=(process.stdout, self._answers), daemon=True, name="roadproof-child").start()
+        self.send(answers)
+
+    @property
+    def ended(self) -> bool:
+        """True if the process was ended, or has ended by itself."""
+        return self._process.poll() is not None
+
+    def ask(self, message: Any, longest: float | None = None) -> Any:
+        """Sends a message and returns its answer; see `receive`."""
+        self.send(message)
+        return self.receive(longest)
+
+    def send(self, message: Any) -> None:
+        """Sends a message, which must be picklable."""
+        written = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        assert self._process.stdin is not None, "it is a pipe"
+        with suppress(OSError, ValueError):  # the child has ended, which `receive` finds
+            self._process.stdin.write(written)
+            self._process.stdin.flush()
+
+    def receive(self, longest: float | None = None) -> Any:
+        """Returns the next answer.
+
+        Args:
+            longest: time limit [s]; None for no limit.
+
+        Raises:
+            TimeoutError: the limit has passed; the child is ended.
+            EndedError: the child has ended.
+            Exception: the answer is an exception.
+        """
+        try:
+            answer = self._answers.get(timeout=longest)
+        except BaseException as error:  # KeyboardInterrupt too: the answer to come would be taken for the next one
+            self.end()
+            raise (TimeoutError if isinstance(error, queue.Empty) else error) from None
+        if answer is EndedError:
+            self._answers.put(answer)
+            code = self._process.wait()
+            raise EndedError(f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}")
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def _read(pipe: IO[bytes], answers: "queue.SimpleQueue[Any]") -> None:
+    """Reads the answers of a child until it ends."""
+    with pipe, suppress(EOFError, OSError, pickle.UnpicklingError):
+        while True:
+            answers.put(pickle.load(pipe))
+    answers.put(EndedError)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """Ends a child: at its next message, or after `GRACE` whatever it is doing."""
+    assert process.stdin is not None, "it is a pipe"
+    with suppress(OSError):
+        process.stdin.close()
+    try:
+        process.wait(2 * GRACE)
+    except subprocess.TimeoutExpired:  # its code does not let `_listen` run
+        process.kill()
+        process.wait()
+
+
+def serve() -> None:
+    """Answers messages in the child; the first one is the function that does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with open(os.devnull, "rb") as empty, suppress(OSError):  # stderr may be closed
+        os.dup2(empty.fileno(), 0)
+        os.dup2(2, 1)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore", RuntimeWarning)  # of NumPy, as in commands
+    sys.stdout, messages = sys.stderr, queue.SimpleQueue[Any]()
+    threading.Thread(target=_listen, args=(requests, messages), daemon=True).start()
+    function: Answers = messages.get()
+    try:
+        for answer in function(iter(messages.get, _listen)):
+            answers.write(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
+            answers.flush()
+    except Exception as error:
+        with suppress(OSError):  # the parent has ended
+            answers.write(pickle.dumps(error))
+            answers.flush()
+
+
+def _listen(requests: IO[bytes], messages: "queue.SimpleQueue[Any]") -> None:
+    """Reads messages. When the parent has ended or closed the pipe, ends their iterator, and after `GRACE` the process."""
+    try:
+        while True:
+            messages.put(pickle.load(requests))
+    except EOFError:
+        pass
+    except Exception:
+        traceback.print_exc()
+    messages.put(_listen)
+    time.sleep(GRACE)
+    os.kill(os.getpid(), signal.SIGTERM)
